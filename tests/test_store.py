@@ -47,6 +47,9 @@ def test_damage_is_as_good_as_nothing(kept, folder):
         assert kept.read("a.thing") is None
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
         assert kept.read("a.thing") is None
+    path.unlink()
+    os.mkfifo(path)
+    assert kept.read("a.thing") is None  # and it does not wait for the other end
     kept.write("a.thing", b"one two")
     assert path.read_bytes() == whole
 

@@ -135,7 +135,7 @@ class Store:
 def read_checked(path: Path) -> memoryview | None:
     """Read the content of a file; None if it is missing or damaged."""
     try:
-        data = memoryview(path.read_bytes())
+        data = memoryview(path.read_bytes() if path.is_file() else b"")  # a FIFO or a device may have no end
     except OSError:
         return None
     return data[_BEGIN:] if data[:_BEGIN] == _begin(path.name, data[_BEGIN:]) else None

@@ -184,15 +184,17 @@ def test_warnings_are_lines_on_stderr(main_here, tmp_path):
     assert said.startswith("warning: hall: the path of the sensor leaves it at (100, 0) m; expected x between")
 
 
-def test_memory_that_runs_out_is_reported(cli, monkeypatch):
-    """Where no memory is left the run ends with 1 and one line."""
+@pytest.mark.parametrize("error", [MemoryError("Unable to allocate 9 EiB"), RuntimeError("can't start new thread")])
+def test_memory_that_runs_out_is_reported(cli, monkeypatch, error):
+    """Where no memory, or no thread, is left the run ends with 1 and one line."""
 
     def greedy(*_arguments, **_options):
-        raise MemoryError("Unable to allocate 9 EiB")
+        raise error
 
     monkeypatch.setattr("vlp16emu.scenario.load", greedy)
     outcome = cli("plan", "static_bench")
-    assert (outcome.code, outcome.err) == (1, "error: out of memory: Unable to allocate 9 EiB\n")
+    lacking = "memory" if isinstance(error, MemoryError) else "memory or threads"
+    assert (outcome.code, outcome.err) == (1, f"error: out of {lacking}: {error}\n")
 
 
 def test_what_a_terminal_cannot_show_is_reported_all_the_same(main_here, tmp_path):

@@ -171,15 +171,16 @@ def test_warnings_of_numpy_stay_away_from_the_line_of_an_error(main_here, monkey
     assert said.startswith("error: scene 'nope': unknown name; expected ")
 
 
-def test_an_error_without_a_file_is_not_one_of_standard_output(main_here, monkeypatch, tmp_path):
-    """The error line names the limit of open files when the system has no more."""
+@pytest.mark.parametrize(("code", "where"), [(24, "the system"), (2, "the current folder")])
+def test_an_error_without_a_file_is_not_one_of_standard_output(main_here, monkeypatch, tmp_path, code, where):
+    """The error line names the limit of open files when the system has no more, or the current folder when it is gone."""
 
     def load(*_, **__):
-        raise OSError(24, "Too many open files")
+        raise OSError(code, "No")
 
     monkeypatch.setattr("vlp16emu.scenario.load", load)
     with (tmp_path / "out").open("w") as stdout:
-        assert main_here("record", "nope", "x.pcap", stdout=stdout) == (1, "error: the system: Too many open files\n")
+        assert main_here("record", "nope", "x.pcap", stdout=stdout) == (1, f"error: {where}: No\n")
 
 
 def test_a_closed_standard_output_takes_no_capture():

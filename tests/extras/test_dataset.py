@@ -3,6 +3,7 @@
 import json
 import multiprocessing
 import re
+import threading
 from pathlib import Path
 from shutil import copytree
 
@@ -212,6 +213,9 @@ def test_workers_that_are_killed_lose_nothing(tmp_path):
     assert second.sha256 == first.sha256
     assert killed[0].exitcode == -9
     assert not (tmp_path / "out" / ".vlp16emu.parts").exists()
+    with pytest.raises(ZeroDivisionError):
+        make_dataset(walks, tmp_path / "third", workers=2, progress=lambda done_s: 1 / (done_s == 0))
+    assert "ExecutorManager" not in str([*map(type, threading.enumerate())])  # its semaphores would stay
 
 
 def test_shares_of_machines_are_the_dataset(made, tmp_path):

@@ -176,6 +176,10 @@ def test_files_lie_beside_the_scene(scene, tmp_path, monkeypatch):
     assert load("birch_walk", [way]).motion.way_points_file == "/way.csv"
     mesh = "{ file = 'a.obj', unit = 'm', up = 'z', places = [{ x_m = 1, y_m = 2 }] }"
     assert load(scene(), [f"world.meshes=[{mesh}]"]).world.meshes[0].file == "/a.obj"
+    (gone := tmp_path / "gone").mkdir()
+    monkeypatch.chdir(gone)
+    gone.rmdir()
+    assert load("static_bench").world.kind == "hall"  # without a current folder
 
 
 @pytest.mark.parametrize(

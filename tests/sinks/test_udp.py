@@ -93,6 +93,9 @@ def test_foreign_source_address_is_refused():
         match=r"192\.0\.2\.201:2368: Cannot assign requested address; expected .*: sudo ip addr add 192\.0\.2\.201/24",
     ):
         UdpSink([replace(FACTORY_LINK, source="192.0.2.201")], as_sensor=True)
+    for name in "", "\udcff":  # the system takes the empty name for any interface; the other is no text
+        with pytest.raises(OutputError, match=r"^interface .*: No such device; expected one of .*lo"):
+            UdpSink(interface=name)
 
 
 def test_port_in_use_is_refused():

@@ -28,6 +28,9 @@ _LEFT_S = 0.8  # time that an interrupted command has to remove unfinished outpu
 _OF_WRITING = errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EIO, errno.EPIPE
 """Errors of a write to standard output; errors of files carry their names, as `output.py` opens them."""
 
+_OF_LIMITS = "can't start new thread", "can't allocate", "failed to map segment"
+"""Texts of Python's and the loader's errors where memory or threads are limited, as in containers."""
+
 _was_interrupted = threading.Event()
 
 
@@ -92,6 +95,11 @@ def run(arguments: Sequence[str]) -> int:
     except MemoryError as error:
         _print_error(f"out of memory: {error}" if str(error) else "out of memory")
         return 1
+    except (RuntimeError, ImportError) as error:
+        if not any(text in str(error) for text in _OF_LIMITS):
+            raise
+        _print_error(f"out of memory or threads: {error}")
+        return 1
     except (KeyboardInterrupt, CancelledError):  # the latter if a run was stopped before its first packet
         return INTERRUPTED
 
@@ -151,7 +159,7 @@ def _code_of(error: OSError, code: int | None) -> int:
         # The rest of the output is discarded: Python would try to write it at exit and report the error again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     else:
-        where = "the system" if error.filename is None else error.filename
+        where = error.filename or ("the current folder" if error.errno == errno.ENOENT else "the system")
         _print_error(f"{where}: {error.strerror or error}")
         return 1
     if was_stopped.is_set():  # its terminal is gone

@@ -438,14 +438,13 @@ def _make_walks(walks: Sequence[DatasetWalk], parts: Path, workers: int | None) 
 
 @contextmanager
 def _processes(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """Start worker processes; after an error nothing waits for them."""
+    """Start worker processes; after an error they are terminated."""
     others = set(multiprocessing.active_children())
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, mp_context=spawn, initializer=_start_worker) as pool:
         try:
             yield pool
         except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
             for process in set(multiprocessing.active_children()) - others:
                 process.terminate()
             raise

@@ -64,7 +64,7 @@ def load(
     """
     if isinstance(scene, Scenario) and not settings and not ideal:
         return scene
-    source = _source(scene, folder or Path.cwd())
+    source = _source(scene, folder)
     given = settings.items() if isinstance(settings, Mapping) else ()
     read = [_Setting(key, value, f"setting {key} = {value!r}") for key, value in given] or [*map(_parsed, settings)]
     changes = [_converted(one) for one in read]
@@ -85,13 +85,13 @@ def _changed(source: _Source, changes: Iterable[_Setting]) -> _Source:
     return source._replace(tree=door("field")(source.tree)) if source.tree.get("conditions") == "field" else source
 
 
-def _source(scene: str | Path | Mapping[str, Any] | Scenario, folder: Path) -> _Source:
+def _source(scene: str | Path | Mapping[str, Any] | Scenario, folder: Path | None) -> _Source:
     if isinstance(scene, Scenario):
         tree = scene.model_dump(mode="json", by_alias=True, exclude_none=True)
         return _Source("scenario", tree, Path.cwd(), is_json=True)
     if isinstance(scene, Mapping):
         _check_depth("scene", scene)
-        return _Source("scene", deepcopy(dict(scene)), folder, is_json=False)
+        return _Source("scene", deepcopy(dict(scene)), folder or Path.cwd(), is_json=False)
     path = scene if isinstance(scene, Path) else find(scene)
     tree = {"title": path.stem} | _read(path)
     _check_depth(str(path), tree)

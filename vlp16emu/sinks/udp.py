@@ -163,8 +163,9 @@ def _open(sensor_port: int, as_sensor: str | None, interface: str | None) -> soc
 
 def _bind(opened: socket.socket, as_sensor: str | None, interface: str | None, port: int) -> None:
     if interface is not None:
+        name = interface.encode(errors="replace") or b"?"  # an empty name would be any interface
         try:
-            opened.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, interface.encode())
+            opened.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, name)
         except OSError as error:
             expected = f"one of {', '.join(_interfaces())}, and Linux 5.7 or the capability CAP_NET_RAW"
             raise OutputError(f"interface {interface}", str(error.strerror), expected) from error
