@@ -186,7 +186,7 @@ def test_warnings_are_lines_on_stderr(main_here, tmp_path):
 
 @pytest.mark.parametrize("error", [MemoryError("Unable to allocate 9 EiB"), RuntimeError("can't start new thread")])
 def test_memory_that_runs_out_is_reported(cli, monkeypatch, error):
-    """Where no memory, or no thread, is left the run ends with 1 and one line."""
+    """A run that finds no memory or no thread left ends with code 1 and one line."""
 
     def greedy(*_arguments, **_options):
         raise error

@@ -103,7 +103,7 @@ def test_grazing_and_partly_hit_targets_drop_out():
 
 
 def test_no_returns_show_a_constant_of_their_laser():
-    """Where asked for, records without a return carry that of their laser, the same for a laser each time, up to 255; else 0."""
+    """Records without a return carry the constant code of their laser, up to 255, if the setting asks for it; else 0."""
     silent = seen({"no_return_reflectivity": True}, np.inf, k=50)
     assert (silent.distance_m == 0).all()
     codes = silent.reflectivity[..., :2]

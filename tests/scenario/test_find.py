@@ -42,7 +42,7 @@ NEAREST = "birch_walk, the nearest of `vlp16emu scenes`"
     [(("meadow", ""), ", ".join(scene_files())), (("birch_wlk", "birch-wlk", "Birch_Walk"), NEAREST)],
 )
 def test_an_unknown_name_is_answered_with_the_nearest_or_with_all(names, expected):
-    """Of all scenes the one that was probably meant is named, and none beside it; where none is near, those that exist."""
+    """The error names the nearest scene alone, or all scenes if none is near."""
     for name in names:
         with pytest.raises(ScenarioError) as caught:
             find(name)

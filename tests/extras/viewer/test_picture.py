@@ -99,7 +99,7 @@ def test_a_missing_pillow_is_named_before_anything_is_simulated(tmp_path, monkey
 
 
 def test_a_capture_is_drawn_by_its_trajectory(tmp_path, capsys):
-    """By its truth a capture gives a picture of all revolutions of its first sensor, without it of the first one."""
+    """A capture with its trajectory gives a picture of all revolutions of its first sensor, without it one of the first revolution."""
     second = {"name": "b", "address": "192.168.1.202", "data_port": 2369, "position_port": 8309}
     emulator = Emulator("static_bench", {"beam.model": "none", "rig": [second]})
     emulator.record(tmp_path / "a.pcap", duration_s=0.4, truth=tmp_path / "truth")

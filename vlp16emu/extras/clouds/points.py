@@ -87,7 +87,7 @@ def write_points(
                 progress(simulated_s)
                 if stop.is_set():
                     break
-        if not simulated_s:
+        if stop.is_set() and not simulated_s:
             raise CancelledError  # earlier files stay
     sensor, wall_s = emulator.parts.units[number], time.perf_counter() - began_s
     beams = sensor.head.beams

@@ -462,6 +462,6 @@ def write_truth(
                 truth.up_to(begin_s + min(done_s + _AT_ONCE_S, stop_s - begin_s))
                 done_s = min(done_s + _AT_ONCE_S, stop_s - begin_s)
                 progress(done_s)
-        if not done_s:
+        if stop.is_set() and not done_s:
             raise CancelledError  # earlier files stay
     return done_s
