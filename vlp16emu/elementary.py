@@ -346,6 +346,16 @@ def matvec(matrix: _Floats, vector: _Floats) -> _Floats:
     return matmul(matrix, vector[..., None])[..., 0]
 
 
+def inverse(pose: _Floats) -> _Floats:
+    """Invert rigid transforms (..., 4, 4): LAPACK differs by processor."""
+    out = np.zeros_like(pose)
+    turn = np.swapaxes(pose[..., :3, :3], -1, -2)
+    out[..., :3, :3] = turn
+    out[..., :3, 3] = -matvec(turn, pose[..., :3, 3])
+    out[..., 3, 3] = 1.0
+    return out
+
+
 def matmul(a: _Floats, b: _Floats) -> _Floats:
     """Multiply matrices (..., n, m) and (..., m, p), summing from the first column on: BLAS differs by processor."""
     out = a[..., :, :1] * b[..., :1, :]

@@ -196,8 +196,10 @@ class Returns:
     reflectivity: U1  # (k, L, 3) 0..100 diffuse, 101..255 retroreflective
     surface: U4 | None = None  # (k, L, 3) ground truth, only on request, like all fields below
     surfaces: NDArray[np.void] | None = None  # (m,) `SURFACE`, the table that `surface` indexes
-    range_m: F4 | None = None  # (k, L, 3) without range errors; 0 without such a return
+    range_m: F4 | None = None  # (k, L, 3) without range errors; 0 without an echo; a lost record keeps it
     share: F4 | None = None  # (k, L, 3) share of the footprint on the surface, at any range
+    mode: ReturnMode = ReturnMode.STRONGEST  # which of them the sensor sends
+    is_sent: NDArray[np.bool_] | None = None  # (k,) firing sequences that the sensor sends; None for all
 
     def __post_init__(self) -> None:
         shape = *self.firings.t_ns.shape, 3

@@ -162,9 +162,9 @@ def test_a_stop_ends_the_wait_for_a_window():
     grown, stop = threading.Event(), threading.Event()
     batching = SimpleNamespace(block_ns=100, segment=4, parts=1)
     of = Windows(lambda _segment: grown.wait(), batching, moves=True, threads=2)
-    results = run(lambda _run, scene: scene.result(), range(8), of)
+    results = run(lambda _run, scene: scene.result(), range(8), of.stopped_by(stop))
     threading.Timer(0.0, stop.set).start()
-    with of.stopped_by(stop), pytest.raises(CancelledError):
+    with pytest.raises(CancelledError):
         next(results)
     grown.set()
     assert of.wait(of.at_block(0))

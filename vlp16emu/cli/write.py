@@ -208,9 +208,7 @@ def picture(
         if is_capture:
             source = source_of_capture(Path(scene), trajectory, span)
         else:
-            emulator = make_emulator(scene, changes)
-            source = source_of_scene(emulator, span)
-            stack.enter_context(emulator.engine.windows.stopped_by(stop))
+            source = source_of_scene(make_emulator(scene, changes).stopped_by(stop), span)
         made = draw_picture(source, out, look, stop)
     finish(made, as_json=as_json)
 

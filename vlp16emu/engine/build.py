@@ -25,7 +25,7 @@ from vlp16emu.sensor.power_up import counters_of, powered_up
 from vlp16emu.sensor.rotor import Clock, ClockSpan, Encoder, Rotor, Spin, Swing
 from vlp16emu.sensor.settings import Lidar, Sensor, require_packets
 from vlp16emu.types import F8, I8, GnssFix, HeightField, PpsState, ReturnMode, World
-from vlp16emu.units import S_NS, seconds_to_ns
+from vlp16emu.units import FOREVER_NS, S_NS, seconds_to_ns
 
 if TYPE_CHECKING:
     from vlp16emu.engine.engine import Engine
@@ -273,11 +273,16 @@ def clock_at(t_ns: int, section: Lidar, *, locked: bool) -> ClockSpan:
 def _head(scenario: Scenario, section: Lidar, seed: int) -> Head:
     start_ns, power_up_ns = scenario.start_ns, _power_up_ns(scenario, section)
     phase_deg = section.phase_lock_deg if isinstance(section, Sensor) else None
-    angle_deg, error_rpm = section.start_azimuth_deg or 0.0, section.speed_error_rpm
+    angle_deg = section.start_azimuth_deg or 0.0
+    locks_ns: tuple[tuple[int, int], ...] = ()
     if phase_deg is not None:
-        angle_deg, error_rpm = in_phase_deg(phase_deg, section.rpm, start_ns), 0.0
+        angle_deg = in_phase_deg(phase_deg, section.rpm, start_ns)
+        locks_ns = ((0, FOREVER_NS),)
+    error_rpm = section.speed_error_rpm
     swings = Swing.sample(seed, error_rpm, section.speed_wander_rpm, is_exact=section.rotation_spread == 0.0)
-    rotor = Rotor((Spin(0, angle_deg, float(section.rpm)),), Encoder.of_unit(section, seed), (), swings)
+    drift, swings = (swings[0], swings[1:]) if error_rpm else (None, swings)
+    spin = Spin(0, angle_deg, float(section.rpm))
+    rotor = Rotor((spin,), Encoder.of_unit(section, seed), swings=swings, drift=drift, locks_ns=locks_ns)
     beams = with_angle_errors(
         section.beam_table(),
         elevation_error_deg=scenario.noise.elevation_error_deg,

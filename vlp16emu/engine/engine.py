@@ -8,6 +8,8 @@ import heapq
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
+from itertools import chain
+from threading import Event
 from typing import Self
 
 import numpy as np
@@ -15,7 +17,7 @@ import numpy as np
 from vlp16emu.cores import usable_cores
 from vlp16emu.doors import door
 from vlp16emu.engine.build import Parts, Unit, assemble, with_events
-from vlp16emu.engine.timeline import Packer, TruthOf
+from vlp16emu.engine.timeline import Packer, Stretch, TruthOf
 from vlp16emu.engine.windows import Batching, OwnWindows, Windows, in_order, windows_of
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion.gnss import Receiver
@@ -122,9 +124,24 @@ class Engine:
     def returns(
         self, start_s: float = 0.0, stop_s: float | None = None, unit: int = 0, *, truth: bool = False
     ) -> Iterator[Returns]:
-        """Return a unit's returns before packing, in whole blocks that cover the span; with their surfaces if `truth`."""
-        blocks, of = self.batching.blocks(*self.span_ns(start_s, stop_s)), self.parts.units[unit]
-        return self._scans(of, of.detector, blocks, self.threads, truth=truth)
+        """Return a unit's returns before packing, in whole blocks that cover the span; with their surfaces if `truth`.
+
+        A block in which settings change is returned once for the settings before and once for those after, each time with
+        the firing sequences that are sent; blocks of which nothing is sent are left out.
+        """
+        blocks = self.batching.blocks(*self.span_ns(start_s, stop_s))
+        sensor = self.parts.units[unit]
+        return chain.from_iterable(
+            self._returns_of(sensor, stretch, blocks, truth=truth) for stretch in sensor.timeline.spans
+        )
+
+    def stopped_by(self, stop: Event) -> Self:
+        """Return an engine for one run, whose packets and returns end with CancelledError once `stop` is set.
+
+        It shares world and windows; other runs go on.
+        """
+        windows = self.windows.stopped_by(stop)
+        return replace(self, windows=windows, receiver=make_receiver(self.scenario, self.parts, windows))
 
     def with_events(self, events: Sequence[object]) -> Self:
         """Return an engine with other sensor events in place of the scene's."""
@@ -157,6 +174,15 @@ class Engine:
             scans = self._scans(unit, detector, blocks, threads, truth=self.truth_of is not None)
             for packets in map(packer.pack, scans):  # no variable keeps returns, up to 25 MB, until the next are ready
                 yield from packets
+
+    def _returns_of(self, unit: Unit, stretch: Stretch, blocks: range, *, truth: bool) -> Iterator[Returns]:
+        """Yield the returns of the blocks in which a stretch sends, with the firing sequences that it sends."""
+        own = stretch.blocks_among(blocks, self.batching.block)
+        for returns in self._scans(unit, unit.detector.for_mode(stretch.mode), own, self.threads, truth=truth):
+            first = returns.firings.index
+            sent = unit.timeline.is_sent(stretch, first, first + len(returns.distance_m))
+            if sent is None or sent.any():
+                yield replace(returns, is_sent=sent)
 
     def _scans(
         self, unit: Unit, detector: UnitDetector, blocks: range, threads: int, *, truth: bool
@@ -193,6 +219,22 @@ def number_at(scenario: Scenario, unit: Unit, kind: PacketKind, since_ns: int) -
         return unit.timeline.count(0, since_ns)
     rate = require_packets(unit.section).position_rate
     return first_position_packet(rate, unit.seed, unit.positions_from_ns, scenario.start_ns + since_ns)
+
+
+def sent_before(scenario: Scenario, unit: Unit, kind: PacketKind, since_ns: int) -> int:
+    """Count the packets of a kind that leave a unit from the first pulse until before a time since the first pulse.
+
+    Position packets have numbers also while the sensor is without power, but do not leave.
+    """
+    if kind is PacketKind.DATA:
+        return number_at(scenario, unit, kind, since_ns)
+    spans_ns = [(0, since_ns)]
+    spans_ns += [(begin, min(end, since_ns)) for begin, end in unit.timeline.silences_ns if begin < since_ns]
+    due, *silent = (
+        number_at(scenario, unit, kind, stop_ns) - number_at(scenario, unit, kind, begin_ns)
+        for begin_ns, stop_ns in spans_ns
+    )
+    return due - sum(silent)
 
 
 def positions_due(scenario: Scenario, unit: Unit, start_ns: int, stop_ns: int) -> Iterator[tuple[int, int]]:

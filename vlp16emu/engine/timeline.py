@@ -41,6 +41,11 @@ class Stretch:
         assert self.stop is not None
         return range(self.first // block, -(-self.stop // block))
 
+    def blocks_among(self, blocks: range, block: int) -> range:
+        """Return the part of `blocks`, of `block` firing sequences each, that covers the stretch; it may be empty."""
+        stop = blocks.stop if self.stop is None else min(blocks.stop, -(-self.stop // block))
+        return range(max(blocks.start, self.first // block), stop)
+
 
 @dataclass(frozen=True, slots=True)
 class Timeline:
@@ -49,7 +54,7 @@ class Timeline:
     head: Head
     spans: tuple[Stretch, ...]  # In order of time, without overlap
     silences_ns: tuple[tuple[int, int], ...] = ()
-    """Spans of time since the first pulse in which no packet of any kind leaves."""
+    """Spans of time since the first pulse in which no packet of any kind leaves, in order, without overlap."""
 
     def _stop_of(self, span: Stretch, stop_ns: int) -> int:
         """Find the end of the firing sequences whose packets are due before a time since the first pulse."""
@@ -116,6 +121,16 @@ class Timeline:
             for span in self.spans
         )
 
+    def is_sent(self, span: Stretch, first: int, stop: int) -> NDArray[np.bool_] | None:
+        """Return a mask (stop - first,) of the firing sequences that a span sends; None for all of them."""
+        begin = max(span.first, first)
+        end = stop if span.stop is None else min(span.stop, stop)
+        if (begin, end) == (first, stop) and span.fov_deg is None:
+            return None
+        sent = np.zeros(stop - first, np.bool_)
+        sent[self.chosen(span, begin, end) - first] = True
+        return sent
+
     def is_silent(self, since_ns: int) -> bool:
         """Return whether nothing is sent at a time since the first pulse."""
         return any(begin <= since_ns < end for begin, end in self.silences_ns)
@@ -175,7 +190,7 @@ def _rows(returns: Returns, rows: slice | NDArray[np.int64]) -> Returns:
     arrays = {name: getattr(returns.firings, name)[rows] for name in _BY_SEQUENCE}
     taken = {name: whole[rows] for name in _BY_RETURN if (whole := getattr(returns, name)) is not None}
     firings = Firings(index=returns.firings.index, beam_axis=None, **arrays)
-    return Returns(firings, surfaces=returns.surfaces, **taken)
+    return Returns(firings, surfaces=returns.surfaces, mode=returns.mode, **taken)
 
 
 def _joined(one: Returns, other: Returns) -> Returns:
@@ -189,7 +204,7 @@ def _joined(one: Returns, other: Returns) -> Returns:
         moved = other.surface + np.uint32(len(one.surfaces))
         other = replace(other, surface=np.where(other.surface == NO_SURFACE, NO_SURFACE, moved))
     firings = Firings(index=one.firings.index, beam_axis=None, **both(one.firings, other.firings, _BY_SEQUENCE))
-    return Returns(firings, **both(one, other, (*_BY_RETURN, "surfaces")))
+    return Returns(firings, mode=one.mode, **both(one, other, (*_BY_RETURN, "surfaces")))
 
 
 def _count(returns: Returns) -> int:

@@ -5,6 +5,7 @@ from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Iterator
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import groupby
@@ -107,19 +108,16 @@ class Windows(Generic[S]):
             return opener.submit(open_segment, name)
 
         self._opened = opened
-        self.stop = Event()  # for the current run; see `stopped_by`
+        self.stop = Event()  # never set; see `stopped_by`
 
-    @contextmanager
-    def stopped_by(self, stop: Event) -> Iterator[None]:
-        """Stop waiting for unfinished windows and blocks as soon as an event is set."""
-        before, self.stop = self.stop, stop
-        try:
-            yield
-        finally:
-            self.stop = before
+    def stopped_by(self, stop: Event) -> Self:
+        """Return the same windows for a run that stops waiting for windows and blocks as soon as an event is set."""
+        other = copy(self)
+        other.stop = stop
+        return other
 
     def wait(self, future: Future[T]) -> T:
-        """Return the result of a future; `CancelledError` if the event of `stopped_by` is set first."""
+        """Return the result of a future; `CancelledError` if the run is stopped first."""
         while not future.done():
             if self.stop.is_set():
                 raise CancelledError

@@ -112,7 +112,7 @@ class Live(PacketSink):
         http = options.pop("http", Http(f"{LOOPBACK}:0"))
         http = http and replace(http, controlled=partial(setattr, self, "_control"), serving=self._serves)
         ports = {"position_port": 0} | ({} if ":" in (options.get("to") or "") else {"data_port": 0})
-        self._asked = BenchOptions(**ports | options, http=http)
+        self._asked = BenchOptions.from_fields(ports | options | {"http": http})
         self._thread = Thread(target=self._work, args=(look_ahead,), name="vlp16emu stream", daemon=True)
         self._thread.start()
         try:

@@ -135,7 +135,7 @@ def replay(
     Raises InputError if an option is invalid, ports are given for several sensors, or `now` is combined with another
     speed; CaptureError as in `Replay`; OutputError, RunError as in `Emulator.stream`.
     """
-    asked = ReplayOptions(**options)
+    asked = ReplayOptions.from_fields(options)
     to, data_port = asked.receiver
     given = data_port, asked.position_port
     packets = Replay(Path(path), loop=asked.loop, keep_gaps=asked.keep_gaps)

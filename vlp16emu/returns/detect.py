@@ -98,11 +98,11 @@ def detect(
         place = firings.azimuth_deg[:, 0] % 360.0 * (NO_RETURN_KNOTS / 360.0)
         _mark_silent(constants, detector.no_return, detector.multiples, place, first, block, distance_m, reflectivity)
     if not truth:
-        return Returns(firings, distance_m, reflectivity)
+        return Returns(firings, distance_m, reflectivity, mode=detector.mode)
     surface, share = np.empty(shape, np.uint32), np.empty(shape, np.float32)
     source_m = np.where(distance_m > 0.0, exact_m, np.float32(0.0))
     find_source_surfaces(constants, first, rays, source_m, surface, share)
-    return Returns(firings, distance_m, reflectivity, surface, surfaces, exact_m, share)
+    return Returns(firings, distance_m, reflectivity, surface, surfaces, exact_m, share, detector.mode)
 
 
 def _sheets(surfaces: NDArray[np.void]) -> U4:

@@ -49,6 +49,7 @@ class UnitDetector:
     multiples: F8  # (m, L) multiples of `no_return` by azimuth, from `no_return_multiples`; empty for no change
     noise: Noise
     power_up_ns: int  # UTC of power-up, at which warm-up begins
+    mode: ReturnMode
 
     @classmethod
     def of_unit(
@@ -117,11 +118,13 @@ class UnitDetector:
             multiples=multiples,
             noise=noise,
             power_up_ns=power_up_ns,
+            mode=mode,
         )
 
     def for_mode(self, mode: ReturnMode) -> Self:
         """Return a receiver that detects the echoes of a return mode."""
-        return replace(self, constants=self.constants._replace(strongest_only=mode is ReturnMode.STRONGEST))
+        constants = self.constants._replace(strongest_only=mode is ReturnMode.STRONGEST)
+        return replace(self, constants=constants, mode=mode)
 
     def without_chance(self) -> Self:
         """Return a receiver with the same threshold in the same air that detects all echoes, without randomness and errors."""
@@ -129,11 +132,18 @@ class UnitDetector:
         nothing: dict[str, Any] = {name: 0.0 for name in DetectorConstants._fields if name.startswith(errors)}
         lost = LossRates(*[0.0] * len(LossRates._fields))
         constants = self.constants._replace(strongest_only=False, lost=lost, **nothing)
-        none, one = np.zeros_like(self.range_bias_m), np.ones_like(self.gain)
-        codes = sent_codes(0, len(none), 0.0)
-        nothing_more = None, codes, None, self.multiples[:0]
-        return type(self)(
-            constants, none, one, one, np.zeros(5), *nothing_more, Noise(preset="ideal"), self.power_up_ns
+        return replace(
+            self,
+            constants=constants,
+            range_bias_m=np.zeros_like(self.range_bias_m),
+            range_noise_share=np.ones_like(self.range_noise_share),
+            gain=np.ones_like(self.gain),
+            range_beat_m=np.zeros_like(self.range_beat_m),
+            parity=None,
+            codes=sent_codes(0, len(self.gain), 0.0),
+            no_return=None,
+            multiples=self.multiples[:0],
+            noise=Noise(preset="ideal"),
         )
 
     def drift_m(self, t_ns: I8) -> F8:

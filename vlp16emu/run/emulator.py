@@ -99,7 +99,8 @@ class Emulator:
         Raises InputError if there is no such unit.
         """
         if not 1 <= unit <= (units := len(self.parts.units)):
-            raise InputError("unit", f"found {unit}", f"1 to {units}, as the scene has {units} units")
+            expected = "1, as the scene has one unit" if units == 1 else f"1 to {units}, the units of the scene"
+            raise InputError("unit", f"found {unit}", expected)
         return unit - 1
 
     def with_engine(self, engine: Engine) -> Self:
@@ -108,13 +109,18 @@ class Emulator:
         other.engine = engine
         return other
 
+    def stopped_by(self, stop: Event) -> Self:
+        """Return the same emulator for one run, which ends with CancelledError once `stop` is set."""
+        return self.with_engine(self.engine.stopped_by(stop))
+
     def changed(self, settings: Mapping[str, object] | Sequence[str]) -> Self:
         """Return an emulator with changed settings; it shares the world if that stays the same."""
         scenario, engine = load(self.scenario, settings), self.engine
         if scenario == self.scenario:
             return self
         other = type(self)(scenario, threads=engine.threads, audit=self.audit is not None, like=self)
-        other.name, other.files = self.name, self.files
+        other.name = self.name
+        other.files = (*self.files, *other.files)
         return other.with_engine(replace(other.engine, truth_of=engine.truth_of))
 
     def with_truth_in(self, to: TruthTo | None) -> Self:
@@ -199,7 +205,7 @@ class Emulator:
         the walk ends before the span; RunError if the disk is full; the packets before it are kept; CancelledError, and
         earlier files stay, if `stop` is set before the first packet.
         """
-        return record(self, path, RecordOptions(**options), progress=progress, stop=stop)
+        return record(self, path, RecordOptions.from_fields(options), progress=progress, stop=stop)
 
     def stream(self, **options: Any) -> Streamed:
         """Send packets over UDP, each at its time; nothing leaves this machine unless `to` names another one.
@@ -211,8 +217,9 @@ class Emulator:
         ScenarioError if the sensor has no packets; TrajectoryError if the walk ends before the span; RunError if
         the system can no longer send.
         """
-        hooks = {name: options.pop(name) for name in options.keys() & signature(stream_run).parameters.keys()}
-        return stream_run(self, stream_options()(**options), **hooks)
+        names = signature(stream_run).parameters.keys() - {"emulator", "options"}
+        hooks = {name: options.pop(name) for name in options.keys() & names}
+        return stream_run(self, stream_options().from_fields(options), **hooks)
 
     def keep_up(self, speed: float = 1.0) -> Any:
         """Measure this machine for some seconds, and set beam and reach so that a stream leaves a fifth of its time free.

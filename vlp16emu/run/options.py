@@ -6,11 +6,11 @@ library, so `vlp16emu stream --help` loads nothing else.
 
 import math
 import operator
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from types import NoneType
-from typing import Annotated, Any, NamedTuple, get_args, get_origin
+from typing import Annotated, Any, NamedTuple, Self, get_args, get_origin
 
 from vlp16emu.doors import door, has_door
 from vlp16emu.errors import InputError
@@ -114,6 +114,17 @@ class Options:
         for one in options_of(type(self)):
             if (value := getattr(self, one.field)) is not None:
                 one.option.check(one.field, one.kind, value)
+
+    @classmethod
+    def from_fields(cls, given: Mapping[str, Any]) -> Self:
+        """Return the options with some values by field.
+
+        Raises InputError for a name that is no field, or a value that is not valid.
+        """
+        names = [field.name for field in fields(cls)]  # type: ignore[arg-type]  # derived classes are dataclasses
+        if unknown := [name for name in given if name not in names]:
+            raise InputError(unknown[0], "found no such option", f"one of {', '.join(names)}")
+        return cls(**given)
 
 
 def options_of(owner: type) -> Iterator[Declared]:

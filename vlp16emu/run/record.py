@@ -45,14 +45,16 @@ def record(
     units, truth = emulator.parts.units, TruthTo.of(options.truth)
     paths = _paths(emulator, Path(path), split=options.split)
     files = _files(emulator, path, paths, truth, options)
-    emulator, scenario, stop = emulator.with_truth_in(truth), emulator.scenario, stop or Event()
+    stop = stop or Event()
+    emulator = emulator.with_truth_in(truth).stopped_by(stop)
+    scenario = emulator.scenario
     span_s = scenario.span_s(options.start_s, options.duration_s)
     host = HostClock(scenario.capture, scenario.seed, scenario.start_ns)
     packets = emulator.engine.packets(*span_s)  # checks the span before a file is opened
     began_s, simulated_s = time.perf_counter(), 0.0
     sent, returns = [Counter[PacketKind]() for _ in units], [0] * len(units)
     begin_ns = scenario.start_ns + seconds_to_ns(span_s[0])
-    with emulator.engine.windows.stopped_by(stop), files as sinks, emulator.truth(truth, span_s) as writer:
+    with files as sinks, emulator.truth(truth, span_s) as writer:
         with suppress(CancelledError):
             for packet in _written(writer.beside(packets) if writer else packets, sinks, host, stop):
                 sent[packet.unit][packet.kind] += 1
@@ -63,12 +65,13 @@ def record(
             raise CancelledError  # earlier files stay
     interrupted = stop.is_set()
     simulated_s = simulated_s if interrupted else span_s[1] - span_s[0]
+    ran_s = span_s[0], span_s[0] + simulated_s
     written, run_s = [sink.result for sink in sinks], emulator.parts.motion.run_time_s
     counts = zip(units, sent, returns, strict=True)
     return Recording(
         file=", ".join(map(str, paths)),
         about=About.of(emulator.name, scenario),
-        units=tuple(UnitSent.of(unit, of, simulated_s, echoes) for unit, of, echoes in counts),
+        units=tuple(UnitSent.of(unit, of, ran_s, echoes) for unit, of, echoes in counts),
         bytes=sum(file.bytes for file in written),
         sha256=", ".join(file.sha256 for file in written),
         simulated_s=simulated_s,

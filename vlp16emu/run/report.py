@@ -1,5 +1,6 @@
 """Results of runs: packets sent, their timing, and the estimated error."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Self
@@ -33,22 +34,28 @@ class About:
 class Turn:
     """Rotation of a sensor over a run."""
 
-    rpm: float  # speed at the start; the next two fields refer to it
+    rpm: float  # mean of the set speed over the run; the next two fields refer to it
     azimuth_step_deg: float  # angle from one firing sequence to the next
     sequences_per_revolution: float
     revolutions: float
     azimuth_steps: int  # whole firing sequences
 
 
-def turn_of(head: Head, simulated_s: float) -> Turn:
-    """Return the rotation of a head over a run."""
-    rpm, sequences_per_s = head.rotor.rpm, S_NS / head.beams.sequence_ns
+def turn_of(head: Head, start_s: float, stop_s: float) -> Turn:
+    """Return the rotation of a head over a span of a run, in seconds since the first pulse."""
+    start_ns = seconds_to_ns(start_s)
+    stop_ns = seconds_to_ns(stop_s)
+    sequences_per_s = S_NS / head.beams.sequence_ns
+    revolutions = head.rotor.revolutions(stop_ns) - head.rotor.revolutions(start_ns)
+    rpm = head.rotor.rpm
+    if len(head.rotor.spins) > 1 and stop_ns > start_ns:
+        rpm = revolutions * 60 * S_NS / (stop_ns - start_ns)
     return Turn(
         rpm=rpm,
         azimuth_step_deg=6 * rpm / sequences_per_s,
-        sequences_per_revolution=sequences_per_s * 60 / rpm,
-        revolutions=head.rotor.revolutions(seconds_to_ns(simulated_s)),
-        azimuth_steps=seconds_to_ns(simulated_s) // head.beams.sequence_ns,
+        sequences_per_revolution=sequences_per_s * 60 / rpm if rpm else math.inf,
+        revolutions=revolutions,
+        azimuth_steps=(stop_ns - start_ns) // head.beams.sequence_ns,
     )
 
 
@@ -67,9 +74,12 @@ class UnitSent:
     turn: Turn | None = None  # None for a capture
 
     @classmethod
-    def of(cls, unit: Unit, sent: Mapping[PacketKind, int], simulated_s: float, returns: int | None = None) -> Self:
-        """Describe the packets sent by a sensor of a scene, by kind."""
-        sensor, turn = require_packets(unit.section), turn_of(unit.head, simulated_s)
+    def of(
+        cls, unit: Unit, sent: Mapping[PacketKind, int], span_s: tuple[float, float], returns: int | None = None
+    ) -> Self:
+        """Describe the packets sent by a sensor of a scene in a span, by kind."""
+        sensor = require_packets(unit.section)
+        turn = turn_of(unit.head, *span_s)
         where = sensor.name, sensor.address, sensor.data_port, sensor.position_port
         return cls(unit.number + 1, *where, sent[PacketKind.DATA], sent[PacketKind.POSITION], returns, turn)
 

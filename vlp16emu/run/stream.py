@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from vlp16emu.doors import door, has_door
 from vlp16emu.engine import Engine, Unit
-from vlp16emu.engine.engine import number_at
+from vlp16emu.engine.engine import sent_before
 from vlp16emu.errors import InputError
 from vlp16emu.output import write_json
 from vlp16emu.run.options import StreamOptions, TruthTo
@@ -52,10 +52,10 @@ def stream_run(
     _check(options, truth)
     with ExitStack() as stack:
         enter = stack.enter_context
-        emulator = enter(_on_ports(emulator.with_truth_in(truth), options))  # frames contain the ports
+        on_ports = enter(_on_ports(emulator.with_truth_in(truth), options))  # frames contain the ports
+        emulator = on_ports.stopped_by(stop)
         scenario, units = emulator.scenario, emulator.parts.units
         span_s = scenario.span_s(0.0, options.duration_s)
-        enter(emulator.engine.windows.stopped_by(stop))
         is_live = scenario.motion.takes_poses or options.poses is not None
         flight = enter(door("live")(emulator, options.poses)) if is_live else None
         policy = flight.prepare(stop, pacer) if flight else Late(options.late)  # waits for the first pose
@@ -87,7 +87,8 @@ def stream_run(
     report = replace(report, skipped=report.skipped + feed.skipped)
     sent = outlets.results(report.skipped) if outlets else (None, None)
     asked = replace(options, to=host, late=policy)
-    return _streamed(emulator, asked, report, udp, live, gps_in and gps_in.result, *sent)
+    ran = emulator.with_engine(feed.engine)  # with the settings and events that came during the run
+    return _streamed(ran, asked, report, udp, live, gps_in and gps_in.result, *sent)
 
 
 @contextmanager
@@ -110,7 +111,7 @@ def _streamed(emulator: "Emulator", options: StreamOptions, report: StreamReport
         write_json(truth.folder / "time.json", times)
     is_known = report.behind and has_door("keeps_up_with")
     enough = door("keeps_up_with")(report.behind, scenario, speed) if is_known else ()
-    units = (UnitSent.of(*each, report.simulated_s) for each in zip(emulator.parts.units, udp.sent, strict=True))
+    units = (UnitSent.of(*each, (0.0, report.simulated_s)) for each in zip(emulator.parts.units, udp.sent, strict=True))
     asked = str(options.to), speed, options.late, tuple(units)
     return Streamed(About.of(emulator.name, scenario), *asked, report, tuple(enough), emulator.finding, *more)
 
@@ -205,7 +206,7 @@ class PacketFeed:
         if isinstance(before, Generator):  # its workers end in the background, as the next packet is due at once
             Thread(target=before.close, name="let go", daemon=True).start()
         if from_ns > self._reached_ns:
-            from_ns, there = self._reached_ns, self._at_reached
+            from_ns, there = self._reached_ns, self._at_reached.copy()
         else:
             there = set()
         self._packets = self._after(from_ns, there)
@@ -236,7 +237,7 @@ class PacketFeed:
         scenario, units = self.engine.scenario, self.engine.parts.units
         since_ns = before_ns - scenario.start_ns
         kinds = PacketKind.DATA, PacketKind.POSITION
-        sent = {kind: sum(number_at(scenario, unit, kind, since_ns) for unit in units) for kind in kinds}
+        sent = {kind: sum(sent_before(scenario, unit, kind, since_ns) for unit in units) for kind in kinds}
         return Counter(sent | (self._beside.count(0, since_ns) if self._beside else {}))
 
     def _since_s(self, utc_ns: int) -> float:

@@ -37,6 +37,7 @@ _PITCH_DEG = 0.05
 """Spacing of the lines on real units: codes modulo five repeat (protocol/README.md, "The character of a unit")."""
 _LINE_GAP_DEG = 1e-5  # least distance of a reading from the next line
 _KNOT_BITS = 20  # a swing is linear between multiples of 2**20 ns, 1 ms
+PULL = 0.05  # relative change of the speed while the rotor is pulled into its phase (assumption)
 Sine = tuple[float, float]  # amplitude and phase, in degrees; no error if the amplitude is 0
 
 
@@ -208,6 +209,8 @@ class Rotor:
     encoder: Encoder
     wobbles: tuple[Any, ...] = ()  # speed changes by events, each an `extras.bench.changes.Wobbling`
     swings: tuple[Swing, ...] = ()
+    drift: Swing | None = None  # error of the mean speed over minutes, which a phase lock removes
+    locks_ns: tuple[tuple[int, int], ...] = ()  # spans since the start with phase lock, in order, without overlap
 
     @property
     def rpm(self) -> float:
@@ -217,8 +220,10 @@ class Rotor:
     def angle_deg(self, elapsed_ns: I8) -> F8:
         """Return true angles, [0, 360), at times since the start, any shape; exact after any number of hours."""
         flat_ns = elapsed_ns.reshape(-1)
-        if self.swings:
-            flat_ns = _swung(flat_ns, *np.array([(s.amplitude_ns, s.period_ns, s.phase_rad) for s in self.swings]).T)
+        if self.drift and self.locks_ns:
+            flat_ns = swung_ns(self.swings, flat_ns) + self._drift_ns(self.drift, flat_ns)
+        else:
+            flat_ns = swung_ns((self.drift, *self.swings) if self.drift else self.swings, flat_ns)
         if len(self.spins) == 1:
             out = self.spins[0].at(flat_ns)
         else:
@@ -230,6 +235,25 @@ class Rotor:
         for wobble in self.wobbles:
             out = (out + wobble.ahead_deg(flat_ns)) % 360.0
         return out.reshape(elapsed_ns.shape)
+
+    def _drift_ns(self, drift: Swing, elapsed_ns: I8) -> I8:
+        """Return by how much (n,) the error of the mean speed has put the motor ahead: a lock pulls it to 0, where it begins again."""
+
+        def ahead_ns(times_ns: I8) -> I8:
+            return swung_ns((drift,), times_ns) - times_ns
+
+        out = ahead_ns(elapsed_ns)
+        removed_ns = 0
+        for begin_ns, end_ns in self.locks_ns:
+            before_ns, after_ns = (ahead_ns(np.array([begin_ns, end_ns])) - removed_ns).tolist()
+            left = 1.0 - PULL * (elapsed_ns - begin_ns) / max(abs(before_ns), 1)
+            at_end = max(1.0 - PULL * (end_ns - begin_ns) / max(abs(before_ns), 1), 0.0)
+            pulled_ns = np.rint(before_ns * np.clip(left, 0.0, 1.0)).astype(np.int64)
+            out = np.where((elapsed_ns >= begin_ns) & (elapsed_ns < end_ns), pulled_ns, out)
+            step_ns = after_ns - round(before_ns * at_end)
+            out = np.where(elapsed_ns >= end_ns, out - step_ns, out)
+            removed_ns += step_ns
+        return out
 
     def read(self, angle_deg: F8, elapsed_ns: I8, first: int, clock_ns: I8) -> F8:
         """Return encoder readings (k,), [0, 360), at true angles (k,) of the firing sequences from `first`.
@@ -260,7 +284,16 @@ class Rotor:
         """Return the speed at a time since the start, in rpm."""
         spin = [spin for spin in self.spins if spin.from_ns <= elapsed_ns or spin is self.spins[0]][-1]
         rate = 1.0 + sum(swing.rate_at(elapsed_ns) for swing in self.swings)
+        if self.drift and not any(begin_ns <= elapsed_ns < end_ns for begin_ns, end_ns in self.locks_ns):
+            rate += self.drift.rate_at(elapsed_ns)
         return spin.rpm_at(elapsed_ns) * rate + sum(wobble.rpm_at(elapsed_ns) for wobble in self.wobbles)
+
+
+def swung_ns(swings: Sequence[Swing], elapsed_ns: I8) -> I8:
+    """Return times (n,) at which a motor of constant speed has the angle that a motor with swings has at times (n,)."""
+    if not swings:
+        return elapsed_ns
+    return _swung(elapsed_ns, *np.array([(s.amplitude_ns, s.period_ns, s.phase_rad) for s in swings]).T)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
@@ -336,7 +369,10 @@ class Clock:
 
     def reading_ns(self, t_ns: I8) -> I8:
         """Return nanoseconds past the counter's hour at UTC instants of any shape."""
-        out = self.spans[0].reading(t_ns)
-        for span in self.spans[1:]:
-            out = np.where(t_ns >= span.from_ns, span.reading(t_ns), out)
+        if len(self.spans) == 1:
+            return self.spans[0].reading(t_ns)
+        out = np.empty(t_ns.shape, np.int64)
+        of = np.searchsorted([span.from_ns for span in self.spans[1:]], t_ns, side="right")
+        for number in np.unique(of).tolist():
+            out[of == number] = self.spans[number].reading(t_ns[of == number])
         return out

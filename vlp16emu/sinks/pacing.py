@@ -79,6 +79,7 @@ class FellBehind:
     """True if the packet was not computed in time; else it was ready, and the process stood still or could not send."""
     engine_speed: float | None
     """Simulated seconds per second that the engine computed since it was last ahead; None if unknown."""
+    speed: float = 1.0  # Requested simulated seconds per second
     total_s: float = 0.0  # Resulting delay so far, with `pace`; greatest lateness, with `skip`
 
     @property
@@ -88,6 +89,8 @@ class FellBehind:
             return "the process stood still or got no core"
         if self.engine_speed is None:
             return "the engine is too slow"
+        if self.engine_speed > self.speed:  # it has been fast enough on the whole
+            return "the engine stood still for a moment"
         return f"the engine computes {self.engine_speed:.2f} x real time"
 
 

@@ -348,7 +348,7 @@ class Sender:
         before_ns, self._last_ns = self._last_ns, deadline_ns + late_ns
         if not self._behind or self._last_ns - before_ns > _SETTLED_NS:
             at_s = (deadline_ns - self._pacer.start_ns) / S_NS
-            self._behind.append(FellBehind(at_s, late_ns / S_NS, engine, engine_speed))
+            self._behind.append(FellBehind(at_s, late_ns / S_NS, engine, engine_speed, self._pacer.speed))
             self._notify(self._behind[-1])
         elif engine:
             self._behind[-1].engine_speed = engine_speed

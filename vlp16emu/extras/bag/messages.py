@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.captures import PacketClock
+from vlp16emu.elementary import inverse
 from vlp16emu.errors import PacketError
 from vlp16emu.extras.bag.bag_file import BagFile
 from vlp16emu.extras.imu.sampler import GRAVITY_M_S2
@@ -139,7 +140,7 @@ class TrueMessages:
         body = given_mount(rig["units"][0], "body_T_sensor", true=True)
         followed = "base_link" if body is not None else frames[0]
         self._child = followed if tf == "truth" else f"{followed}_truth"
-        self._sensor_T_base = None if body is None or np.array_equal(body, np.eye(4)) else np.linalg.inv(body)
+        self._sensor_T_base = None if body is None or np.array_equal(body, np.eye(4)) else inverse(body)
 
     def fixed(self, t_ns: int) -> None:
         """Write the fixed transforms from `base_link` to sensors, inertial unit and antenna; a spinning device has none."""

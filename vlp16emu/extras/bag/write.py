@@ -14,6 +14,7 @@ import numpy as np
 
 from vlp16emu.captures import Capture, CaptureReader, Clock, PacketClock, UnitClock, chosen_unit, unit_clocks, units_in
 from vlp16emu.captures.capture import CapturedUnit, Datagram
+from vlp16emu.elementary import matvec
 from vlp16emu.engine import Engine
 from vlp16emu.errors import CaptureError, InputError, PacketError, readable
 from vlp16emu.extras.bag.bag_file import LATEST_NS, BagFile, check_bag
@@ -167,7 +168,7 @@ def _feeds_of_run(engine: Engine, rate_hz: int, to: TrueMessages, begin_ns: int)
 
     def odometry(true: Kinematics) -> None:
         quaternion = Rotation.from_matrix(true.world_R_body).as_quat(canonical=True)
-        own_m_s = np.einsum("nji,nj->ni", true.world_R_body, true.world_v_body_m_s)
+        own_m_s = matvec(true.world_R_body.transpose(0, 2, 1), true.world_v_body_m_s)
         numbers = np.column_stack([true.world_p_body_m, quaternion, own_m_s, true.body_w_rad_s]).tolist()
         for sample in zip(true.t_ns.tolist(), numbers, strict=True):
             to.odometry(*sample)

@@ -2,8 +2,11 @@
 
 import math
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from heapq import heappop, heappush
 from itertools import pairwise
 from operator import itemgetter
 
@@ -12,16 +15,16 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, sin
 from vlp16emu.engine import GpsInput, Stretch, Timeline, Unit, clock_at, in_phase_deg
-from vlp16emu.extras.bench.events import ALL_AROUND, FOREVER_NS, Event, InForce
+from vlp16emu.extras.bench.events import ALL_AROUND, Event, InForce
 from vlp16emu.motion.settings import Gps
 from vlp16emu.packets.nmea import rmc
 from vlp16emu.random import Purpose, generator
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.beams import SEQUENCE_NS
-from vlp16emu.sensor.rotor import Clock, ClockSpan, Spin
+from vlp16emu.sensor.rotor import PULL, Clock, ClockSpan, Spin
 from vlp16emu.sensor.settings import Lidar
 from vlp16emu.types import F8, I8, Firings, GnssFix, Hits, PpsState, ReturnMode, Returns
-from vlp16emu.units import S_NS, seconds_to_ns
+from vlp16emu.units import FOREVER_NS, S_NS, seconds_to_ns
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +110,7 @@ class DisturbedGps(GpsInput):
 
     def spans_ns(self, state: PpsState) -> _Spans:
         """Return the spans of UTC in which the pulse is in a state, in order."""
-        turns_ns = [-FOREVER_NS, *sorted(set(self._edges_ns())), FOREVER_NS]
+        turns_ns = [-FOREVER_NS, *sorted(self._edges_ns()), FOREVER_NS]
         return _union(span for span in pairwise(turns_ns) if self.pps_at(span[0]) is state)
 
     def pps_at(self, t_ns: int) -> PpsState:
@@ -119,7 +122,7 @@ class DisturbedGps(GpsInput):
         sentence, or after 5 s without one).
         """
         edge_ns = t_ns // S_NS * S_NS
-        if not self.connected or _at(self._lost, edge_ns) or _at(self._off, t_ns):
+        if not self.connected or _span_at(self._lost, edge_ns) or _span_at(self._off, t_ns):
             return PpsState.ABSENT
         steady_ns = [span[1] for spans in (self._lost, self._off) if (span := _before(spans, t_ns))]
         if steady_ns and t_ns < max(steady_ns) + self.pps_window_ns:
@@ -127,9 +130,10 @@ class DisturbedGps(GpsInput):
         second_ns = self.second_ns(t_ns)
         if second_ns is None or t_ns - self._comes_ns(second_ns) >= _STALE_NS:
             return PpsState.SYNCHRONIZING
-        if self._events_of("wrong_sentence", second_ns) or self._comes_ns(second_ns) >= second_ns + S_NS:
+        due_ns = second_ns + self.sentence_delay_ns
+        if _span_at(self._spans["wrong_sentence"], due_ns) or self._comes_ns(second_ns) >= second_ns + S_NS:
             return PpsState.ERROR
-        if self.requires_valid and self._events_of("void_sentence", second_ns):
+        if self.requires_valid and _span_at(self._spans["void_sentence"], due_ns):
             return PpsState.SYNCHRONIZING
         return PpsState.LOCKED
 
@@ -138,9 +142,10 @@ class DisturbedGps(GpsInput):
         if not self.connected:
             return None
         second_ns = (t_ns - self.sentence_delay_ns) // S_NS * S_NS
-        while (missing := self._events_of("missing_sentence", second_ns)) or self._comes_ns(second_ns) > t_ns:
+        missing = self._spans["missing_sentence"]
+        while (span := _span_at(missing, second_ns + self.sentence_delay_ns)) or self._comes_ns(second_ns) > t_ns:
             # The last sentence before the missing ones.
-            first_ns = min((self._span_ns(event)[0] for event in missing), default=second_ns + self.sentence_delay_ns)
+            first_ns = span[0] if span else second_ns + self.sentence_delay_ns
             second_ns = (first_ns - 1 - self.sentence_delay_ns) // S_NS * S_NS
         if (off := _before(self._off, t_ns)) and self._comes_ns(second_ns) < off[1]:
             return None
@@ -148,8 +153,8 @@ class DisturbedGps(GpsInput):
 
     def sentence(self, fix: GnssFix, seed: int) -> bytes:
         """Return the sentence of a fix as the sensor receives it; parameters as in `GpsInput`."""
-        text = bytearray(rmc(replace(fix, valid=False) if self._events_of("void_sentence", fix.t_ns) else fix))
-        for event in self._events_of("wrong_sentence", fix.t_ns):
+        text = bytearray(rmc(replace(fix, valid=False) if self._events_at("void_sentence", fix.t_ns) else fix))
+        for event in self._events_at("wrong_sentence", fix.t_ns):
             random = generator(seed, Purpose.SENTENCE, fix.t_ns // S_NS)
             body = range(len(b"$GPRMC,"), text.index(b"*"))
             for place in random.choice(body, min(event.characters, len(body)), replace=False).tolist():
@@ -160,42 +165,74 @@ class DisturbedGps(GpsInput):
                 text[-3] = ord("1") if text[-3] == ord("0") else ord("0")
         return bytes(text)
 
-    @property
+    @cached_property
+    def _spans(self) -> Mapping[str, _Spans]:
+        """Spans of UTC of the events of each kind."""
+        spans = defaultdict[str, list[tuple[int, int]]](list)
+        for event in self.events:
+            spans[event.kind].append(self._span_ns(event))
+        return defaultdict(tuple, {kind: _union(of_kind) for kind, of_kind in spans.items()})
+
+    @cached_property
     def _off(self) -> _Spans:
         return _union(self._span_ns(event) for event in self.events if event.effect == "power")
 
-    @property
+    @cached_property
     def _lost(self) -> _Spans:
-        """Return the spans from the first missing pulse to the first pulse that is back."""
-        spans = (self._span_ns(event) for event in self.events if event.kind == "pps_loss")
-        return _union((_ceil(begin_ns), _ceil(end_ns)) for begin_ns, end_ns in spans)
+        """Spans from the first missing pulse to the first pulse that is back."""
+        return _union((_ceil(begin_ns), _ceil(end_ns)) for begin_ns, end_ns in self._spans["pps_loss"])
 
-    def _events_of(self, kind: str, second_ns: int) -> list[Event]:
+    @cached_property
+    def _delays_ns(self) -> tuple[Sequence[int], Sequence[int]]:
+        """Instants UTC of the arrival of punctual sentences, and the delay of sentences from each instant on."""
+        late = [(*self._span_ns(event), seconds_to_ns(event.by_s)) for event in self._events_of("late_sentence")]
+        begins = sorted(late)
+        turns_ns = sorted({turn_ns for begin_ns, end_ns, _ in late for turn_ns in (begin_ns, end_ns)})
+        delays_ns = list[int]()
+        active = list[tuple[int, int]]()  # heap of the delays that have begun, the longest first, and their ends
+        begun = 0
+        for turn_ns in turns_ns:
+            while begun < len(begins) and begins[begun][0] <= turn_ns:
+                heappush(active, (-begins[begun][2], begins[begun][1]))
+                begun += 1
+            while active and active[0][1] <= turn_ns:
+                heappop(active)
+            delays_ns.append(-active[0][0] if active else 0)
+        return turns_ns, delays_ns
+
+    def _events_of(self, kind: str) -> Iterator[Event]:
+        return (event for event in self.events if event.kind == kind)
+
+    def _events_at(self, kind: str, second_ns: int) -> list[Event]:
         """Return the events of a kind that affect the sentence of a second."""
         since_ns = second_ns + self.sentence_delay_ns - self.start_ns
-        return [event for event in self.events if event.kind == kind and event.begin_ns <= since_ns < event.end_ns]
+        return [event for event in self._events_of(kind) if event.begin_ns <= since_ns < event.end_ns]
 
     def _comes_ns(self, second_ns: int) -> int:
-        late_s = max((event.by_s for event in self._events_of("late_sentence", second_ns)), default=0.0)
-        return second_ns + self.sentence_delay_ns + seconds_to_ns(late_s)
+        due_ns = second_ns + self.sentence_delay_ns
+        turns_ns, delays_ns = self._delays_ns
+        place = bisect_right(turns_ns, due_ns)
+        return due_ns + (delays_ns[place - 1] if place else 0)
 
     def _span_ns(self, event: Event) -> tuple[int, int]:
         return self.start_ns + event.begin_ns, min(self.start_ns + event.end_ns, FOREVER_NS)
 
-    def _edges_ns(self) -> Iterator[int]:
-        """Yield the instants at which the state may change: pulses and sentences near the begin and the end of events."""
-        late_ns = {0, *(seconds_to_ns(event.by_s) for event in self.events if event.kind == "late_sentence")}
-        come_ns = [self.sentence_delay_ns + by_ns for by_ns in late_ns]
-        after_edge_ns = [0, *come_ns, *(one_ns + _STALE_NS for one_ns in come_ns)]
-        bounds_ns = {bound_ns for event in self.events for bound_ns in self._span_ns(event)}
-        yield from (bound_ns for span in self._off for bound_ns in span)
-        for _, end_ns in (*self._off, *self._lost):
-            yield end_ns + self.pps_window_ns
-        for bound_ns in bounds_ns - {FOREVER_NS}:
-            first_ns = bound_ns // S_NS * S_NS - S_NS
-            last_ns = bound_ns + max(late_ns) + _STALE_NS + 2 * S_NS
-            for edge_ns in range(first_ns, last_ns, S_NS):
-                yield from (edge_ns + one_ns for one_ns in after_edge_ns)
+    def _edges_ns(self) -> set[int]:
+        """Return the instants at which the state may change: pulses and sentences near the begin and the end of events."""
+        edges_ns = {bound_ns for span in self._off for bound_ns in span}
+        edges_ns |= {end_ns + self.pps_window_ns for _, end_ns in (*self._off, *self._lost)}
+        seconds = set[int]()
+        longest_ns = max(self._delays_ns[1], default=0)
+        for event in self.events:
+            # A late sentence from before the power is back may be the first that the sensor gets.
+            reach_ns = 2 * S_NS + self.sentence_delay_ns + longest_ns * (event.effect == "power")
+            for bound_ns in self._span_ns(event):
+                if bound_ns < FOREVER_NS:
+                    seconds.update(range((bound_ns - reach_ns) // S_NS, (bound_ns + _STALE_NS) // S_NS + 3))
+        for second in seconds:
+            comes_ns = self._comes_ns(second * S_NS)
+            edges_ns |= {second * S_NS, comes_ns, comes_ns + _STALE_NS}
+        return edges_ns
 
 
 def _ceil(t_ns: int) -> int:
@@ -213,17 +250,19 @@ def _union(spans: Iterable[tuple[int, int]]) -> _Spans:
     return tuple(out)
 
 
-def _at(spans: Sequence[tuple[int, int]], t_ns: int) -> bool:
-    return any(begin <= t_ns < end for begin, end in spans)
+def _span_at(spans: _Spans, t_ns: int) -> tuple[int, int] | None:
+    """Return the span that contains an instant; None if there is none."""
+    place = bisect_right(spans, t_ns, key=itemgetter(0))
+    return spans[place - 1] if place and t_ns < spans[place - 1][1] else None
 
 
 def _before(spans: _Spans, t_ns: int) -> tuple[int, int] | None:
-    place = bisect_right([end for _, end in spans], t_ns)
+    """Return the last span that is over at an instant; None if there is none."""
+    place = bisect_right(spans, t_ns, key=itemgetter(1))
     return spans[place - 1] if place else None
 
 
 RUN_UP_RPM_S = 300.0  # change of the rotor's speed per second (assumption: the manual has no figure)
-_PULL = 0.05  # relative change of the speed while the rotor is pulled into its phase (assumption)
 _GRID = 24  # firing sequences: settings take effect between packets, in every return mode
 
 
@@ -239,9 +278,14 @@ def with_events(unit: Unit, scenario: Scenario) -> Unit:
         for one in events
         if one.kind == "rpm_wobble"
     )
-    rotor = replace(unit.head.rotor, spins=spins(unit, events, start_ns), wobbles=tuple(wobbles))
+    rotor = replace(
+        unit.head.rotor,
+        spins=spins(unit, events, start_ns),
+        wobbles=tuple(wobbles),
+        locks_ns=locks_ns(InForce.of(section), events),
+    )
     head = replace(unit.head, rotor=rotor, clock=Clock(clock_spans(section, events, gps, start_ns)))
-    silences_ns = tuple((event.begin_ns, event.end_ns) for event in events if event.effect == "power")
+    silences_ns = _union((event.begin_ns, event.end_ns) for event in events if event.effect == "power")
     optics = [event for event in events if event.effect == "optics"]
     return replace(
         unit,
@@ -274,13 +318,13 @@ def clock_spans(section: Lidar, events: Sequence[Event], gps: DisturbedGps, star
         kind = event.kind if event else None
         if event and kind == "oscillator":
             ppm = own_ppm + event.drift_ppm
-        if _at(locked_ns, t_ns):
+        if _span_at(locked_ns, t_ns):
             spans += [] if spans and spans[-1].reading_ns is None else [clock_at(t_ns, section, locked=True)]
             continue
         reading_ns = 0 if not spans or kind == "power_cycle" else int(spans[-1].reading(np.array([t_ns]))[0])
         if event and kind == "oscillator":
             reading_ns += round(event.offset_us * 1000)
-        if pulsed := _at(pulsed_ns, t_ns):
+        if pulsed := _span_at(pulsed_ns, t_ns):
             reading_ns = t_ns % S_NS + round((reading_ns - t_ns % S_NS) / S_NS) * S_NS
         spans.append(ClockSpan(t_ns, reading_ns, 0.0 if pulsed else ppm))
     return tuple(spans)
@@ -306,6 +350,19 @@ def spins(unit: Unit, events: Sequence[Event], start_ns: int) -> tuple[Spin, ...
             on = Spin(t_ns, done[0].angle_deg if angle_deg is None else angle_deg, float(wanted.rpm))
             done += [on] if is_on else _steered(done[-1], t_ns, wanted, start_ns, runs=runs)
     return tuple(done)
+
+
+def locks_ns(power_up: InForce, events: Sequence[Event]) -> tuple[tuple[int, int], ...]:
+    """Return the spans since the first pulse in which the rotor is locked to a phase, or pulled into it."""
+    turns = [(0, power_up)]
+    for t_ns, event in _rotor_settings(events):
+        if event.kind == "power_cycle":
+            turns.append((t_ns, power_up))
+        elif event.kind == "setting":
+            turns.append((t_ns, turns[-1][1].after(event)))
+    ends_ns = [t_ns for t_ns, _ in turns[1:]] + [FOREVER_NS]
+    spans = zip(turns, ends_ns, strict=True)
+    return _union((begin_ns, end_ns) for (begin_ns, wanted), end_ns in spans if wanted.phase_lock_deg != "off")
 
 
 def _phase_deg(wanted: InForce, utc_ns: int) -> float | None:
@@ -337,7 +394,7 @@ def _steered(spin: Spin, t_ns: int, wanted: InForce, start_ns: int, *, runs: boo
         angle_deg = _angle_deg(ramp, t_ns)
     if target and (phase_deg := _phase_deg(wanted, start_ns + t_ns)) is not None:
         off_deg = (phase_deg - angle_deg + 180.0) % 360.0 - 180.0
-        rate_rpm = math.copysign(max(round(_PULL * target), 1), off_deg)
+        rate_rpm = math.copysign(max(round(PULL * target), 1), off_deg)
         if round(abs(off_deg) / 6.0 / abs(rate_rpm) * S_NS):
             yield Spin(t_ns, angle_deg, target + rate_rpm)
             t_ns += round(abs(off_deg) / 6.0 / abs(rate_rpm) * S_NS)

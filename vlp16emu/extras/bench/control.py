@@ -19,7 +19,7 @@ from vlp16emu.engine import Unit
 from vlp16emu.errors import InputError, OutputError
 from vlp16emu.explain import explain
 from vlp16emu.extras.bench.device import Device, DeviceInfo, DeviceSettings, DeviceStatus
-from vlp16emu.extras.bench.events import FOREVER_NS, Event, InForce, checked, event, tables
+from vlp16emu.extras.bench.events import Event, InForce, checked, event, tables
 from vlp16emu.extras.bench.options import Http
 from vlp16emu.extras.bench.web import WebServer
 from vlp16emu.packets import POSITION_BYTES, decode_position
@@ -28,7 +28,7 @@ from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.settings import require_packets
 from vlp16emu.sinks import UdpSink, UnderWay
 from vlp16emu.types import PpsState, ReturnMode, SensorModel
-from vlp16emu.units import S_NS, seconds_to_ns
+from vlp16emu.units import FOREVER_NS, S_NS, seconds_to_ns
 
 _LEAD_NS = 150_000_000
 """Least time from a setting to the first packet with it: by then the engine has computed that packet again."""
@@ -258,7 +258,7 @@ class Control:
                     for some in (self._set, self._wanted)
                 )
                 self._set, self._wanted = [], []
-                self._to_come += happening
+                self._to_come = sorted([*self._to_come, *happening], key=lambda event: event.at_s)
                 self._events = self._events + made + happening
             if not made and not happening:
                 return None

@@ -9,9 +9,8 @@ from pydantic import Field, TypeAdapter, create_model, model_validator
 
 from vlp16emu.sensor.settings import Lidar, Sensor
 from vlp16emu.settings import Fraction, NonNegative, Positive, Section, toml
-from vlp16emu.units import seconds_to_ns
+from vlp16emu.units import FOREVER_NS, seconds_to_ns
 
-FOREVER_NS = 2**62  # end of an event that lasts until the run ends
 ALL_AROUND = 0, 359  # field of view of a whole revolution
 _MOST = 10_000
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.captures import CaptureReader, PacketChunk, chosen_unit, packet_clock
+from vlp16emu.elementary import matvec
 from vlp16emu.errors import InputError, TrajectoryError
 from vlp16emu.extras.clouds import cloud
 from vlp16emu.extras.clouds.scan import twins
@@ -173,7 +174,7 @@ def _blocks(
         block = {
             "t_ns": t_ns,
             "since_start_ns": t_ns - start_ns,
-            "world_m": np.einsum("nij,nj->ni", turn, sensor_m.astype(np.float64)) + place_m,
+            "world_m": matvec(turn, sensor_m.astype(np.float64)) + place_m,
             "sensor_m": sensor_m,
             "viewpoint_m": place_m,
         }

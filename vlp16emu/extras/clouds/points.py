@@ -68,15 +68,20 @@ def write_points(
     scene; TrajectoryError if the walk ends before the span; RunError if the disk is full: the file is then incomplete;
     CancelledError, and earlier files stay, if `stop` is set before the first block.
     """
-    path, began_s, asked = Path(path), time.perf_counter(), PointOptions(**options)
-    number, scenario, stop = emulator.number(asked.unit), emulator.scenario, stop or Event()
+    path = Path(path)
+    began_s = time.perf_counter()
+    asked = PointOptions.from_fields(options)
+    number = emulator.number(asked.unit)
+    stop = stop or Event()
+    emulator = emulator.stopped_by(stop)
+    scenario = emulator.scenario
     scheme, truth = (cloud.label_scheme(asked.labels) if asked.labels else None), asked.truth or bool(asked.labels)
     begin_s, _ = span_s = scenario.span_s(asked.start_s, asked.duration_s)
     blocks = _blocks(emulator.engine, number, span_s, truth=truth, labels=scheme)  # checks the span first
     columns = cloud.SCENE_COLUMNS + cloud.TRUTH_COLUMNS * truth + cloud.LABEL_COLUMNS * bool(scheme)
     returns, simulated_s = np.zeros(3, np.int64), 0.0
     file = cloud.point_file(path, columns, _about(scenario, number, scheme), where=str(path), inputs=emulator.files)
-    with emulator.engine.windows.stopped_by(stop), file as writer, emulator.truth(asked.truth_to, span_s) as folder:
+    with file as writer, emulator.truth(asked.truth_to, span_s) as folder:
         with suppress(CancelledError):
             for block, end_ns in blocks:
                 writer.write(block)
@@ -100,7 +105,7 @@ def write_points(
         beams=len(beams.elevation_deg),
         elevation_deg=(float(beams.elevation_deg.min()), float(beams.elevation_deg.max())),
         pulses_per_s=S_NS / beams.sequence_ns * len(beams.elevation_deg),
-        turn=turn_of(sensor.head, simulated_s),
+        turn=turn_of(sensor.head, begin_s, begin_s + simulated_s),
         points=int(returns.sum()),
         returns=dict(zip(cloud.RETURN_NAMES, returns.tolist(), strict=True)),
         truth=truth,
@@ -130,7 +135,10 @@ def _blocks(
 
     def points_in(block: Returns) -> tuple[cloud.Block, int]:
         t_ns = block.firings.t_ns
-        points, _ = points_of(unit, block, (t_ns >= begin_ns) & (t_ns < end_ns), truth=truth)
+        inside = (t_ns >= begin_ns) & (t_ns < end_ns)
+        if block.is_sent is not None:
+            inside &= block.is_sent[:, None]
+        points, _ = points_of(unit, block, inside, truth=truth)
         points["since_start_ns"] = points["t_ns"] - start_ns
         if truth:
             points["leaf_wood"] = LEAF_OR_WOOD[points["part"]]

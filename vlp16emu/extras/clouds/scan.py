@@ -27,8 +27,11 @@ from vlp16emu.packets import (
 from vlp16emu.sensor.beams import BeamTable
 from vlp16emu.sensor.head import in_sensor
 from vlp16emu.types import F4, F8, I8, SURFACE, Firings, Labels, Poses, ReturnMode, Returns, Scan
-from vlp16emu.units import seconds_to_ns
+from vlp16emu.units import S_NS, seconds_to_ns
 
+_LONGEST_NS = 2 * S_NS
+"""Time after which readings without a whole revolution are left out: the rotor stands. The slowest scanner, of a sensor
+of one's own, turns once a second."""
 _LABELS = ("semantic", "part", "instance", "species")
 
 
@@ -78,6 +81,9 @@ def cut_scans(chunks: Iterable[Chunk], pose_at: Callable[[int], F8] | None = Non
                 yield _scan(held.part(begin, end), pose_at)
             begun = not jumps
         held = held.part(starts[-1], len(held.t_ns))
+        if held.t_ns[-1] - held.t_ns[0] > _LONGEST_NS:
+            held = None
+            begun = False
     if held is not None and (begun or _begins_at_zero(held.azimuth_deg)) and _ends_at_zero(held.azimuth_deg):
         yield _scan(held, pose_at)
 
@@ -180,10 +186,13 @@ def _chunk(unit: Unit, returns: Returns, begin_ns: int, end_ns: int, *, truth: b
     firings, step = returns.firings, SEQUENCES_PER_BLOCK
     reading_ns = firings.t_ns[::step, 0]
     taken = (reading_ns >= begin_ns) & (reading_ns < end_ns)
+    if returns.is_sent is not None:
+        taken &= returns.is_sent[::step]
     inside = np.broadcast_to(np.repeat(taken, step)[:, None], firings.t_ns.shape)
     points, sequence = points_of(unit, returns, inside, truth=truth)
     # In dual return, a single echo is both strongest and last.
-    distance_m, is_dual = returns.distance_m[sequence, points["laser"]], unit.section.return_mode == "dual"
+    distance_m = returns.distance_m[sequence, points["laser"]]
+    is_dual = returns.mode is ReturnMode.DUAL
     is_last = points["return_number"] == 1
     is_last |= (points["return_number"] == 0) & (distance_m[:, 0] == distance_m[:, 1]) & is_dual
     order = np.lexsort((~is_last, points["laser"], sequence))
@@ -203,7 +212,7 @@ def points_of(
 ) -> tuple[dict[str, NDArray[Any]], I8]:
     """Return the points of pulses (k, L) that are `inside`, and the row (n,) of the firing sequence of each."""
     firings, beams, t_ns = returns.firings, unit.head.beams, returns.firings.t_ns
-    sent = _reported(returns.distance_m, ReturnMode(unit.section.return_mode)) & inside[..., None]
+    sent = _reported(returns.distance_m, returns.mode) & inside[..., None]
     sequence, laser, number = np.nonzero(sent)
     distance_m, pulse_ns = returns.distance_m[sent], t_ns[sequence, laser]
     poses = unit.motion.poses_at(pulse_ns)

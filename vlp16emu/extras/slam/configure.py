@@ -14,6 +14,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import inverse, matmul
 from vlp16emu.errors import InputError, OutputError
 from vlp16emu.extras.truth.truth import given_mount
 from vlp16emu.output import OutputFile, final_name
@@ -101,8 +102,8 @@ class Rig:
         base_T_lidar, base_T_imu = (np.eye(4) if T is None else T for T in (self.base_T_lidar, self.base_T_imu))
         imu = self.imu or {}
         poses = {
-            ("imu", "lidar"): np.linalg.inv(base_T_imu) @ base_T_lidar,
-            ("lidar", "imu"): np.linalg.inv(base_T_lidar) @ base_T_imu,
+            ("imu", "lidar"): matmul(inverse(base_T_imu), base_T_lidar),
+            ("lidar", "imu"): matmul(inverse(base_T_lidar), base_T_imu),
             ("base", "lidar"): base_T_lidar,
             ("base", "imu"): base_T_imu,
         }

@@ -14,7 +14,7 @@ from typing import Any, Generic, Self, TypeVar
 import numpy as np
 
 from vlp16emu.engine import Engine, Parts, Unit, mounts_of
-from vlp16emu.engine.engine import number_at, positions_due
+from vlp16emu.engine.engine import positions_due, sent_before
 from vlp16emu.errors import RunError
 from vlp16emu.extras.bench.events import Event
 from vlp16emu.extras.bench.faults import PacketFault, arriving, earliest_ns, faults_of, kinds_of
@@ -86,21 +86,21 @@ def _whole(scenario: Scenario, unit: Unit, place: int, event: Event, stop_ns: in
         over_ns = min(over_ns, max(stop_ns, begin_ns))
     kinds: tuple[PacketKind, ...] = (PacketKind.POSITION if event.effect == "gps" else PacketKind.DATA,)
     for kind in kinds_of(event) if event.effect == "packets" else kinds:
-        first, until_ns = number_at(scenario, unit, kind, begin_ns), over_ns
+        first = sent_before(scenario, unit, kind, begin_ns)
+        until_ns = over_ns
         if event.effect == "packets" and event.count is not None:
             due_ns = (packet.due_ns for packet in timetable(scenario, [unit], begin_ns, over_ns) if packet.kind is kind)
             last_ns = max(islice(due_ns, event.count), default=start_ns + begin_ns)
             until_ns = last_ns + 1 - start_ns
-        count = number_at(scenario, unit, kind, until_ns) - first
+        count = sent_before(scenario, unit, kind, until_ns) - first
         times = start_ns + begin_ns, start_ns + until_ns
-        since_first = first - number_at(scenario, unit, kind, 0)
-        yield Happening(*times, place + 1, event.unit, event.kind, kind, since_first, count)
+        yield Happening(*times, place + 1, event.unit, event.kind, kind, first, count)
 
 
 def _single(
     scenario: Scenario, units: Sequence[Unit], faults: Sequence[PacketFault], from_ns: int, until_ns: int
 ) -> Iterator[Happening]:
-    numbers = {unit.number: number_at(scenario, unit, PacketKind.DATA, from_ns) for unit in units}
+    numbers = {unit.number: sent_before(scenario, unit, PacketKind.DATA, from_ns) for unit in units}
     for packet in timetable(scenario, units, from_ns, until_ns):
         number = packet.number
         if packet.kind is PacketKind.DATA:
@@ -109,7 +109,7 @@ def _single(
         for fault in faults:
             if fault.unit.number == packet.unit and fault.hits(packet, number):
                 times, of = (packet.due_ns, packet.due_ns), (fault.number + 1, fault.unit.number + 1)
-                first = number - number_at(scenario, fault.unit, packet.kind, 0)
+                first = sent_before(scenario, fault.unit, packet.kind, packet.due_ns - scenario.start_ns)
                 yield Happening(*times, *of, fault.event.kind, packet.kind, first, 1)
 
 
@@ -452,11 +452,12 @@ def write_truth(
     packets are requested for a sensor without packets; TrajectoryError if the walk ends before the span; RunError if
     the disk is full: then the lines before are kept; CancelledError, and an earlier folder stays, if `stop` is set at once.
     """
-    emulator = emulator.with_truth_in(TruthTo.of(to))
+    stop = stop or threading.Event()
+    emulator = emulator.with_truth_in(TruthTo.of(to)).stopped_by(stop)
     begin_s, stop_s = span_s = emulator.scenario.span_s(start_s, duration_s)
     emulator.engine.span_ns(*span_s)  # checks the span before the folder is touched
-    done_s, stop = 0.0, stop or threading.Event()
-    with emulator.engine.windows.stopped_by(stop), emulator.truth(to, span_s) as truth:
+    done_s = 0.0
+    with emulator.truth(to, span_s) as truth:
         with suppress(CancelledError):
             while truth and done_s < stop_s - begin_s and not stop.is_set():
                 truth.up_to(begin_s + min(done_s + _AT_ONCE_S, stop_s - begin_s))
