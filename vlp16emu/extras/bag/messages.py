@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.captures import PacketClock
-from vlp16emu.elementary import inverse
+from vlp16emu.elementary import inverse, matvec
 from vlp16emu.errors import PacketError
 from vlp16emu.extras.bag.bag_file import BagFile
 from vlp16emu.extras.imu.sampler import GRAVITY_M_S2
@@ -190,8 +190,12 @@ def _moved_to_base(numbers: Sequence[float], sensor_T_base: NDArray[Any]) -> lis
     """Return pose and rates (13,) of a base from pose and rates of a sensor that is fixed to it."""
     from scipy.spatial.transform import Rotation
 
-    turn, arm_m = Rotation.from_matrix(sensor_T_base[:3, :3]), sensor_T_base[:3, 3]
-    place_m, sensor, (v_m_s, w_rad_s) = numbers[:3], Rotation.from_quat(numbers[3:7]), np.reshape(numbers[7:], (2, 3))
-    quaternion = (sensor * turn).as_quat(canonical=True)
-    rates = turn.apply(np.stack([v_m_s + np.cross(w_rad_s, arm_m), w_rad_s]), inverse=True)
-    return [*(place_m + sensor.apply(arm_m)).tolist(), *quaternion.tolist(), *rates.ravel().tolist()]
+    # Products of our own: those of `Rotation.apply` differ by processor.
+    sensor_R_base = sensor_T_base[:3, :3]
+    arm_m = sensor_T_base[:3, 3]
+    world_R_sensor = Rotation.from_quat(numbers[3:7])
+    velocity_m_s, rate_rad_s = np.reshape(numbers[7:], (2, 3))
+    place_m = numbers[:3] + matvec(world_R_sensor.as_matrix(), arm_m)
+    quaternion = (world_R_sensor * Rotation.from_matrix(sensor_R_base)).as_quat(canonical=True)
+    rates = matvec(sensor_R_base.T, np.stack([velocity_m_s + np.cross(rate_rad_s, arm_m), rate_rad_s]))
+    return [*place_m.tolist(), *quaternion.tolist(), *rates.ravel().tolist()]

@@ -327,8 +327,8 @@ def _poses(path: Path, begin_ns: int) -> Iterator[Row]:
                 back, turn = Rotation.from_quat(pose0[3:]).inv(), Rotation.from_quat(pose[3:])
             except ValueError:
                 raise InputError(str(path), f"no rotation at {t_ns / S_NS:.3f} s", "a quaternion") from None
-            moved_m, turned = back.apply(np.subtract(pose[:3], pose0[:3])), back * turn
-            rates = (np.concatenate([moved_m, turned.as_rotvec()]) / step_s).tolist()
+            moved_m = matvec(back.as_matrix(), np.subtract(pose[:3], pose0[:3]))
+            rates = (np.concatenate([moved_m, (back * turn).as_rotvec()]) / step_s).tolist()
             if t0_ns >= begin_ns:
                 yield t0_ns, pose0 + rates
         before = t_ns, pose
