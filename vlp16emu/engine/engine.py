@@ -127,7 +127,7 @@ class Engine:
         """Return a unit's returns before packing, in whole blocks that cover the span; with their surfaces if `truth`.
 
         A block in which settings change is returned once for the settings before and once for those after, each time with
-        the firing sequences that are sent; blocks of which nothing is sent are left out.
+        the firing sequences that are sent; blocks without any are left out.
         """
         blocks = self.batching.blocks(*self.span_ns(start_s, stop_s))
         sensor = self.parts.units[unit]

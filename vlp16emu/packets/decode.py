@@ -18,6 +18,7 @@ from vlp16emu.packets import layout
 from vlp16emu.packets.layout import BLOCK_PERIOD_NS, BLOCKS_PER_PACKET
 from vlp16emu.sensor.beams import BEAM_TABLES, LASER_NS, SEQUENCE_NS
 from vlp16emu.sensor.head import in_sensor
+from vlp16emu.sensor.settings import MOST_RPM
 from vlp16emu.types import F4, F8, I8, U1, PpsState, ReturnMode, SensorModel
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
@@ -32,8 +33,8 @@ PRODUCT_BEFORE_RELEASE = 0x21
 _MAX_STEP_CDEG = 100
 """A wider step from block to block is the edge of a limited field of view: the fastest speed, 1200 rpm, gives 79.6."""
 
-_FASTEST_DEG_PER_NS = 1.5 * 1200 * 6 / S_NS
-"""Fastest rotor: 1200 rpm (63-9243 Rev D, section 8.3, p. 50), with a margin for units that run too fast."""
+_FASTEST_DEG_PER_NS = 1.5 * MOST_RPM * 6 / S_NS
+"""Fastest rotor, with a margin for units that run too fast."""
 JUMP_NS = S_NS // 4  # a longer step of the clock ends a revolution: the slowest, at 300 rpm, takes 0.2 s
 
 

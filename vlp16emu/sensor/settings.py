@@ -14,6 +14,12 @@ if TYPE_CHECKING:  # reading a scene does not import numpy
 Degrees = Annotated[float, Field(ge=0, lt=360)]
 Port = Annotated[int, Field(ge=1, le=65_535)]
 
+LEAST_RPM = 300
+MOST_RPM = 1200
+RPM_STEP = 60
+"""Speeds of the rotor that a Puck can be set to (63-9243 Rev D, section 8.3, p. 50)."""
+Rpm = Annotated[int, Field(ge=LEAST_RPM, le=MOST_RPM, multiple_of=RPM_STEP)]
+
 
 _PRESETS: dict[str, dict[str, object]] = {
     "steady": {},
@@ -114,7 +120,7 @@ class Sensor(Lidar):
 
     model: Literal["vlp-16", "puck-lite", "puck-hi-res"] = "vlp-16"
     """Sensor model: beam table and factory byte."""
-    rpm: Annotated[int, Field(ge=300, le=1200, multiple_of=60)] = 600
+    rpm: Rpm = 600
     """Rotor speed; multiples of 60 (63-9243 Rev D, section 8.3)."""
     position_rate: Literal["measured", "manual"] = "measured"
     """Rate of position packets: 146 per second at the irregular spacing of real units, or 53.8 as in the manual."""

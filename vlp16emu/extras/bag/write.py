@@ -27,6 +27,7 @@ from vlp16emu.motion.pose import Kinematics
 from vlp16emu.output import spare
 from vlp16emu.packets import DATA_BYTES, POSITION_BYTES
 from vlp16emu.run.options import BagOptions
+from vlp16emu.sensor.settings import RPM_STEP
 from vlp16emu.sinks import PacketSink, PcapResult
 from vlp16emu.types import Packet, PacketKind, PpsState
 from vlp16emu.units import S_NS, US_NS
@@ -37,7 +38,6 @@ _POSE = (_TIME, "x", "y", "z", "qx", "qy", "qz", "qw")
 _SAID = ("latitude_deg", "longitude_deg", "valid")
 _EVER_NS = 2**62
 _OFTEN_NS = S_NS // 10  # span of ground truth that is written together
-_SET_RPM = 60.0  # speeds that can be set are multiples (63-9243 Rev D, section 8.3, p. 50)
 
 Row = tuple[int, list[float]]  # UTC of a sample, and its values
 Feed = Callable[[int], None]  # writes all samples up to and including an instant that are not written yet
@@ -257,7 +257,7 @@ def _rig(true: Truth | None, capture: Path, unit: CapturedUnit, frame: str) -> R
         return Rig.of(true.rig, true.scenario, frame)
     with CaptureReader(capture, unit) as reader:
         next(reader.points(), None)
-        return Rig(max(round(reader.summary.rpm / _SET_RPM), 1) * _SET_RPM, lidar_frame=frame)
+        return Rig(float(max(round(reader.summary.rpm / RPM_STEP), 1) * RPM_STEP), lidar_frame=frame)
 
 
 def _send(datagram: Datagram, units: Sequence[CapturedUnit], sink: BagSink, capture: Path) -> None:

@@ -22,7 +22,7 @@ from pydantic.dataclasses import dataclass as checked_dataclass
 from vlp16emu.errors import InputError, Vlp16emuError, readable
 from vlp16emu.explain import explain
 from vlp16emu.output import OutputFile
-from vlp16emu.sensor.settings import Address, Port
+from vlp16emu.sensor.settings import Address, Port, Rpm
 from vlp16emu.types import PpsState, ReturnMode, SensorModel
 from vlp16emu.units import S_NS
 
@@ -59,7 +59,7 @@ class DeviceSettings:
     Raises pydantic.ValidationError if the sensor does not accept a value; also from `dataclasses.replace`.
     """
 
-    rpm: Annotated[int, Field(ge=300, le=1200, multiple_of=60)] = 600
+    rpm: Rpm = 600
     """Speed of the rotor; other speeds disturb speed control and phase lock (section 8.3)."""
     return_mode: ReturnMode = ReturnMode.STRONGEST  # echoes that are sent
     laser_on: bool = True  # False: no data packets, only position packets

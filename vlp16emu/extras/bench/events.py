@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self, Uni
 
 from pydantic import Field, TypeAdapter, create_model, model_validator
 
-from vlp16emu.sensor.settings import Lidar, Sensor
+from vlp16emu.sensor.settings import Lidar, Rpm, Sensor
 from vlp16emu.settings import Fraction, NonNegative, Positive, Section, toml
 from vlp16emu.units import FOREVER_NS, seconds_to_ns
 
@@ -92,7 +92,7 @@ _PHASE = "Rotor angle at each UTC second; `off` ends the phase lock."
 _COUNT = "Number of consecutive packets of a kind that it may affect, instead of `duration_s`."
 KEYS: dict[str, tuple[Any, Any, str]] = {
     "duration_s": (Positive | None, None, "Duration; until the end of the run if not given."),
-    "rpm": (_from(int, ge=300, le=1200, multiple_of=60) | None, None, "Rotor speed, which changes gradually."),
+    "rpm": (Rpm | None, None, "Rotor speed, which changes gradually."),
     "return_mode": (Literal["strongest", "last", "dual"] | None, None, "Echoes that are sent."),
     "laser": (bool | None, None, _LAW),
     "fov_deg": (_Sector | None, None, "First and last azimuth that is sent, whole degrees; (0, 359) is all around."),

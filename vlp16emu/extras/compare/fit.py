@@ -19,7 +19,7 @@ from vlp16emu.extras.compare.statistics import (
 )
 from vlp16emu.extras.compare.table import REAL
 from vlp16emu.returns import Noise
-from vlp16emu.sensor.settings import Sensor
+from vlp16emu.sensor.settings import LEAST_RPM, MOST_RPM, RPM_STEP, Sensor
 
 _EVEN_CDEG2, _PER_RATE_CDEG2 = 0.111, 3.55
 _LEVEL = 80.0  # middle of the reflectivities whose neighbours are compared
@@ -30,7 +30,7 @@ _ELSE_MM = 2.6  # white error from the detector and the 2 mm of a code, beside t
 _LEAST_SILENT = 50
 _MOST_LOST = 2.0
 _HALF_DEG_PER_US = 0.0018  # half of the turn of a rotor at 600 rpm in a microsecond
-_SET_RPM, _MOST_OFF_RPM = 60, 3.0
+_MOST_OFF_RPM = 3.0
 """Settable speeds are multiples (63-9243 Rev D, section 8.3, p. 50), held within 3 rpm (manuals of sibling models)."""
 
 
@@ -85,13 +85,13 @@ def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
 
 def _rotor(sequences: Sequences, found: Statistics) -> dict[str, object]:
     turning = turning_of(sequences)
-    set_rpm = min(max(_SET_RPM * round(sequences.rpm / _SET_RPM), 300), 1200)
+    set_rpm = min(max(RPM_STEP * round(sequences.rpm / RPM_STEP), LEAST_RPM), MOST_RPM)
     # Local variance of encoder readings without rate error, and the variance that the error adds: from our own packets at 540 to 660 rpm.
-    excess, near_600 = max(local(turning.rest_cdeg).var() - _EVEN_CDEG2, 0.0), abs(set_rpm - 600) <= _SET_RPM
+    excess, near_600 = max(local(turning.rest_cdeg).var() - _EVEN_CDEG2, 0.0), abs(set_rpm - 600) <= RPM_STEP
     once, twice = turning.once_cdeg, turning.twice_cdeg
     off_rpm = (sequences.rpm - set_rpm) * 600.0 / set_rpm
     if abs(off_rpm) > _MOST_OFF_RPM:
-        expected = f"a multiple of {_SET_RPM} rpm within {_MOST_OFF_RPM:g} rpm at 600"
+        expected = f"a multiple of {RPM_STEP} rpm within {_MOST_OFF_RPM:g} rpm at 600"
         raise InputError("speed_error_rpm", f"a mean speed of {sequences.rpm:.1f} rpm", expected)
     return {
         "preset": "unit",

@@ -11,13 +11,13 @@ from vlp16emu.captures.capture import Capture
 from vlp16emu.errors import CaptureError
 from vlp16emu.packets import layout
 from vlp16emu.sensor.beams import SEQUENCE_NS
+from vlp16emu.sensor.settings import LEAST_RPM, MOST_RPM
 from vlp16emu.types import I8, ReturnMode
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
 _LEAST_PACKETS = 80  # one revolution at 600 rpm has 75
 _MOST_PACKETS = 50_000  # one minute; more changes no figure
-_RPM = 270.0, 1320.0
-"""300 to 1200 rpm (63-9243 Rev D, section 8.3, p. 50) with a tenth of margin: other rotors stand, or change speed."""
+_MARGIN = 0.1  # of the speed: other rotors stand, or change speed
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +65,8 @@ def read_sequences(path: Path) -> Sequences:
     if len(modes := np.unique(fields["return_mode"])) > 1:
         raise CaptureError(str(path), f"{len(modes)} return modes", "one")
     sequences = _numbered(path, fields, np.array([packet.stamp_ns for packet in packets], np.int64))
-    if not _RPM[0] <= sequences.rpm <= _RPM[1]:
-        raise CaptureError(str(path), f"a rotor at {sequences.rpm:.1f} rpm", "300 to 1200 rpm")
+    if not (1 - _MARGIN) * LEAST_RPM <= sequences.rpm <= (1 + _MARGIN) * MOST_RPM:
+        raise CaptureError(str(path), f"a rotor at {sequences.rpm:.1f} rpm", f"{LEAST_RPM} to {MOST_RPM} rpm")
     return sequences
 
 

@@ -28,6 +28,7 @@ from vlp16emu.extras.verify.frames import (
 from vlp16emu.packets import layout
 from vlp16emu.packets.decode import PRODUCT_BEFORE_RELEASE
 from vlp16emu.packets.layout import POSITION_PAYLOAD
+from vlp16emu.sensor.settings import LEAST_RPM, MOST_RPM, RPM_STEP
 from vlp16emu.types import F8, I8, PpsState, ReturnMode
 from vlp16emu.units import MS_NS, S_NS, US_NS
 
@@ -42,12 +43,10 @@ units, at either end, and the noise of two readings and a step."""
 _GAP_TOLERANCE = 0.005  # additional difference in proportion to the gap, for speed control: 3 rpm in 600
 _CLOCK_PPM = 10  # short-term rate error of a clock that follows GPS
 
-_RPM = (300, 1200)  # source: 63-9243 Rev D, section 8.3, p. 50
 _RPM_TOLERANCE = 0.01  # speed control, 3 rpm in sibling manuals, and the once-per-revolution error of the encoder
 _RPM_STEPS = 100  # least number of steps to judge the speed
 _CDEG_PER_STEP_AND_RPM = 6 * 100 * layout.BLOCK_PERIOD_NS / 1e9
 _STILL_CDEG = 12  # two readings differ by less than this if the rotor stands; at 300 rpm a packet turns by 220
-_SET_RPM = 60  # settable speeds are multiples of this (63-9243 Rev D, section 8.3)
 _HELD_RPM = 4.0  # error of the mean speed of a revolution: speed control, 3 rpm in sibling manuals, and two readings
 
 _BY_ELEVATION = np.array([*range(0, layout.LASERS, 2), *range(1, layout.LASERS, 2)])
@@ -222,7 +221,7 @@ class DataChunk:
         whole = self.is_regular[:rows].reshape(-1, packets).all(axis=1)
         revolution_cdeg = turned_cdeg[:rows].reshape(-1, packets).sum(axis=1)
         self.rpm = revolution_cdeg / layout.AZIMUTH_CODES / (packets * self.period_ns / S_NS) * 60.0
-        self.is_off = whole & (np.abs(self.rpm - _SET_RPM * np.rint(self.rpm / _SET_RPM)) > _HELD_RPM)
+        self.is_off = whole & (np.abs(self.rpm - RPM_STEP * np.rint(self.rpm / RPM_STEP)) > _HELD_RPM)
         self.revolution_number = self.number[:rows:packets]
         is_even = self.is_even.copy()
         is_even[:-1, -1] &= self.is_regular
@@ -264,8 +263,8 @@ class DataRules:
         self._turned_steps += len(chunk.even_steps_cdeg)
         if len(chunk.even_steps_cdeg) >= _RPM_STEPS:
             rpm = float(chunk.even_steps_cdeg.mean()) / _CDEG_PER_STEP_AND_RPM
-            if not _RPM[0] * (1 - _RPM_TOLERANCE) <= rpm <= _RPM[1] * (1 + _RPM_TOLERANCE):
-                found, expected = f"{rpm:.1f} rpm from here", f"{_RPM[0]} to {_RPM[1]}"
+            if not LEAST_RPM * (1 - _RPM_TOLERANCE) <= rpm <= MOST_RPM * (1 + _RPM_TOLERANCE):
+                found, expected = f"{rpm:.1f} rpm from here", f"{LEAST_RPM} to {MOST_RPM}"
                 self._findings.add(Rule.RPM, int(chunk.number[0]), found, expected)
         self._optics.check(chunk)
 
