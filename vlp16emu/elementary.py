@@ -19,7 +19,7 @@ from llvmlite import ir
 from numba import types
 from numpy.typing import NDArray
 
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import inner_kernel, kernel, numba
 
 _Floats = NDArray[np.float64]
 _Numbers = NDArray[np.floating[Any]]
@@ -53,16 +53,7 @@ class _Both:
     @functools.cached_property
     def compiled(self) -> Any:
         """Compiled function for kernels; made when the first kernel is compiled."""
-        return numba.njit(
-            cache=True,
-            error_model="numpy",
-            fastmath=False,  # else the caller's flag would apply
-            forceinline=self._inlined,
-            no_cfunc_wrapper=True,
-            no_cpython_wrapper=True,
-            nogil=True,
-            _nrt=False,
-        )(self.function)
+        return inner_kernel(self.function, inlined=self._inlined)
 
     def __call__(self, *numbers: Any) -> Any:
         return self.function(*numbers)
@@ -315,7 +306,7 @@ _LOOPS = "cos", "sin", "atan2", "exp", "log", "power"
 """Functions that are also compiled for numbers and arrays, in the order of `_fill`; the others call these."""
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)  # type: ignore[untyped-decorator]  # numba has no types
+@kernel  # numba has no types
 def _fill(which: int, x: _Floats, y: _Floats, out: _Floats) -> None:
     """Fill (n,) with the values of one of `_LOOPS`; one kernel for all of them is compiled once."""
     for i in range(out.shape[0]):

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import log_of_normal
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import array_kernel, inline_kernel, kernel
 from vlp16emu.trig import in_quarter
 
 
@@ -73,7 +73,7 @@ _NORMAL_TAIL, _EXPONENTIAL_TAIL = 3.6541528853610088, 7.69711747013104972
 """Edges beyond which numbers come from logarithms (numpy/random/src/distributions/ziggurat_constants.h)."""
 
 
-@numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
+@inline_kernel
 def philox4x32(c0: _Word, c1: _Word, c2: _Word, c3: _Word, k0: _Word, k1: _Word) -> tuple[_Word, _Word, _Word, _Word]:
     """Return four random 32-bit words for counter (c0, c1, c2, c3) and key (k0, k1), all uint32.
 
@@ -90,7 +90,7 @@ def philox4x32(c0: _Word, c1: _Word, c2: _Word, c3: _Word, k0: _Word, k1: _Word)
     return c0, c1, c2, c3
 
 
-@numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
+@inline_kernel
 def uniform_pair(seed: int, purpose: int, n: int, lane: int) -> tuple[float, float]:
     """Draw two uniform numbers in [0, 1) of 53 bits each; for use in kernels.
 
@@ -112,7 +112,7 @@ def uniform_pair(seed: int, purpose: int, n: int, lane: int) -> tuple[float, flo
     return a, b
 
 
-@numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
+@inline_kernel
 def box_muller(a: float, b: float) -> tuple[float, float]:
     """Convert two uniform numbers into two normal ones, by Box and Muller (1958); for use in kernels.
 
@@ -125,14 +125,14 @@ def box_muller(a: float, b: float) -> tuple[float, float]:
     return radius * cosine, radius * sine
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False)
+@kernel
 def normal_pair(seed: int, purpose: int, n: int, lane: int) -> tuple[float, float]:
     """Draw two independent standard normal numbers for the same arguments."""
     a, b = uniform_pair(seed, purpose, n, lane)
     return box_muller(a, b)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False)
+@kernel
 def normal_pairs(seed: int, purpose: int, n: int, first: NDArray[np.float64], second: NDArray[np.float64]) -> None:
     """Fill two arrays (lanes,) with the numbers of `normal_pair`, in a quarter of its time."""
     for lane in range(first.shape[0]):
@@ -140,7 +140,7 @@ def normal_pairs(seed: int, purpose: int, n: int, first: NDArray[np.float64], se
         first[lane], second[lane] = box_muller(a, b)
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _fill(out: NDArray[np.float64], gaussian: bool, seed: int, purpose: int, first: int, lane: int) -> None:
     """Fill (n,) with one number per counter, each computed independently."""
     for i in range(out.shape[0]):

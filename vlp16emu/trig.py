@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 
 from vlp16emu.elementary import around_zero
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import inline_kernel
 
 ZERO = cast("int", np.int64(0))  # not a literal: numba compiles a function again for the literal 0
 
@@ -18,7 +18,7 @@ _HALF_PI = 1.57079632673412561417, 6.07710050650619224932e-11
 """pi / 2: its first 33 bits, so that products with whole numbers below 2**20 are exact, and the rest."""
 
 
-@numba.njit(cache=True, nogil=True, forceinline=True, fastmath=False, _nrt=False)
+@inline_kernel
 def in_quarter(quarter: float, y: float) -> tuple[float, float]:
     """Return cosine and sine of `quarter` right angles, 0 .. 4, plus y, up to pi / 4."""
     c, s = around_zero(y)
@@ -28,7 +28,7 @@ def in_quarter(quarter: float, y: float) -> tuple[float, float]:
     return cosine, -sine if (quarter == 2.0) | (quarter == 3.0) else sine
 
 
-@numba.njit(cache=True, nogil=True, forceinline=True, fastmath=False, _nrt=False)
+@inline_kernel
 def cos_sin(angle_rad: float) -> tuple[float, float]:
     """Return cosine and sine of an angle, within 2e-16; beyond a million radians within its last bit; for kernels."""
     quarters = math.floor(angle_rad * (2.0 / math.pi) + 0.5)
@@ -36,7 +36,7 @@ def cos_sin(angle_rad: float) -> tuple[float, float]:
     return in_quarter(quarters - 4.0 * math.floor(0.25 * quarters), y)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=False, _nrt=False, forceinline=True)
+@inline_kernel
 def fold(x: float) -> float:
     """Return a triangular wave between 0 and 1 with a period of 1."""
     return 2.0 * abs(x - math.floor(x) - 0.5)

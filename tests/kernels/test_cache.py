@@ -17,7 +17,7 @@ from numba.core.registry import cpu_target
 from vlp16emu import store
 from vlp16emu.kernels import cache, compiler
 from vlp16emu.kernels.cache import KernelCache, user_kernels
-from vlp16emu.kernels.compiler import KernelDispatcher
+from vlp16emu.kernels.numba_private import KernelDispatcher
 
 
 @pytest.fixture(autouse=True)

@@ -11,6 +11,7 @@ import numba
 import numpy as np
 import pytest
 
+from vlp16emu.kernels import compiler, numba_private
 from vlp16emu.kernels.compiler import _signature, decoded, table
 
 PROGRAM = """
@@ -101,3 +102,38 @@ def test_without_a_safe_folder_nothing_is_compiled_before(tmp_path):
 def test_processes_that_are_killed_are_not_waited_for(tmp_path):
     """The system kills a process that has no memory left: the run goes on without it."""
     assert compiled_by_a_program(tmp_path, tmp_path / "kernels", KILLS) == (["(0, 3)", "(0, 3)", "(0, 4)"], "")
+
+
+PLAIN = """
+import numpy as np
+from vlp16emu.kernels import compiler
+from vlp16emu.random import uniform, uniform_pair
+from vlp16emu.elementary import cos
+print(compiler.is_plain(), type(uniform_pair).__name__)
+print(uniform(7, 1, 0, 5).tobytes().hex(), np.asarray(cos(np.linspace(-9.0, 9.0, 7))).tobytes().hex())
+"""
+
+
+def test_without_private_interfaces_the_numbers_are_the_same(tmp_path):
+    """A numba whose private interfaces are unknown compiles kernels in its own way, with the same bits."""
+    found = []
+    for how in ("plain", ""):
+        environment = os.environ | {"VLP16EMU_NUMBA": how, "NUMBA_CACHE_DIR": str(tmp_path)}
+        done = subprocess.run(
+            [sys.executable, "-c", PLAIN], env=environment, capture_output=True, text=True, check=True, timeout=300
+        )
+        found.append(done.stdout.splitlines())
+    plain, usual = found
+    assert plain[0] == "True CPUDispatcher"
+    assert usual[0] == "False KernelDispatcher"
+    assert plain[1] == usual[1]
+
+
+def test_known_interfaces_are_checked_by_a_kernel(monkeypatch):
+    """With a newer numba a kernel is compiled through all interfaces; if it fails, kernels are compiled in numba's way."""
+    monkeypatch.delenv("VLP16EMU_NUMBA", raising=False)
+    numba_private.check_interfaces()
+    monkeypatch.setattr(compiler, "_KNOWN", (0, 1))
+    assert not compiler.is_plain.__wrapped__()
+    monkeypatch.setattr(numba_private, "kernel_bytes", lambda _result: 1 / 0)
+    assert compiler.is_plain.__wrapped__()

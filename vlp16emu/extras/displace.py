@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from vlp16emu.elementary import power
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import array_kernel
 from vlp16emu.random import Purpose, uniform_pair
 from vlp16emu.raycast.beam import Footprint
 from vlp16emu.trig import cos_sin
@@ -37,7 +37,7 @@ def offset_tangents(distance_m: F4, beam: Footprint, sequence: I8, laser: I8, la
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _displace(range_m: F4, widths: F8, seed: int, index: int) -> None:
     count, lasers = range_m.shape
     for i in range(count):
@@ -49,7 +49,7 @@ def _displace(range_m: F4, widths: F8, seed: int, index: int) -> None:
                 range_m[i, j] = math.sqrt(along_m * along_m + x_m * x_m + y_m * y_m)
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _fill_tangents(distance_m: F4, widths: F8, seed: int, sequence: I8, laser: I8, lasers: int, out: F8) -> None:
     for i in range(len(out)):
         reach_m = float(distance_m[i])
@@ -57,7 +57,7 @@ def _fill_tangents(distance_m: F4, widths: F8, seed: int, sequence: I8, laser: I
         out[i, 0], out[i, 1] = x_m / reach_m, y_m / reach_m
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _displacement(
     widths: F8, reach_m: float, seed: int, sequence: int, laser: int, lasers: int
 ) -> tuple[float, float, float]:

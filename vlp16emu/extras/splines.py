@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import kernel
 from vlp16emu.types import F8, I8
 
 _WRAPPED = 64
@@ -109,7 +109,7 @@ def _control_points(at: F8, values: F8, knots: F8, natural: bool) -> F8:
     return out
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@kernel
 def _solve(bands: F8, values: F8) -> None:
     """Solve a banded system in place: values (n, m) become the solution.
 

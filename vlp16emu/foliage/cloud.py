@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import cos, log, norm
 from vlp16emu.foliage.tiles import EXACT
 from vlp16emu.foliage.voxel import KNOTS, QUANTILES, VOXEL_M
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import inline_kernel, kernel
 from vlp16emu.types import F4, F8, I8, U1, U4, Mesh, PlantPart
 
 TILTS = 64  # classes of faces by the sine of their normal's elevation
@@ -160,7 +160,7 @@ def kept_share(corners_m: F8, first: I8, share: F4) -> F8:
     return out
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False)
+@kernel
 def _count(drawn: U4, total: I8, factor: F8) -> None:
     """Add the area of randomly placed leaves that hide as many pixels of each voxel, and clear the pixels."""
     nx, ny, nz = total.shape
@@ -179,7 +179,7 @@ def _count(drawn: U4, total: I8, factor: F8) -> None:
                     factor[i, j, k] -= log(1.0 - hidden) * (_PIXELS * _PIXELS)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False)
+@kernel
 def _share(
     corners_m: F8, begin: int, stop: int, low: F8, size: I8, factor: F8, total: I8, share: float, out: F8
 ) -> None:
@@ -192,14 +192,14 @@ def _share(
             out[f] = factor[at] / (total[at] * share)
 
 
-@numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
+@inline_kernel
 def _voxel(corners_m: F8, low: F8, axis: int) -> int:
     at = low[axis]
     first_two = (corners_m[0, axis] / VOXEL_M - at) + (corners_m[1, axis] / VOXEL_M - at)
     return int(0.25 * (first_two + (corners_m[2, axis] / VOXEL_M - at) + (corners_m[3, axis] / VOXEL_M - at)))
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False)
+@kernel
 def _draw(corners_m: F8, begin: int, stop: int, low: F8, axis: int, edges: F8, drawn: U4, total: I8) -> None:
     """Rasterize faces along an axis into the voxels of their own depth; count their pixels, drawn before or not.
 
@@ -222,7 +222,7 @@ def _draw(corners_m: F8, begin: int, stop: int, low: F8, axis: int, edges: F8, d
                 total[i, j, b] += 1
 
 
-@numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
+@inline_kernel
 def _turn_edges(corners_m: F8, low: F8, other: int, edges: F8) -> None:
     """Fill starts and directions (4, 4) of the edges of a face, in pixels, with the face on their left."""
     u, v, du, dv = edges[0], edges[1], edges[2], edges[3]
@@ -239,7 +239,7 @@ def _turn_edges(corners_m: F8, low: F8, other: int, edges: F8) -> None:
             du[c], dv[c] = -du[c], -dv[c]
 
 
-@numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
+@inline_kernel
 def _row(edges: F8, y: float, first: int, last: int) -> tuple[int, int]:
     """Return the first and last pixel of a row whose centres are on the left of all edges."""
     u, v, du, dv = edges[0], edges[1], edges[2], edges[3]

@@ -19,7 +19,7 @@ from vlp16emu.foliage.voxel import (
     TILE_BIT,
     VOXEL_M,
 )
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import array_kernel
 from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, I4, I8, U4, U8
 
@@ -42,7 +42,7 @@ _Placed = tuple[I8, F8, I8, I8]
 _Packed = tuple[U8, U4, U4, U4, U8]  # arrays of a block, in the order of `Block`
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def filled(library: Library, placed: _Placed, ground_m: F4, low_m: float, levels: int, projection: F8) -> _Packed:
     """Fill the arrays of a block, in the order of `Block`.
 
@@ -81,7 +81,7 @@ def filled(library: Library, placed: _Placed, ground_m: F4, low_m: float, levels
     return _pack(head, flags, node, area, used)
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _roomy(node: I8, area: F8, used: int, needed: int) -> tuple[I8, F8]:
     room = len(node)
     while needed > room:
@@ -92,7 +92,7 @@ def _roomy(node: I8, area: F8, used: int, needed: int) -> tuple[I8, F8]:
     return node, area
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _determinant(T: F8) -> float:
     return (
         T[0, 0] * (T[1, 1] * T[2, 2] - T[1, 2] * T[2, 1])
@@ -101,7 +101,7 @@ def _determinant(T: F8) -> float:
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _put(voxels: _Voxels, used: int, T: F8, at_m: _Place, whose: _Whose, add: F8) -> int:
     """Add projected areas at a place of a shape to its voxel; return the number of owners."""
     head, node, area, low_m = voxels
@@ -126,7 +126,7 @@ def _put(voxels: _Voxels, used: int, T: F8, at_m: _Place, whose: _Whose, add: F8
     return used
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _pieces(T: F8, corners_m: F4) -> int:
     """Return the number of pieces into which the sides of a face are cut."""
     longest = 0.0
@@ -141,7 +141,7 @@ def _pieces(T: F8, corners_m: F4) -> int:
     return min(max(math.ceil(math.sqrt(longest) / _PIECE_M), 1), 64)
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _put_face(
     voxels: _Voxels, used: int, T: F8, corners_m: F4, share: float, whose: _Whose, add: F8, projection: F8
 ) -> int:
@@ -171,7 +171,7 @@ def _put_face(
     return used
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _mark_ground(flags: U4, ground_m: F4, low_m: float) -> None:
     """Flag the voxels that may contain ground; heights (85, 85) begin one voxel outside the tile."""
     for i in range(flags.shape[0]):
@@ -183,7 +183,7 @@ def _mark_ground(flags: U4, ground_m: F4, low_m: float) -> None:
                 flags[i, j, k] |= GROUND
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _pack(head: I4, flags: U4, node: I8, area: F8, used: int) -> _Packed:
     nx, ny, nz = head.shape[0] // BRICK, head.shape[1] // BRICK, head.shape[2] // BRICK
     mask, first = np.zeros((nx, ny, nz), np.uint64), np.zeros((nx, ny, nz), np.uint32)
@@ -218,7 +218,7 @@ def _pack(head: I4, flags: U4, node: I8, area: F8, used: int) -> _Packed:
     return mask, first, record, first_owner, owner
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _areas(node: I8, area: F8, at: int) -> tuple[float, float, float]:
     area0 = area1 = area2 = 0.0
     while at >= 0:
@@ -227,7 +227,7 @@ def _areas(node: I8, area: F8, at: int) -> tuple[float, float, float]:
     return area0, area1, area2
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _code(area_m2: float) -> np.uint32:
     """Return the code of the projected area of a voxel, at least 1 for any area."""
     if area_m2 <= 0.0:

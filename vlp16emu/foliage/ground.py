@@ -6,14 +6,14 @@ import numpy as np
 
 from vlp16emu.foliage.lanes import Ground, Pulse
 from vlp16emu.foliage.voxel import BRICK, FINER, VOXEL_M
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import inline_kernel
 
 f4 = np.float32
 _Ray = tuple[np.float32, np.float32, np.float32, np.float32, np.float32, np.float32]
 _Slope = tuple[np.float32, np.float32, np.float32]  # height over the ground, and the slope of the ground along x and y
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def meet_ground(ground: Ground, pulse: Pulse, middle_m: float, length: float) -> bool:
     """Intersect the lanes with the ground within a slab; return True if any hits it."""
     L, axis = pulse.lanes, pulse.axis
@@ -45,7 +45,7 @@ def meet_ground(ground: Ground, pulse: Pulse, middle_m: float, length: float) ->
     return met
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def _ground_at(ground: Ground, ray: _Ray, first_m: np.float32, last_m: np.float32, below: _Slope) -> _Slope:
     """Return range and slope where a ray meets the ground in a slab; `below` holds its height at the slab's end."""
     (_, _, _, dx, dy, dz), at_m, slope = ray, last_m, below
@@ -67,7 +67,7 @@ def _ground_at(ground: Ground, ray: _Ray, first_m: np.float32, last_m: np.float3
     return at_m, slope[1], slope[2]
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def _over_ground(ground: Ground, ray: _Ray, at_m: float) -> _Slope:
     """Return the height of a ray over the ground at a range, and the slope there; infinite height without ground."""
     (x, y, z, dx, dy, dz), ground_m = ray, ground.height_m

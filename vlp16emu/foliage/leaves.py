@@ -14,7 +14,7 @@ from llvmlite import ir
 from vlp16emu.elementary import exp
 from vlp16emu.foliage.lanes import Lanes, Medium, Pulse, lowest
 from vlp16emu.foliage.voxel import COLUMNS, LAW_BIT, LAW_MASK, QUANTILES, SHARE_BIT, TAU_PER_M, TILE_BIT, VOXEL_M
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import inline_kernel, numba
 from vlp16emu.raycast.kernel import LANES
 from vlp16emu.types import F4, U1, U8
 
@@ -64,7 +64,7 @@ _MASK, _LEAF_OF, _PLACE = _leaves()
 _COVER = (1.0 - exp(-np.arange(_COVER_STEPS * _COVER_MOST + 2) / _COVER_STEPS)).astype(np.float32)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inline_kernel
 def _mixed(a: int, b: int, c: int, seed: int) -> np.uint32:
     """Hash the position of a voxel (constants and rounds as in MurmurHash3's finaliser)."""
     h = u4(u4(a) * u4(0x9E3779B1)) ^ u4(u4(b) * u4(0x85EBCA77)) ^ u4(u4(c) * u4(0xC2B2AE3D)) ^ u4(seed)
@@ -84,7 +84,7 @@ class Weights(NamedTuple):
     knot: int  # nearest knot
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def weights_of(up: np.float32, length: np.float32) -> Weights:
     """Weigh the knots for light whose direction has the sine `up`, through slabs of a length."""
     low_knot = u4(0) if up < f4(0.3) else u4(7)
@@ -94,7 +94,7 @@ def weights_of(up: np.float32, length: np.float32) -> Weights:
     return Weights(low_knot, w_low, w_high, knot)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def lit_lanes(
     M: Medium, pulse: Pulse, axes: _Three, corner: _Three, cell: _Three, code: np.uint32, weights: Weights
 ) -> tuple[np.uint32, np.uint64]:
@@ -127,13 +127,13 @@ def lit_lanes(
     return h, _in_columns(line, middle_m, r1, r2, bits)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def _mirrors(h: np.uint32, one: int, two: int) -> tuple[np.int32, np.int32]:
     """Return how columns are mirrored along two axes."""
     return np.int32((h >> u4(5 + 3 * one)) & u4(7)), np.int32((h >> u4(5 + 3 * two)) & u4(7))
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def meet_leaves(
     M: Medium, pulse: Pulse, axes: _Three, cell: _Three, number: np.uint32, knot: int, h: np.uint32, lit: np.uint64
 ) -> bool:
@@ -168,7 +168,7 @@ def meet_leaves(
     return met
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def _column(line: F4, lane: int, middle_m: np.float32, r1: np.int32, r2: np.int32) -> np.uint32:
     """Return the mirrored column (of 8 x 8) of a lane in the middle of a slab."""
     a = (np.int32(line[lane] + line[LANES + lane] * middle_m) & np.int32(7)) ^ r1
@@ -223,7 +223,7 @@ def _in_columns(typingctx: Any, line: Any, middle_m: Any, r1: Any, r2: Any, bits
     return types.uint64(line, types.float32, types.int32, types.int32, types.uint64), codegen
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def _take_leaf(M: Medium, L: Lanes, lane: int, h: np.uint32, leaf: int, whose: _Whose) -> None:
     """Draw the owner of the leaf that a lane meets, and the angle of incidence."""
     number, tile, knot = whose

@@ -15,7 +15,7 @@ from vlp16emu.foliage.lanes import AHEAD, Lanes, Medium, Pulse, lowest, ones
 from vlp16emu.foliage.leaves import Weights, lit_lanes, meet_leaves, weights_of
 from vlp16emu.foliage.stems import Seen, meet_stems, see_stems
 from vlp16emu.foliage.voxel import BRICK, GROUND, VOXEL_M
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import inline_kernel, numba
 from vlp16emu.raycast.beam import FARTHEST
 from vlp16emu.raycast.kernel import COSINE, DIRECTION, LANES, RANGE, Cast, go_on
 from vlp16emu.types import F4, U8
@@ -58,7 +58,7 @@ class _Grid(NamedTuple):
     corner: tuple[int, int, int]  # corner in voxels of the world
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def march(M: Medium, bricks: U8, ahead: Seen, pulse: Pulse) -> None:
     """Follow the lanes of a pulse through the medium.
 
@@ -99,14 +99,14 @@ def march(M: Medium, bricks: U8, ahead: Seen, pulse: Pulse) -> None:
         slab += AHEAD
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def _floor(x: np.float32) -> int:
     """Round a number below 2**31 down; for float32 `math.floor` would be a function call."""
     whole = np.int32(x)
     return int(whole) - int(x < f4(whole))
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def _way(corner_m: tuple[np.float32, np.float32, np.float32], axis: F4, near_m: np.float32) -> _Way:
     main = 0
     for a in (1, 2):
@@ -125,7 +125,7 @@ def _way(corner_m: tuple[np.float32, np.float32, np.float32], axis: F4, near_m: 
     return _Way(main, one, two, k, step, length, to_middle, p1, p2, d1, d2)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def _grid(M: Medium, axes: tuple[int, int, int]) -> _Grid:
     main, one, two = axes
     nx, ny, nz, _ = M.brick.shape
@@ -140,7 +140,7 @@ def _grid(M: Medium, axes: tuple[int, int, int]) -> _Grid:
     )
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def _crossing(way: _Way, size: tuple[int, int, int]) -> tuple[np.float32, np.float32]:
     """Return the slabs at which the pulse enters and leaves the grid."""
     first, stop = f4(0.0), f4(1e6)
@@ -156,13 +156,13 @@ def _crossing(way: _Way, size: tuple[int, int, int]) -> tuple[np.float32, np.flo
     return first, stop
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def _voxel(way: _Way, slab: int) -> tuple[int, int, int]:
     at = f4(slab)
     return way.k + slab * way.step, int(np.int32(way.p1 + at * way.d1)), int(np.int32(way.p2 + at * way.d2))
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def _look(L: Lanes, way: _Way, grid: _Grid, bricks: U8, slab: int, slabs: int) -> np.uint64:
     """Find the voxels of the next slabs; return bits of those that are not empty."""
     place = L.place
@@ -184,7 +184,7 @@ def _look(L: Lanes, way: _Way, grid: _Grid, bricks: U8, slab: int, slabs: int) -
     return voxels & ((np.uint64(1) << np.uint64(min(slabs - slab + 1, AHEAD))) - np.uint64(1))
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def _lit(
     M: Medium,
     pulse: Pulse,
@@ -218,7 +218,7 @@ def _lit(
     return voxels, asked
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def _shorter(L: Lanes, way: _Way, n: int, alive: np.uint64, slab: int, slabs: int) -> tuple[np.uint64, int]:
     """Return the lanes that do not end before a slab, and the slab in which the last one ends."""
     passed_m, range_m = way.to_middle + (f4(slab) - f4(0.5)) * way.length, L.range_m
@@ -230,7 +230,7 @@ def _shorter(L: Lanes, way: _Way, n: int, alive: np.uint64, slab: int, slabs: in
     return alive, min(slabs, int((last_m - way.to_middle) / way.length + f4(1.5)))
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def _lines(
     corner_m: tuple[float, float, float], L: Lanes, n: int, near_m: np.float32, axes: tuple[int, int, int]
 ) -> tuple[np.uint64, np.float32]:
@@ -248,7 +248,7 @@ def _lines(
     return alive, last_m
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def _lay_lines(corner_m: tuple[float, float, float], row: F4, line: F4, lanes: int, axes: tuple[int, int, int]) -> None:
     (main, one, two), scale = axes, f4(LANES / VOXEL_M)
     along, across, up = LANES * main, LANES * one, LANES * two

@@ -3,7 +3,7 @@
 import numpy as np
 
 from vlp16emu.elementary import hypot
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import array_kernel
 from vlp16emu.types import F8
 
 _PIECE = 32  # segments that share a bounding box
@@ -40,7 +40,7 @@ def distance_m(points_xy_m: F8, line_xy_m: F8) -> F8:
     return Polyline(line_xy_m).distance_m(points_xy_m)
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _distances(out: F8, points: F8, line: F8, boxes: F8) -> None:
     """Fill (n,) distances: first the piece with the nearest box, then all pieces that could be nearer."""
     gap = np.empty(boxes.shape[0])
@@ -60,7 +60,7 @@ def _distances(out: F8, points: F8, line: F8, boxes: F8) -> None:
         out[i] = nearest
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _to_piece(x: float, y: float, line: F8, piece: int) -> float:
     """Distance of a point from the segments of one piece."""
     last = line.shape[0] - 1

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import hypot
 from vlp16emu.foliage.lanes import AT, FACING, HEIGHT, Pulse, Stems, lowest
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import inline_kernel, kernel
 from vlp16emu.raycast.kernel import COSINE, DIRECTION, LANES, ORIGIN, RANGE
 from vlp16emu.types import F4, F8, I4, I8, U1, U4
 
@@ -83,7 +83,7 @@ def seen(stems: Stems) -> Seen:
     )
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def see_stems(stems: Stems, out: Seen, axes: F4, near_m: float, far_m: float, aside_m: float, spread: float) -> None:
     """List the stems that pulses may meet, nearest first.
 
@@ -125,7 +125,7 @@ def see_stems(stems: Stems, out: Seen, axes: F4, near_m: float, far_m: float, as
     out.total[0] = count
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def _sector(axes: F4, spread: float) -> _Sector:
     """Return the sector that contains the pulses."""
     x_m = y_m = mx = my = 0.0
@@ -155,7 +155,7 @@ def _sector(axes: F4, spread: float) -> _Sector:
     return _Sector(x_m, y_m, away_m, mx, my, edges[0], edges[1], level)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def meet_stems(stems: Stems, ahead: Seen, pulse: Pulse) -> None:
     """Intersect the lanes with the stems ahead until all lanes have ended."""
     row, from_m, count = pulse.lanes.row, ahead.from_m, ahead.total[0]
@@ -172,7 +172,7 @@ def meet_stems(stems: Stems, ahead: Seen, pulse: Pulse) -> None:
                 last_m = _farthest(row, pulse.n)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def _farthest(row: F4, n: int) -> np.float32:
     last_m = row[RANGE]
     for lane in range(1, n):
@@ -180,7 +180,7 @@ def _farthest(row: F4, n: int) -> np.float32:
     return last_m
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def _close(row: F4, at: int, pulse: Pulse, last_m: np.float32) -> np.uint64:
     """Return bits of the stems of a block, whose rows begin at `at`, that the pulse may hit.
 
@@ -211,7 +211,7 @@ def _close(row: F4, at: int, pulse: Pulse, last_m: np.float32) -> np.uint64:
     return close
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def meet_stem(stems: Stems, pulse: Pulse, stem: int) -> bool:
     """Intersect the lanes with a stem: a cone with its bend and width at the height of the hit."""
     axis = pulse.axis
@@ -259,7 +259,7 @@ def meet_stem(stems: Stems, pulse: Pulse, stem: int) -> bool:
     return _keep_nearest(stems, pulse, stem)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def _nearest(
     q: tuple[float, float, float],
     s: tuple[float, float, float],
@@ -281,7 +281,7 @@ def _nearest(
     return nearest_m, lift + nearest_m * up, px * px + py * py + pz * pz
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def _keep_nearest(stems: Stems, pulse: Pulse, stem: int) -> bool:
     """Keep hits of a stem's cone that are nearest and within the stem; return True if there is any."""
     L, near_m = pulse.lanes, pulse.near_m
@@ -295,7 +295,7 @@ def _keep_nearest(stems: Stems, pulse: Pulse, stem: int) -> bool:
     return met
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def _cut_cone(
     row: F4,
     lanes: int,
@@ -329,7 +329,7 @@ def _cut_cone(
         row[FACING + lane] = min(max(-(along + square * on_m) / there_m, f4(0.0)), f4(1.0))
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def _knot(profile: F4, height_m: float) -> int:
     """Find the knot of a profile at or below a height, at least the first and at most the last but one."""
     knot, at_m = 0, f4(height_m)

@@ -10,7 +10,7 @@ import os
 import pickle
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -49,17 +49,18 @@ class KernelCache:
             return None
         name = self._file(signature)
         content = read_checked(_PACKAGED / name) or user_kernels().read(name)
-        return _loaded(context, *pickle.loads(content)) if content else None  # noqa: S301 - from a safe folder
+        if not content:
+            return None
+        from vlp16emu.kernels.numba_private import load_kernel
+
+        return load_kernel(context, *pickle.loads(content))  # noqa: S301 - from a safe folder
 
     def save_overload(self, signature: object, result: Any) -> None:
         """Store a kernel, unless it contains addresses of this process."""
-        from numba.core.serialize import dumps
+        from vlp16emu.kernels.numba_private import kernel_bytes
 
         if self._is_kept and not result.library.has_dynamic_globals:
-            library, described, environment, types, *_, environments = result._reduce()
-            name, _, (code, _) = library
-            full = [inner for inner in environments if inner.consts]  # the others name modules that are not needed
-            user_kernels().write(self._file(signature), dumps((name, code, described, environment, types, full)))
+            user_kernels().write(self._file(signature), kernel_bytes(result))
 
     def give_up(self, signature: object) -> None:
         """Store an empty file for a kernel that cannot be compiled, so that it is not tried at each start."""
@@ -69,48 +70,6 @@ class KernelCache:
         args = getattr(signature, "args", signature)
         of = hashlib.sha256(str(args).encode()).hexdigest()[:20]
         return f"{_state()}-{self._name}-{of}-{_content(frozenset({self._module, *_modules(args)}))}{_SUFFIX}"
-
-
-def _loaded(
-    context: Any, name: str, code: bytes, described: Any, environment: Any, types: object, environments: Iterable[Any]
-) -> object:
-    """Make a kernel from its stored parts, for calls from Python: its code for linking, half of the file, is not stored.
-
-    Unlike `CompileResult._rebuild`, it loads nothing that only compilation needs.
-    """
-    from numba.core.compiler import compile_result
-
-    _declare_runtime()
-    codegen = context.codegen()
-    library = codegen.create_library(name)
-    library.enable_object_caching()
-    library._set_compiled_object(code)
-    library._finalize_final_module()
-    codegen._engine._defined_symbols.add(described.llvm_cpython_wrapper_name)
-    # LLVM calls Python for the code: what a signal's handler raises there is lost, and the kernel has no address.
-    if not library.get_pointer_to_function(described.llvm_cpython_wrapper_name):
-        raise KeyboardInterrupt
-    entry = context.get_executable(library, described, environment)
-    for inner in environments:
-        codegen.set_env(inner.env_name, inner)
-    return compile_result(
-        target_context=context,
-        entry_point=entry,
-        fndesc=described,
-        signature=types,
-        environment=environment,
-        objectmode=False,
-    )
-
-
-@cache
-def _declare_runtime() -> None:
-    """Declare the functions of numba's runtime to LLVM; numba's `initialize` also compiles for 0.05 s."""
-    from llvmlite import binding
-    from numba.core.runtime import _nrt_python
-
-    for name, address in _nrt_python.c_helpers.items():
-        binding.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
 
 
 @cache

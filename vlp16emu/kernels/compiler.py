@@ -10,12 +10,13 @@ costliest first. It may be outdated: a kernel that it lacks is compiled when it 
 """
 
 import json
+import logging
 import os
 import signal
-import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -23,13 +24,6 @@ from typing import Any
 import numba
 from llvmlite import binding
 from numba import types
-from numba.core import sigutils
-from numba.core.caching import NullCache
-from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler
-from numba.core.compiler_lock import global_compiler_lock
-from numba.core.dispatcher import Dispatcher
-from numba.core.registry import CPUDispatcher
 
 from vlp16emu.cores import usable_cores
 from vlp16emu.kernels.cache import KernelCache, user_kernels
@@ -39,85 +33,7 @@ _TARGETS = {  # targets of the x86-64 psABI and the features they require, in LL
     "x86-64-v2": ("popcnt", "sse4.1", "sse4.2", "ssse3"),
 }
 _TABLE = Path(__file__).with_name("table.json")
-
-
-class KernelDispatcher(CPUDispatcher):  # type: ignore[misc]
-    """Dispatcher of a kernel."""
-
-    depth = 0  # nesting depth of kernels that are compiled for a calling kernel
-
-    @classmethod
-    def take_over(cls, dispatcher: CPUDispatcher) -> None:
-        """Convert numba's dispatcher into this class, with our cache."""
-        dispatcher.__class__ = cls
-        dispatcher.kept = KernelCache(dispatcher.py_func)
-        dispatcher._compiler.pipeline_class = _KernelCompiler
-
-    @property
-    def _cache(self) -> Any:
-        """Cache for kernels that Python calls; for inner kernels None, as files lack code for linking."""
-        return NullCache() if KernelDispatcher.depth else self.kept
-
-    def get_call_template(self, args: Any, kws: Any) -> Any:
-        """Compile for a kernel that calls this one, ours or a user program's."""
-        with global_compiler_lock:
-            KernelDispatcher.depth += 1
-            try:
-                return super().get_call_template(args, kws)
-            finally:
-                KernelDispatcher.depth -= 1
-
-    def compile(self, sig: Any) -> Any:
-        """Compile for argument types unless already done: for Python, or as an inner kernel."""
-        with global_compiler_lock:
-            args, _ = sigutils.normalize_signature(sig)
-            done = self.overloads.get(tuple(args))
-            if done and (done.library is None if KernelDispatcher.depth else isinstance(done.entry_point, _Inner)):
-                del self.overloads[tuple(args)]
-            return super().compile(sig)
-
-    def add_overload(self, cres: Any) -> None:
-        """Add a compiled kernel; only one with an entry can be called from Python."""
-        if cres.entry_point is not None:
-            super().add_overload(cres)
-            return
-        inner = cres._replace(entry_point=_Inner())
-        self.targetctx.insert_user_function(inner.entry_point, cres.fndesc, [cres.library])
-        self.overloads[tuple(cres.signature.args)] = inner
-
-
-class _Inner:
-    """Name of a kernel without entry, for its callers."""
-
-
-class _KernelCompiler(Compiler):  # type: ignore[misc]
-    """Numba's compiler, limited for inner kernels to the parts that calling kernels use."""
-
-    def __init__(self, *args: Any, **options: Any) -> None:
-        if "numba.np.arraymath" not in sys.modules:
-            # It would load scipy.linalg (0.1 s) only to check that it exists; a kernel that uses it checks again.
-            from numba.np import linalg
-
-            ensure_blas = linalg.ensure_blas
-            linalg.ensure_blas = lambda: setattr(linalg, "ensure_blas", ensure_blas)
-        super().__init__(*args, **options)
-
-    def compile_extra(self, func: Any) -> Any:
-        state = self.state
-        state.flags.no_cfunc_wrapper = True
-        if KernelDispatcher.depth:
-            state.flags.no_cpython_wrapper = state.flags.no_compile = True
-            state.library = _InnerLibrary(state.targetctx.codegen(), func.__qualname__)
-        return super().compile_extra(func)
-
-
-class _InnerLibrary(JITCodeLibrary):  # type: ignore[misc]
-    """Code that is linked into callers; it has no machine code of its own in memory."""
-
-    def _finalize_final_module(self) -> None:
-        self._finalize_dynamic_globals()
-        self._verify_declare_only_symbols()
-        self._finalized = True
+_KNOWN = (0, 68)  # latest version of numba whose private interfaces are known
 
 
 def _target() -> tuple[str, str]:
@@ -137,20 +53,70 @@ def _prepare() -> None:
     # In the environment: numba reads it again when one of its variables changes.
     os.environ["NUMBA_CPU_NAME"], os.environ["NUMBA_CPU_FEATURES"] = _target()
     numba.config.reload_config()
-    enable_caching = Dispatcher.enable_caching
+    if is_plain():
+        return
+    from vlp16emu.kernels.numba_private import take_over_kernels
 
-    def enable_our_caching(dispatcher: CPUDispatcher) -> None:
-        """Take over a kernel of this package; kernels of other programs stay with numba."""
-        if dispatcher.py_func.__module__.partition(".")[0] == "vlp16emu":
-            KernelDispatcher.take_over(dispatcher)
-        else:
-            enable_caching(dispatcher)
+    take_over_kernels()
 
-    Dispatcher.enable_caching = enable_our_caching  # type: ignore[method-assign, assignment]
+
+@cache
+def is_plain() -> bool:
+    """Return True if numba compiles and keeps kernels in its own way, which takes longer and changes no byte.
+
+    So it is with versions of numba whose private interfaces are not known, unless a kernel that is compiled through
+    them works; or if `VLP16EMU_NUMBA` is `plain`.
+    """
+    if os.environ.get("VLP16EMU_NUMBA") == "plain":
+        return True
+    if tuple(map(int, numba.__version__.split(".")[:2])) <= _KNOWN:
+        return False
+    try:
+        from vlp16emu.kernels.numba_private import check_interfaces
+
+        check_interfaces()
+    except Exception as error:  # noqa: BLE001 - whatever has changed
+        text = "numba %s: its private interfaces are not those of %d.%d (%s); kernels are compiled in its own way"
+        logging.getLogger(__name__).warning(text, numba.__version__, *_KNOWN, error)
+        return True
+    return False
 
 
 _prepare()
 
+
+def kernel(function: Callable[..., Any]) -> Any:
+    """Compile a kernel that allocates no arrays: numba need not count references, which saves a sixth of the time."""
+    return _njit(_nrt=False)(function)
+
+
+def array_kernel(function: Callable[..., Any]) -> Any:
+    """Compile a kernel that allocates arrays."""
+    return _njit()(function)
+
+
+def inline_kernel(function: Callable[..., Any]) -> Any:
+    """Compile a kernel that becomes part of each kernel that calls it; it allocates no arrays."""
+    return _njit(_nrt=False, forceinline=True)(function)
+
+
+def inner_kernel(function: Callable[..., Any], *, inlined: bool) -> Any:
+    """Compile a kernel for callers alone: it has no entry from Python or C.
+
+    It keeps its order of operations even if the caller uses `fastmath`.
+    """
+    options = {"fastmath": False, "no_cfunc_wrapper": True, "no_cpython_wrapper": True}
+    return _njit(_nrt=False, forceinline=inlined, **options)(function)
+
+
+def _njit(**options: Any) -> Any:
+    """Return numba's decorator: kernels release the GIL, and divide by 0 as numpy does."""
+    if is_plain():
+        options = {name: value for name, value in options.items() if name not in _PRIVATE}
+    return numba.njit(cache=True, nogil=True, error_model="numpy", **options)
+
+
+_PRIVATE = frozenset({"_nrt", "no_cfunc_wrapper", "no_cpython_wrapper"})  # options that numba does not document
 _ENDINGS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 _POLL_S = 1.0  # interval at which children are looked after
 
@@ -166,6 +132,8 @@ def compile_kernels(group: str | None = None) -> Iterator[tuple[int, int]]:
 
     Yields the number of finished kernels, from 0, and their total; nothing if all are on disk.
     """
+    if is_plain():
+        return
     missing = [row for row in table(group) if not _is_kept(row)]
     if not missing:
         return

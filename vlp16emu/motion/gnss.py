@@ -11,7 +11,7 @@ from functools import lru_cache, partial
 import numpy as np
 
 from vlp16emu.elementary import atan2, cos, exp, hypot, matvec, sin, tanh
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import array_kernel
 from vlp16emu.motion.pose import Motion
 from vlp16emu.motion.settings import Gps
 from vlp16emu.random import Purpose, normal_pair, uniform_pair
@@ -121,7 +121,7 @@ def _exceeded(z: float) -> float:
     return 0.5 - total * exp(-0.5 * z * z) * _NORMAL_PEAK
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def wander(seed: int, lane: int, second: int, correlation_s: float) -> float:
     """First-order Gauss-Markov process of variance 1, evaluated at one whole second.
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from vlp16emu.elementary import matmul, matvec, norm
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import array_kernel
 from vlp16emu.motion.pose import Kinematics, Motion, rotation
 from vlp16emu.motion.settings import Mount
 from vlp16emu.random import Purpose, normal
@@ -79,7 +79,7 @@ class MountedMotion:
         return poses, turns
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _spin(whole_s: I8, rest_ns: I8, spin_hz: float, tilts: F8, out: F8) -> None:
     """Fill the tilt rotated about the axis, by Rodrigues' formula."""
     for i in range(len(out)):
@@ -91,7 +91,7 @@ def _spin(whole_s: I8, rest_ns: I8, spin_hz: float, tilts: F8, out: F8) -> None:
                 out[i, a, b] = tilts[0, a, b] + s * tilts[1, a, b] + (1.0 - c) * tilts[2, a, b]
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _mount(world_R_body: F8, world_p_body_m: F8, body_R_device: F8, arm_m: F8, R: F8, p_m: F8) -> None:
     """Fill world_R_device and world_p_device; a single carrier pose or rotation applies to all."""
     for i in range(len(R)):

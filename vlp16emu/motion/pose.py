@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import array_kernel, inline_kernel
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import F8, I8, Poses
 
@@ -39,7 +39,7 @@ class Motion(Protocol):
         """Poses at UTC instants (n,) with the derivatives of the same function."""
 
 
-@numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
+@inline_kernel
 def fill_rotation(cy: float, sy: float, cp: float, sp: float, cr: float, sr: float, out: F8) -> None:
     """Fill the rotation (3, 3) of `rotate` from cosines and sines of yaw, pitch and roll."""
     out[0, 0], out[0, 1], out[0, 2] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
@@ -47,7 +47,7 @@ def fill_rotation(cy: float, sy: float, cp: float, sp: float, cr: float, sr: flo
     out[2, 0], out[2, 1], out[2, 2] = -sp, cp * sr, cp * cr
 
 
-@numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
+@inline_kernel
 def rotate(yaw_rad: float, pitch_rad: float, roll_rad: float, out: F8) -> None:
     """Fill a rotation (3, 3), body to world: about z, then y, then x.
 
@@ -56,7 +56,7 @@ def rotate(yaw_rad: float, pitch_rad: float, roll_rad: float, out: F8) -> None:
     fill_rotation(*cos_sin(yaw_rad), *cos_sin(pitch_rad), *cos_sin(roll_rad), out)
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def rotations(yaw_rad: F8, pitch_rad: float, roll_rad: float) -> F8:
     """Return world_R_body (n, 3, 3) for headings (n,) and a fixed inclination, angles as in `rotate`."""
     out = np.empty((yaw_rad.size, 3, 3))

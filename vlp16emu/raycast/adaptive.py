@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vlp16emu.elementary import exp
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import inline_kernel, kernel
 from vlp16emu.types import F4, F8, NO_SURFACE, U4
 
 _NONE = np.uint32(NO_SURFACE)
@@ -48,7 +48,7 @@ def worth_of_ray_m(target_m: float) -> float:
     return _PER_RAY * target_m * target_m * target_m * math.sqrt(target_m)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inline_kernel
 def enough(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, budget: RayBudget, order: F8) -> bool:
     """Return whether n sub-rays determine the strongest echo and its detection well enough for the target.
 
@@ -71,7 +71,7 @@ def enough(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, budget:
     return is_precise or _error_m(order, met, resolution_m) <= worth_m
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inline_kernel
 def _is_plain(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, threshold: float) -> bool:
     """Return whether the rays clearly give an echo, or none, against the threshold."""
     total, bright = np.float32(0.0), _PLAIN[1] * threshold
@@ -85,7 +85,7 @@ def _is_plain(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, thre
     return bool(total <= _PLAIN[0] * threshold)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False)
+@kernel
 def _is_doubtful(order: F8, met: int, n: int, budget: RayBudget) -> bool:
     """Return whether the positions of n sub-rays, rather than noise, decide if the strongest echo is seen."""
     first, last, strongest = _strongest(order, 0, met, budget.resolution_m / 2)
@@ -98,7 +98,7 @@ def _is_doubtful(order: F8, met: int, n: int, budget: RayBudget) -> bool:
     return math.sqrt(variance / both) * exp(-(off * off) / (2 * both)) > _DOUBT
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False)
+@kernel
 def _error_m(order: F8, met: int, resolution_m: float) -> float:
     first, last, strongest = _strongest(order, 0, met, resolution_m)
     second = max(_strongest(order, 0, first, resolution_m)[2], _strongest(order, last + 1, met, resolution_m)[2])
@@ -116,7 +116,7 @@ def _error_m(order: F8, met: int, resolution_m: float) -> float:
     return 0.5 * exp(-lead / 2) * resolution_m + standard_error_m
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False)
+@kernel
 def _sort_echoes(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, order: F8) -> int:
     """Fill ranges and energies of the hits, nearest first; the energy falls with the square of the range."""
     met = 0
@@ -135,7 +135,7 @@ def _sort_echoes(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, o
     return met
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False)
+@kernel
 def _strongest(order: F8, first: int, stop: int, resolution_m: float) -> tuple[int, int, float]:
     """Return first, last and energy of the strongest interval within the resolution, among sorted echoes."""
     best, best_first, best_last = 0.0, first, first - 1

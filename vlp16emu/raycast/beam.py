@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vlp16emu.elementary import cos, log, sin
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import inline_kernel, kernel
 from vlp16emu.random import Purpose, uniform_pair
 from vlp16emu.raycast.adaptive import RayBudget, worth_of_ray_m
 from vlp16emu.raycast.settings import Beam
@@ -127,14 +127,14 @@ _REACH = np.append(np.sqrt(np.square(_SUPPORT).sum(axis=1)).reshape(-1, ROUND).m
 FARTHEST = float(_REACH[-1])  # greatest distance of a sub-ray from the centre, in standard deviations
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False)
+@kernel
 def turn(seed: int, firing: int, laser: int) -> tuple[np.uint32, np.uint32]:
     """Draw the two random numbers of a pulse's sub-ray pattern, in steps of 2**-32."""
     u, v = uniform_pair(seed, _TURN, firing, laser)
     return np.uint32(u * 2.0**32), np.uint32(v * 2.0**32)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False)
+@kernel
 def lay(rays: F4, axes: F4, sigmas: F4, u: np.uint32, v: np.uint32, first: int, support: bool) -> None:
     """Fill eight sub-rays of a pulse from number `first`: origins in rows 0 to 2 of eight, unit directions in rows 4 to 6.
 
@@ -173,13 +173,13 @@ def lay(rays: F4, axes: F4, sigmas: F4, u: np.uint32, v: np.uint32, first: int, 
         rays[_Y + 2 * ROUND + lane] = (along_z + level_z * lean_a + up_z * lean_b) * scale
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inline_kernel
 def reach_of(first: int, support: bool) -> np.float32:
     """Return the greatest distance of the round of sub-rays `first` from the centre, in standard deviations."""
     return _REACH[first // ROUND] if support and first < len(_SUPPORT) else _REACH[-1]
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False)
+@kernel
 def pulse_axes(origin_m: F8, direction: F8, beam_axis: F8, from_m: F8, i: int, j: int, axes: F4) -> None:
     """Fill axes (4, 3) of pulse i, j of arrays (k, L, 3), its origin relative to `from_m` (3,)."""
     for a in range(3):

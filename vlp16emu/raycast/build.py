@@ -13,7 +13,7 @@ from numba import types
 from numpy.typing import NDArray
 
 from vlp16emu.errors import RunError
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import array_kernel, inline_kernel
 from vlp16emu.raycast import embree as rtc
 from vlp16emu.raycast.pieces import Faces, faces_of, in_pieces
 from vlp16emu.types import F4, F8, I8, U4, U8, Mesh, Window
@@ -108,7 +108,7 @@ def _counting(n: int) -> U4:
     return counted
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@array_kernel
 def widened(vertices_m: F4, triangles: U4) -> F4:
     """Move the corners of triangles (t, 3) outwards in their planes, so that their edges are `_WIDER_M` farther out.
 
@@ -302,14 +302,14 @@ def motion_of(window: Window) -> tuple[InstanceMotion, dict[int, F4]]:
     return InstanceMotion(sway.start_ns, span_ns, shear, foot_m), moving
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _set_steps(geometry: int, transforms: F4) -> None:
     _set_count(geometry, len(transforms))
     for knot in range(len(transforms)):
         _set_transform(geometry, knot, rtc.FORMAT_FLOAT3X4_ROW_MAJOR, transforms[knot].ctypes.data)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inline_kernel
 def knot_at(knots: int, time: float) -> tuple[int, float]:
     """Return the knot before a ray time 0..1, and the fraction from it to the next knot."""
     at = np.float64(time) * (knots - 1)

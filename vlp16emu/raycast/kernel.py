@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import array_kernel, inline_kernel, kernel
 from vlp16emu.raycast.adaptive import RayBudget, enough
 from vlp16emu.raycast.beam import ROUND, lay, pulse_axes, reach_of, turn
 from vlp16emu.raycast.packet import DIR, NONE, ORG, PACKET, TIME, RayPacket, Target, cast_packet, ray_met, set_filter
@@ -102,7 +102,7 @@ def go_on(passage: Any, cast: Cast, todo: int, count: int, reach: np.float32) ->
     raise NotImplementedError
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def cast_lines(cast: Cast, beyond: Target | None, passage: Any, range_m: F4, surface: U4, cos_incidence: F4) -> None:
     """Cast one ray per pulse and fill arrays (k, L); packets hold eight consecutive firings of a laser.
 
@@ -120,7 +120,7 @@ def cast_lines(cast: Cast, beyond: Target | None, passage: Any, range_m: F4, sur
             surface[i, j], cos_incidence[i, j] = met, batch.row[q, COSINE]
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def cast_pulses(cast: Cast, beyond: Target | None, passage: Any, budget: RayBudget, count: U2, first_round: U4) -> U4:
     """Cast the sub-rays of every pulse in rounds of eight.
 
@@ -158,7 +158,7 @@ def cast_pulses(cast: Cast, beyond: Target | None, passage: Any, budget: RayBudg
     return further
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False)
+@kernel
 def join_rounds(count: U2, first_round: U4, further: U4, hits: U4) -> None:
     """Fill hits (3, n) from first and further rounds, as in `cast_pulses`, in order of pulses."""
     pulses, lasers = count.size, count.shape[1]
@@ -178,7 +178,7 @@ def join_rounds(count: U2, first_round: U4, further: U4, hits: U4) -> None:
                 at, used = at + more, used + more
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False)
+@kernel
 def _cast_middles(cast: Cast, beyond: Target | None, first: int) -> None:
     """Cast the centre rays of the pulses of eight sequences against faces, one packet per laser."""
     near, light, packet, batch = cast
@@ -200,7 +200,7 @@ def _cast_middles(cast: Cast, beyond: Target | None, first: int) -> None:
         _put_down(cast, beyond, PACKET * j, ZERO + 1, ZERO + PACKET)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False)
+@kernel
 def _cast_near(
     cast: Cast, beyond: Target | None, budget: RayBudget, first: int, todo: int, have: int, count: int
 ) -> None:
@@ -221,7 +221,7 @@ def _cast_near(
         _put_down(cast, beyond, q, ZERO, count)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inline_kernel
 def _put_down(cast: Cast, beyond: Target | None, q: int, step: int, count: int) -> None:
     """Store hits of all rays of pulse q (step 0), or of one ray of each pulse from q on (step 1); pass on the misses."""
     near, light, packet, batch = cast
@@ -240,7 +240,7 @@ def _put_down(cast: Cast, beyond: Target | None, q: int, step: int, count: int) 
         _send_on(cast, beyond, q, step, count)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inline_kernel
 def _send_on(cast: Cast, beyond: Target, q: int, step: int, count: int) -> None:
     """Store the rays that go on for the medium, and cast them against faces at any range."""
     _, light, packet, batch = cast
@@ -263,7 +263,7 @@ def _send_on(cast: Cast, beyond: Target, q: int, step: int, count: int) -> None:
             row[to, RANGE + lane], surface[to, lane], row[to, COSINE + lane] = ray_met(beyond, packet, r)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False)
+@kernel
 def _settle(cast: Cast, budget: RayBudget, first_round: U4, first: int, todo: int, have: int, count: int) -> int:
     """Take the hits of a round; list the pulses that need another round, and return their number.
 
@@ -300,7 +300,7 @@ def _settle(cast: Cast, budget: RayBudget, first_round: U4, first: int, todo: in
     return left
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _further(batch: Batch, each: int, first: int, count: U2) -> U4:
     """Count the hits of eight sequences; return the ones after the first `each`, (3, n) as in `cast_pulses`."""
     most, n = batch.scratch.shape[1], ZERO

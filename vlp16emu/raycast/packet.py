@@ -17,7 +17,7 @@ import numpy as np
 from numba import types
 
 from vlp16emu.elementary import sin
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import inline_kernel, kernel, numba
 from vlp16emu.raycast.build import knot_at
 from vlp16emu.raycast.embree import FLAG_COHERENT, FLAG_FILTER
 from vlp16emu.types import F4, F8, I4, I8, U4, U8
@@ -100,27 +100,27 @@ _as_int32, _as_int64 = _pointer(types.int32), _pointer(types.int64)
 _as_uint32, _as_uint64 = _pointer(types.uint32), _pointer(types.uint64)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def _minus(a: _Vector, b: _Vector) -> _Vector:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def _dot(a: _Vector, b: _Vector) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def _cross(a: _Vector, b: _Vector) -> _Vector:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def _vector(numbers: Any, at: int, step: int) -> _Vector:
     return np.float64(numbers[at]), np.float64(numbers[at + step]), np.float64(numbers[at + 2 * step])
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def _corners(desk: Any, instance: int, face: int) -> _Corners:
     row = 2 * (_as_int64(desk[5])[instance] + np.int64(face >> np.uint64(32)))
     buffers, triangle = _as_uint64(desk[6]), 3 * np.int64(face & np.uint64(NONE))
@@ -129,7 +129,7 @@ def _corners(desk: Any, instance: int, face: int) -> _Corners:
     return _vector(vertices, a, 1), _vector(vertices, b, 1), _vector(vertices, c, 1)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def _in_shape(desk: Any, own: Any, r: int, instance: int) -> tuple[_Vector, _Vector]:
     """Return origin and direction of ray r in the coordinates of an instance's shape."""
     (x, y, z), (dx, dy, dz) = _vector(own, r, PACKET), _vector(own, DIR + r, PACKET)
@@ -149,7 +149,7 @@ def _in_shape(desk: Any, own: Any, r: int, instance: int) -> tuple[_Vector, _Vec
     return origin_m, (_dot(one, along), _dot(two, along), _dot(three, along))
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def _cut(corners: _Corners, normal: _Vector, ray: tuple[_Vector, _Vector]) -> tuple[float, float, bool]:
     """Intersect a ray with a triangle: return range, product of normal and direction, and whether it passes inside.
 
@@ -164,7 +164,7 @@ def _cut(corners: _Corners, normal: _Vector, ray: tuple[_Vector, _Vector]) -> tu
     return range_m, facing, (min(of_a, of_b, of_c) >= 0.0) | (max(of_a, of_b, of_c) <= 0.0)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@kernel
 def _decide(arguments: int) -> None:
     """Accept or reject a candidate for some rays: Embree's filter, with the address of RTCFilterFunctionNArguments."""
     words = _as_uint64(arguments)
@@ -239,13 +239,13 @@ def ray_packet() -> RayPacket:
     return packet
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inline_kernel
 def set_filter(packet: RayPacket) -> None:
     """Set this kernel's `_decide` as the filter of a packet."""
     packet.arguments[2] = _filter()
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+@inline_kernel
 def cast_packet(target: Target, packet: RayPacket, near_m: float, far_m: float) -> None:
     """Cast the valid rays of a packet between two ranges; if one is steep, all are cast as steep."""
     rays, own, valid, desk = packet.rays, packet.own, packet.valid, packet.desk
@@ -270,7 +270,7 @@ def cast_packet(target: Target, packet: RayPacket, near_m: float, far_m: float) 
     _intersect(valid.ctypes.data, scene, rays.ctypes.data, packet.arguments.ctypes.data)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+@inline_kernel
 def ray_met(target: Target, packet: RayPacket, r: int) -> tuple[np.float32, np.uint32, np.float32]:
     """Return range, surface and cosine of incidence of the hit of ray r.
 

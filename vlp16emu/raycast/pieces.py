@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import kernel
 from vlp16emu.types import F4, F8, I8, U4, Mesh
 
 Faces = tuple[F4, U4]  # vertices (v, 3) in metres, and triangles (t, 3)
@@ -95,7 +95,7 @@ def _side_m2(boxes: F8) -> F8:
     return (size[..., 0] + size[..., 1]) * size[..., 2]
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False)
+@kernel
 def _put(vertices_m: F4, triangles: U4, low_m: float, slab: I8, boxes: F8) -> None:
     """Assign triangles (t, 3) to the slabs of their lowest corners, and extend the boxes (slabs, 2, 3) to include them."""
     for t in range(len(triangles)):

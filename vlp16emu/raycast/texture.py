@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import exp
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import inline_kernel, kernel
 from vlp16emu.random import Purpose, uniform_pair
 from vlp16emu.trig import ZERO, fold
 from vlp16emu.types import F4, F8, I8, U2, U4, Firings, Hits, PlantPart
@@ -64,7 +64,7 @@ def add_texture(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: 
     _texture(firings.origin_m, firings.direction, rays, looks, seed, known)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@kernel
 def _texture(origin_m: F8, direction: F8, rays: tuple[U2, F4, U4, F4], looks: F4, seed: int, known: _Known) -> None:
     """Add the relief to the ranges of the sub-rays of pulses (k, L), and multiply their cosines by the texture.
 
@@ -107,7 +107,7 @@ def _texture(origin_m: F8, direction: F8, rays: tuple[U2, F4, U4, F4], looks: F4
                     range_m[ray] += relief_m * _STANDING_OUT * (square * square * even) * (_EVEN + _UNEVEN * strength)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+@inline_kernel
 def _of_patch(
     seed: int, per_m: float, origin_m: F8, direction: F8, i: int, j: int, at_m: float, slot: int, known: _Known
 ) -> tuple[float, float]:
@@ -126,7 +126,7 @@ def _of_patch(
     return drawn, _STRENGTH[np.int64(share * len(_STRENGTH))]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+@inline_kernel
 def _of_cell(seed: int, u: int, v: int, w: int, slot: int, j: int, known: _Known) -> float:
     """Draw the number of a cell, unless the last pulse of laser j hit it too."""
     cells, values = known

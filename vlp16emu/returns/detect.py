@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import inline_kernel, kernel
 from vlp16emu.random import Purpose, box_muller, normal_pair, normal_pairs, uniform_pair
 from vlp16emu.returns.detector import UnitDetector
 from vlp16emu.returns.echoes import (
@@ -124,7 +124,7 @@ class _Errors(NamedTuple):
     sheet: U4
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@kernel
 def _detect(
     constants: DetectorConstants,
     first: int,
@@ -187,7 +187,7 @@ def _detect(
                 lose(rates, drawn, pulse, before, j, code, dual, distance_m[i, j], reflectivity[i, j])
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@kernel
 def _mark_silent(
     constants: DetectorConstants,
     no_return: F8,
@@ -220,7 +220,7 @@ def _mark_silent(
                 reflectivity[i, j, :_SECOND] = np.uint8(higher if higher > 0.0 else code)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@kernel
 def _count_unevenly(parity: F8, distance_m: F4) -> None:
     """Move distances at the edge of an odd code into or out of this code, by each laser's excess of odd codes."""
     for i in range(distance_m.shape[0]):
@@ -234,7 +234,7 @@ def _count_unevenly(parity: F8, distance_m: F4) -> None:
                     distance_m[i, j, column] = np.float32((code + upward * parity[j]) / _CODES_PER_M)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+@inline_kernel
 def _only_echo(constants: DetectorConstants, n: int, laser: int, nodes: F8, lit: int, peaks: F8) -> tuple[float, float]:
     """Return range and amplitude of the only echo needed: the single node, or the highest peak in strongest return mode.
 
@@ -254,7 +254,7 @@ def _only_echo(constants: DetectorConstants, n: int, laser: int, nodes: F8, lit:
     return 0.0, 0.0
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+@inline_kernel
 def _is_seen(constants: DetectorConstants, n: int, lane: int, range_m: float, amplitude: float) -> bool:
     """Return True if an echo is within range and its peak, with noise, is above the threshold."""
     excess, certain = amplitude - constants.threshold, _CERTAIN_SIGMAS * constants.amplitude_noise
@@ -266,7 +266,7 @@ def _is_seen(constants: DetectorConstants, n: int, lane: int, range_m: float, am
     return excess >= 0.0 and range_m <= constants.max_range_m
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+@inline_kernel
 def _falls_short(constants: DetectorConstants, a: float, excess: float) -> bool:
     """Return True if noise from the uniform number a stays below the threshold for any second number; needs no logarithm.
 
@@ -277,7 +277,7 @@ def _falls_short(constants: DetectorConstants, a: float, excess: float) -> bool:
     return excess < 0.0 and (1.0 - a) * (1.0 + x * (1.0 + x * (0.5 + x * (1.0 / 6.0)))) > 1.0
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+@inline_kernel
 def _none_is_seen(constants: DetectorConstants, n: int, laser: int, most: float, count: int) -> bool:
     """Return True if none of up to `count` echoes with amplitudes up to `most` is detected, as for most faint pulses."""
     excess = most - constants.threshold
@@ -291,7 +291,7 @@ def _none_is_seen(constants: DetectorConstants, n: int, laser: int, most: float,
     return True
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+@inline_kernel
 def _measure(
     constants: DetectorConstants, noise: _Pair, range_m: float, amplitude: float, own: _Laser
 ) -> tuple[np.float32, np.uint8]:
@@ -313,7 +313,7 @@ def _measure(
     return np.float32(measured_m), reflectivity_byte(100.0 * reflectance, gain, counts, codes)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@kernel
 def _choose(constants: DetectorConstants, n: int, laser: int, peaks: F8, found: int, chosen: I8) -> None:
     """Find the peaks of the strongest, last and second strongest return; -1 for none."""
     chosen[:] = -1
@@ -340,7 +340,7 @@ def _choose(constants: DetectorConstants, n: int, laser: int, peaks: F8, found: 
                 peaks[OPEN, peak] = 0.0
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@kernel
 def _leave_out(peaks: F8, chosen: I8, lost: int) -> None:
     """Update the choice after a chosen peak is lost."""
     for column in range(3):
@@ -354,7 +354,7 @@ def _leave_out(peaks: F8, chosen: I8, lost: int) -> None:
         chosen[_LAST] = second if is_second else first
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@kernel
 def _write(
     constants: DetectorConstants, n: int, j: int, own: _Laser, peaks: F8, chosen: I8, distance_m: F4, reflectivity: U1
 ) -> None:

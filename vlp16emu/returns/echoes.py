@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vlp16emu.elementary import exp
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import array_kernel, inline_kernel
 from vlp16emu.returns.settings import DetectorConstants
 from vlp16emu.returns.weather import clutter_echo
 from vlp16emu.trig import ZERO
@@ -54,7 +54,7 @@ class SubRays(NamedTuple):
     reflectance: F4  # (m,) by surface
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+@inline_kernel
 def amplitude_of(constants: DetectorConstants, energy: float, range_m: float) -> float:
     """Return the amplitude of an energy at the detector: range equation and two-way extinction.
 
@@ -68,7 +68,7 @@ def amplitude_of(constants: DetectorConstants, energy: float, range_m: float) ->
     return amplitude
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+@inline_kernel
 def gather(constants: DetectorConstants, rays: SubRays, start: int, stop: int, nodes: F8) -> int:
     """Sum the sub-rays start .. stop - 1 of a pulse into nodes (COLUMNS, n); return the number of nodes.
 
@@ -100,7 +100,7 @@ def gather(constants: DetectorConstants, rays: SubRays, start: int, stop: int, n
     return found
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+@inline_kernel
 def find_peaks(nodes: F8, count: int, sigma_m: float, peaks: F8) -> int:
     """Fill peaks (COLUMNS, n) in order of range from nodes, which are sorted; return the number of peaks."""
     _sort(nodes, count)
@@ -112,7 +112,7 @@ def find_peaks(nodes: F8, count: int, sigma_m: float, peaks: F8) -> int:
     return found
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+@inline_kernel
 def brightest_group(nodes: F8, count: int, sigma_m: float) -> tuple[int, int, float, float]:
     """Sort nodes, and find the group of overlapping nodes with the greatest sum of amplitudes.
 
@@ -134,7 +134,7 @@ def brightest_group(nodes: F8, count: int, sigma_m: float) -> tuple[int, int, fl
     return first, last, most, second
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+@inline_kernel
 def highest_peak(nodes: F8, start: int, stop: int, sigma_m: float, peaks: F8) -> tuple[float, float]:
     """Return range and amplitude of the highest peak of a group of nodes; the nearest of equal peaks."""
     found, best = _peaks_of_group(nodes, start, stop, sigma_m, peaks, ZERO), 0
@@ -144,7 +144,7 @@ def highest_peak(nodes: F8, start: int, stop: int, sigma_m: float, peaks: F8) ->
     return peaks[RANGE, best], peaks[AMPLITUDE, best]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+@inline_kernel
 def _add_peak(peaks: F8, found: int, range_m: float, amplitude: float) -> int:
     """Add a peak, unless it is the previous one, reached from its other side; return the number of peaks."""
     if found > 0 and range_m - peaks[RANGE, found - 1] < _LAST_STEP_M:
@@ -154,7 +154,7 @@ def _add_peak(peaks: F8, found: int, range_m: float, amplitude: float) -> int:
     return found + 1
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+@inline_kernel
 def _sort(nodes: F8, count: int) -> None:
     for i in range(1, count):
         range_m, amplitude = nodes[RANGE, i], nodes[AMPLITUDE, i]
@@ -165,7 +165,7 @@ def _sort(nodes: F8, count: int) -> None:
         nodes[RANGE, j], nodes[AMPLITUDE, j] = range_m, amplitude
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+@inline_kernel
 def _quick_exp(x: float) -> float:
     """Return the exponential of x <= 0 with a relative error of 1e-10, at least 1e-300, at half the cost of a library call."""
     x = max(x, -690.0)
@@ -178,7 +178,7 @@ def _quick_exp(x: float) -> float:
     return np.int64(bits).view(np.float64)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+@inline_kernel
 def _waveform(nodes: F8, start: int, stop: int, x_m: float, sigma_m: float) -> _Light:
     """Return mean and variance of the ranges of light at x_m, relative to x_m, and the height of the waveform."""
     height = first = second = 0.0
@@ -193,7 +193,7 @@ def _waveform(nodes: F8, start: int, stop: int, x_m: float, sigma_m: float) -> _
     return mean_m, second / height - mean_m * mean_m, height
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+@inline_kernel
 def _waveform_at_nodes(nodes: F8, start: int, stop: int, sigma_m: float) -> None:
     """Fill in `_waveform` at each node; two nodes share one exponential."""
     sharpness = -0.5 / (sigma_m * sigma_m)
@@ -217,7 +217,7 @@ def _waveform_at_nodes(nodes: F8, start: int, stop: int, sigma_m: float) -> None
         nodes[_VARIANCE, node] = nodes[_VARIANCE, node] / nodes[_HEIGHT, node] - mean_m * mean_m
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+@inline_kernel
 def _peaks_of_group(nodes: F8, start: int, stop: int, sigma_m: float, peaks: F8, found: int) -> int:
     """Find the peaks of a group of nodes, uphill from each node on both sides.
 
@@ -247,7 +247,7 @@ def _peaks_of_group(nodes: F8, start: int, stop: int, sigma_m: float, peaks: F8,
     return found
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+@inline_kernel
 def _climb(
     nodes: F8, start: int, stop: int, sigma_m: float, x_m: float, end_m: float, closed: bool, light: _Light
 ) -> tuple[float, float]:
@@ -281,7 +281,7 @@ def _climb(
 _REACH_SIGMAS = 5.0
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@array_kernel
 def find_source_surfaces(
     constants: DetectorConstants, first: int, rays: SubRays, distance_m: F4, surface: U4, share: F4
 ) -> None:
@@ -314,7 +314,7 @@ def find_source_surfaces(
                 share[i, j, column] = same / (stop - start)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@array_kernel
 def _pulse(constants: DetectorConstants, away_m: float) -> float:
     away = away_m / constants.sigma_m
     return exp(-0.5 * away * away)

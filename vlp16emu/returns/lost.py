@@ -14,7 +14,7 @@ clutter of offices, these units lose 0.02 to 0.08 of the records; a step between
 import numpy as np
 
 from vlp16emu.elementary import power
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import inline_kernel
 from vlp16emu.random import Purpose, uniform, uniform_pair
 from vlp16emu.returns.echoes import SubRays
 from vlp16emu.returns.settings import LossRates
@@ -79,7 +79,7 @@ def loss_rates(seed: int, share: float, *, raised: bool) -> LossRates:
     return LossRates._make([*(share * rate for rate in rates), code if raised else 0.0, share * bright])
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+@inline_kernel
 def two_surfaces(rays: SubRays, sheet: U4, start: int, stop: int) -> float:
     """Return the share of the light of sub-rays start .. stop - 1 that is a range step away from the brightest sub-ray.
 
@@ -105,12 +105,12 @@ def two_surfaces(rays: SubRays, sheet: U4, start: int, stop: int) -> float:
     return other / total if total > 0.0 else 0.0
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+@inline_kernel
 def _fraction(x: float) -> float:
     return x - np.floor(x)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+@inline_kernel
 def lose(
     rates: LossRates,
     noise: tuple[float, float],
@@ -173,13 +173,13 @@ def lose(
         reflectivity[1] = np.uint8(_multiple(_SECOND_SHARE * shown + no_return, no_return, _FULL))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+@inline_kernel
 def _multiple(code: float, no_return: float, most: float) -> float:
     """Return the integer multiple of the laser's no-return code that is nearest to `code`, at most `most`."""
     return min(np.floor(np.rint(code / no_return) * no_return) if no_return > 0.0 else code, most)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+@inline_kernel
 def raised(
     rates: LossRates,
     key: tuple[int, int, int],

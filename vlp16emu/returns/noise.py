@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from vlp16emu.elementary import cos, exp, log, power
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import inline_kernel
 from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.returns.settings import DetectorConstants
 from vlp16emu.types import F8, U1
@@ -153,7 +153,7 @@ def range_beat_m(seed: int, amplitude_m: float, phase_deg: float | None) -> F8:
     return np.asarray(own_m * (cos(angle) + overtone * cos(2.0 * angle + _OVERTONE_RAD)))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+@inline_kernel
 def range_sigma_m(constants: DetectorConstants, reflectance: float, amplitude: float) -> float:
     """Return the white range noise of an echo, one sigma.
 
@@ -178,7 +178,7 @@ REFLECTIVITY_TAIL = 0.1
 have a kurtosis of 2.62 to 2.68 on four real units, and 2.58 with our beat and smooth surfaces, 2.65 with relief."""
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+@inline_kernel
 def heavier(z: float, tail: float) -> float:
     """Return a number of the same variance with heavy tails, from a normal number: the share `tail` of its cube is added.
 
@@ -194,7 +194,7 @@ R (cd/lx/m2) equals a reflectance of pi R: 255 means 318 cd/lx/m2, between high-
 sheeting (about 700). The manual gives the ends of the scale only; assumption: it is logarithmic between them."""
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+@inline_kernel
 def reflectivity_byte(percent: float, gain: float, noise: float, codes: U1) -> np.uint8:
     """Return the byte of a reflectivity: 0..100 percent for a diffuse target, 101..255 for a retroreflector.
 

@@ -3,7 +3,7 @@
 import math
 
 from vlp16emu.elementary import log1p, power
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import array_kernel
 from vlp16emu.random import Purpose, uniform_pair
 from vlp16emu.returns.settings import DetectorConstants
 from vlp16emu.types import F4
@@ -54,7 +54,7 @@ def air_reflectance(extinction_per_m: float, sigma_m: float) -> float:
     return math.pi * extinction_per_m / _LIDAR_RATIO_SR * math.sqrt(2.0 * math.pi) * sigma_m
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@array_kernel
 def clutter_echo(
     constants: DetectorConstants, n: int, laser: int, start: int, stop: int, range_m: F4
 ) -> tuple[float, float]:

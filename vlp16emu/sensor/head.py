@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import array_kernel, inline_kernel
 from vlp16emu.sensor.beams import BeamTable
 from vlp16emu.sensor.rotor import Clock, Rotor
 from vlp16emu.trig import cos_sin
@@ -70,14 +70,14 @@ class Head:
         )
 
 
-@numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
+@inline_kernel
 def turn(R: F8, vector: F8, out: F8) -> None:
     """Compute out = R vector, each (3,) and R (3, 3); for use in kernels."""
     for a in range(3):
         out[a] = R[a, 0] * vector[0] + R[a, 1] * vector[1] + R[a, 2] * vector[2]
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _aim(
     azimuth_deg: F8,
     error_rad: F8,
@@ -116,7 +116,7 @@ def _aim(
                 origin_m[i, j, a] = p[a] + R[a, 2] * offset_m[j]
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def in_sensor(azimuth_deg: F8, elevation_deg: F8, offset_m: F8, distance_m: F8) -> F8:
     """Return points (n, 3) in the sensor's frame by the manual's formulas; all arguments (n,)."""
     out = np.empty((len(distance_m), 3))

@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 
 from vlp16emu.elementary import cos
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import array_kernel, kernel
 from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.sensor.settings import Lidar
 from vlp16emu.trig import cos_sin
@@ -296,7 +296,7 @@ def swung_ns(swings: Sequence[Swing], elapsed_ns: I8) -> I8:
     return _swung(elapsed_ns, *np.array([(s.amplitude_ns, s.period_ns, s.phase_rad) for s in swings]).T)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@kernel
 def _turn(elapsed_ns: I8, span_ns: int, deg_per_ns: float, start_deg: float, out: F8) -> None:
     """Fill angles (n,); the remainder is exact, as with `%`, because whole turns and their differences are exact."""
     for i in range(out.shape[0]):
@@ -305,7 +305,7 @@ def _turn(elapsed_ns: I8, span_ns: int, deg_per_ns: float, start_deg: float, out
         out[i] = angle_deg + 360.0 if angle_deg < 0.0 else angle_deg
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _swung(elapsed_ns: I8, amplitude_ns: F8, period_ns: F8, phase_rad: F8) -> I8:
     """Return times (n,) at which a motor of constant speed has the angle of this motor; 0 stays 0."""
     out = np.empty_like(elapsed_ns)
@@ -324,7 +324,7 @@ def _swung(elapsed_ns: I8, amplitude_ns: F8, period_ns: F8, phase_rad: F8) -> I8
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _with_sine(reading_deg: F8, phase_deg: F8, amplitude_deg: float) -> F8:
     if amplitude_deg == 0.0:
         return reading_deg

@@ -8,7 +8,7 @@ import numpy as np
 
 from vlp16emu.elementary import exp, matmul, matvec, norm
 from vlp16emu.extras.imu.settings import Imu
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import array_kernel
 from vlp16emu.motion.pose import Motion, rotations
 from vlp16emu.random import Purpose, normal, normal_pair, uniform
 from vlp16emu.types import F8, I8
@@ -152,7 +152,7 @@ def _random_walk_chunk(seed: int, chunk: int, lane: int) -> F8:
     return start + free + np.arange(_CHUNK) / _CHUNK * (end - start - steps[-1])
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _brownian(seed: int, purpose: int, index: int, lane: int) -> float:
     """Brownian motion at an integer time up to 2^32; the number for each time is drawn once, for its interval."""
     low, high = 0, _HORIZON

@@ -6,7 +6,7 @@ import numpy as np
 
 from vlp16emu.elementary import atan2, exp
 from vlp16emu.extras.recorded.motion import Pieces
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import array_kernel
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import F8
 from vlp16emu.units import S_NS
@@ -72,7 +72,7 @@ class Knots(Pieces):
         self._arrays = self._knots_ns[: self._count], self._pieces
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _product(a: F8, b: F8) -> F8:
     ax, ay, az, aw = a
     bx, by, bz, bw = b
@@ -82,7 +82,7 @@ def _product(a: F8, b: F8) -> F8:
     return np.array([x, y, z, aw * bw - ax * bx - ay * by - az * bz])
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _dot(a: F8, b: F8, first: int, stop: int) -> float:
     total = 0.0
     for n in range(first, stop):
@@ -90,7 +90,7 @@ def _dot(a: F8, b: F8, first: int, stop: int) -> float:
     return total
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _pose_and_rates(knot: F8) -> tuple[F8, F8]:
     """Position and quaternion (7,) of a knot, and their change per second."""
     value, rate, turning = np.empty(7), np.empty(7), np.zeros(4)
@@ -104,7 +104,7 @@ def _pose_and_rates(knot: F8) -> tuple[F8, F8]:
     return value, rate
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _fill_piece(begin: F8, end: F8, step_s: float, out: F8) -> None:
     """Fill powers of the time into a piece (4, 7), highest first, from the knots (13,) at both ends."""
     (value, rate), (end_value, end_rate) = _pose_and_rates(begin), _pose_and_rates(end)
@@ -118,7 +118,7 @@ def _fill_piece(begin: F8, end: F8, step_s: float, out: F8) -> None:
         out[2, a], out[3, a] = rate[a], value[a]
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def turn_between(old: F8, new: F8) -> F8:
     """Return the shortest rotation vector (3,), in body axes, from one quaternion (4,) to another."""
     q = _product(np.array([-old[0], -old[1], -old[2], old[3]]), new)
@@ -129,7 +129,7 @@ def turn_between(old: F8, new: F8) -> F8:
     return np.array([q[0] * scale, q[1] * scale, q[2] * scale])
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _extrapolated(seen: F8, since_s: float) -> F8:
     """Extrapolate a pose (13,) in time: with constant rates at first, then to rest if no other pose follows."""
     moving_s, share, late_s = since_s, 1.0, since_s - _COAST_S
@@ -153,7 +153,7 @@ def _extrapolated(seen: F8, since_s: float) -> F8:
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def follow(state: F8, seen: F8, since_s: float, step_s: float, smoothing_s: float) -> F8:
     """Return the next knot (13,): predicted from the last pose, and corrected towards it without a jump of pose or rate.
 

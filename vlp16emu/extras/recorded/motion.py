@@ -10,7 +10,7 @@ from vlp16emu.errors import TrajectoryError
 from vlp16emu.extras.recorded.files import RecordedPoses
 from vlp16emu.extras.recorded.settings import Recorded
 from vlp16emu.extras.splines import interpolant
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import array_kernel
 from vlp16emu.motion.pose import Kinematics
 from vlp16emu.types import F8, I8, Poses
 from vlp16emu.units import S_NS
@@ -144,7 +144,7 @@ def _placed(recorded: Recorded, position_m: F8, quaternion: F8) -> tuple[F8, F8]
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _piece_at(knots_ns: I8, elapsed_ns: int) -> tuple[int, float]:
     """Return the piece that contains an instant, and the seconds since its start; instants beyond an end count as the end."""
     t = min(max(elapsed_ns, 0), knots_ns[-1])
@@ -152,7 +152,7 @@ def _piece_at(knots_ns: I8, elapsed_ns: int) -> tuple[int, float]:
     return piece, (t - knots_ns[piece]) * 1e-9
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def fill_poses(knots_ns: I8, coefficients: F8, elapsed_ns: I8, position_m: F8, turn: F8) -> None:
     """Evaluate the pieces, each instant on its own."""
     value = np.empty(7)
@@ -173,7 +173,7 @@ def fill_poses(knots_ns: I8, coefficients: F8, elapsed_ns: I8, position_m: F8, t
         turn[i, 1, 2], turn[i, 2, 1] = two * (y * z - x * w), two * (y * z + x * w)
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def fill_rates(knots_ns: I8, coefficients: F8, elapsed_ns: I8, rates: F8) -> None:
     """Fill (4, n, 3): velocity, acceleration, angular rate and angular acceleration, the latter in body axes.
 

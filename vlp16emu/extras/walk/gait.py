@@ -6,7 +6,7 @@ import numpy as np
 
 from vlp16emu.elementary import exp, power
 from vlp16emu.extras.walk.settings import Gait
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import array_kernel
 from vlp16emu.random import Purpose, uniform
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import F8
@@ -65,7 +65,7 @@ def _lines(seed: int) -> F8:
     return lines
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _band_noise(lines: F8, t_s: float) -> float:
     total = 0.0
     for k in range(len(lines)):
@@ -73,7 +73,7 @@ def _band_noise(lines: F8, t_s: float) -> float:
     return total * math.sqrt(2.0 / len(lines))
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _band_noise_integral(lines: F8, t_s: float) -> float:
     total = 0.0
     for k in range(len(lines)):
@@ -81,7 +81,7 @@ def _band_noise_integral(lines: F8, t_s: float) -> float:
     return total * math.sqrt(2.0 / len(lines))
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _fill(elapsed_s: F8, effort: F8, step_hz: float, variation: float, amplitude: F8, lines: F8, out: F8) -> None:
     """Fill each row on its own; positive pitch is nose down, positive roll is right side down."""
     for i in range(elapsed_s.size):

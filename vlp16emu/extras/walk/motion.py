@@ -10,7 +10,7 @@ from vlp16emu.extras.walk.gait import AXES, Trunk
 from vlp16emu.extras.walk.pack import KNOTS_PER_S, NODES_PER_KNOT, Pack
 from vlp16emu.extras.walk.route import Route
 from vlp16emu.extras.walk.settings import Gait, Mast, Walk
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import array_kernel, kernel
 from vlp16emu.motion.pose import Kinematics, fill_rotation, rotate
 from vlp16emu.trig import ZERO, cos_sin
 from vlp16emu.types import F8, I8, Poses
@@ -124,7 +124,7 @@ def check_gait(gait: Gait, sensor_height_m: float) -> None:
         )
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _sit(pack: F8, nodes: F8) -> None:
     """Add the pack's displacements (n, 6, 3), in the heading frame, to the route without gait (n, 6, 3)."""
     for n in range(len(nodes)):
@@ -154,7 +154,7 @@ def _hermite(nodes: F8) -> F8:
     return np.stack([p[:-1], v0, 0.5 * a0, cubic, quartic, quintic], axis=-1)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@kernel
 def _poses(table: F8, t_ns: I8, begin_ns: int, which: I8, room: F8, world_R_body: F8, world_p_body_m: F8) -> None:
     """Fill the poses at the instants `which`, all within the second that begins at `begin_ns`.
 
@@ -188,7 +188,7 @@ def _poses(table: F8, t_ns: I8, begin_ns: int, which: I8, room: F8, world_R_body
         done += count
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _kinematics(
     table: F8,
     t_ns: I8,
@@ -219,7 +219,7 @@ def _kinematics(
         _body_rate(q[0, 3:], q[1, 3:], q[2, 3:], w_rad_s[i], alpha_rad_s2[i])
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _body_rate(angle_rad: F8, rate_rad_s: F8, acceleration_rad_s2: F8, w_rad_s: F8, alpha_rad_s2: F8) -> None:
     """Fill angular rate and acceleration (3,), in body axes, from roll, pitch, yaw (3,) and their derivatives.
 

@@ -17,7 +17,7 @@ from vlp16emu.elementary import matmul, matvec
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.extras.walk.gait import AXES
 from vlp16emu.extras.walk.settings import Harness, Mast
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import array_kernel
 from vlp16emu.types import F8
 
 KNOTS_PER_S = 200  # heel strikes last 40 ms; the spline follows them to 1 % of their depth, and all else to a nanometre
@@ -118,14 +118,14 @@ class Pack:
         return state
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _stretch(step: F8, state: F8, a: F8, row: int) -> float:
     """Stretch (row 0) or its rate (row 1) after a step from a state, under -u'' of the piece a."""
     forced = step[row, 2] * a[2] * 2 + step[row, 3] * a[3] * 6 + step[row, 4] * a[4] * 12 + step[row, 5] * a[5] * 20
     return step[row, 0] * state[0] + step[row, 1] * state[1] - forced
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _swing(pieces: F8, steps: F8, state: F8, stiffness: F8, drag: F8, out: F8) -> None:
     """Add the stretch to the trunk's motion (m, 6, 3) at nodes, and bring its state from the first of them to the last."""
     per_knot = steps.shape[1]

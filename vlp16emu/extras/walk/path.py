@@ -8,7 +8,7 @@ import numpy as np
 from vlp16emu.elementary import atan2, hypot, norm
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.extras.splines import Spline, interpolant, polynomial
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import array_kernel
 from vlp16emu.store import recalled
 from vlp16emu.types import F8, I8, HeightField
 
@@ -116,7 +116,7 @@ def path_over(way_points_m: F8, height_m: HeightField, ground: str) -> Path:
     return recalled(name, lambda: Path(way_points_m, height_m))
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def limit_slope(values: F8, step: F8) -> None:
     """Lower values (n,) in place, as little as possible, until neighbours i and i + 1 differ by step[i] >= 0 at most."""
     for i in range(values.size - 1):

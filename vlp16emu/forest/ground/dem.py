@@ -18,7 +18,7 @@ import numpy as np
 from vlp16emu.errors import LARGEST_BYTES, GeometryError, MissingExtraError, readable
 from vlp16emu.foliage.polyline import distance_m
 from vlp16emu.forest.settings import Dem
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import array_kernel, inline_kernel
 from vlp16emu.types import F8, HeightField
 
 _MOST_CELLS = 50_000_000  # 7 km by 7 km at 1 m: a gigabyte while it is read; limits compressed files too
@@ -273,7 +273,7 @@ class DemHeights:
             raise GeometryError(where, found, expected)
 
 
-@numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
+@inline_kernel
 def _slope(before: float, after: float) -> float:
     """Slope at a node between two rises: their mean, at most twice the smaller; 0 at tops and hollows."""
     if before * after <= 0.0:
@@ -281,7 +281,7 @@ def _slope(before: float, after: float) -> float:
     return math.copysign(min(abs(before + after) / 2, 2 * min(abs(before), abs(after))), before)
 
 
-@numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
+@inline_kernel
 def _between(a: float, b: float, c: float, d: float, t: float) -> float:
     """Height at share `t` of the way from b to c, for four heights at equal distances."""
     rise = c - b
@@ -289,7 +289,7 @@ def _between(a: float, b: float, c: float, d: float, t: float) -> float:
     return b + t * (start + t * (3 * rise - 2 * start - end + t * (start + end - 2 * rise)))
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _heights(out: F8, x: F8, y: F8, nodes: F8, west_m: float, south_m: float, cell_m: float) -> None:
     """Fill (n,) heights; `nodes` has a border of one cell."""
     rows, columns = nodes.shape

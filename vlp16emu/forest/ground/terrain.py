@@ -16,7 +16,7 @@ from vlp16emu.elementary import atan2, cos, power, sin, tan
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import Terrain
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import array_kernel, inline_kernel
 from vlp16emu.random import generator, philox4x32
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import F8
@@ -41,7 +41,7 @@ def waves(rng: np.random.Generator, wavelengths_m: tuple[float, float], rms: flo
     return np.column_stack([number_rad_m * cos(direction), number_rad_m * sin(direction), amplitude, phase])
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def sum_of_waves(out: F8, x: F8, y: F8, band: F8, gradient_x: float, gradient_y: float) -> None:
     """Fill (n,) sums of a slope and waves; each point is summed alone, wave by wave, independent of its neighbours."""
     for i in range(out.shape[0]):
@@ -90,13 +90,13 @@ class Trails:
             _add_ruts(height_m, x_m, y_m, self._spacing_m, *self._along, *self._seed)
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _first_m(seed_low: np.uint32, seed_high: np.uint32, spacing_m: float) -> float:
     none = np.uint32(0)
     return philox4x32(none, none, np.uint32(1), np.uint32(_RUT), seed_low, seed_high)[0] * 2.0**-32 * spacing_m
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _add_ruts(
     out: F8, x: F8, y: F8, spacing_m: float, along_x: float, along_y: float, seed_low: np.uint32, seed_high: np.uint32
 ) -> None:
@@ -176,7 +176,7 @@ class TerrainHeights:
         return height
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _add(
     out: F8, x: F8, y: F8, share: float, cell_m: float, purpose: int, seed_low: np.uint32, seed_high: np.uint32
 ) -> None:
@@ -202,7 +202,7 @@ def _add(
                 out[i] += (2.0 * other - 1.0) * _MOUND_HEIGHT_M * (inside * inside * inside)
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _pit_m(east_m: float, north_m: float, size: float, turn: float) -> float:
     """Height of a pit and its mound for a size and a direction in [0, 1): each is (1 - (r / R)^2)^2, smooth to its rim."""
     radius = (_PIT_WIDTH_M[0] + size * (_PIT_WIDTH_M[1] - _PIT_WIDTH_M[0])) / 2
@@ -214,7 +214,7 @@ def _pit_m(east_m: float, north_m: float, size: float, turn: float) -> float:
     return depth * (mound * mound - pit * pit)
 
 
-@numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
+@inline_kernel
 def _dome(east_m: float, north_m: float, radius: float) -> float:
     """Height of a paraboloid of height 1 at an offset from its centre; 0 beyond its radius."""
     return max(1.0 - (east_m * east_m + north_m * north_m) / (radius * radius), 0.0)

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
 from vlp16emu.elementary import exp, expm1, log, log1p, power
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import array_kernel
 from vlp16emu.settings import Section
 from vlp16emu.types import F8
 
@@ -173,7 +173,7 @@ class Taper(Equation):
         return row
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _form(row: F8, height_m: float, above_ground_m: float) -> float:
     """Relative stem radius, to be scaled to the DBH; 0 at the tip of the unbroken stem."""
     whole_m = height_m / row[1]
@@ -199,7 +199,7 @@ def _form(row: F8, height_m: float, above_ground_m: float) -> float:
     return max(form, 0.0)
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _radii(taper: F8, dbh_m: F8, height_m: F8, above_ground_m: F8) -> F8:
     out = np.empty_like(above_ground_m)
     for i in range(len(dbh_m)):

@@ -25,7 +25,7 @@ from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import Season, Wind
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.stand import REGENERATION
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import array_kernel
 from vlp16emu.random import generator
 from vlp16emu.types import F8, I8, Sway, Window
 
@@ -114,7 +114,7 @@ def swings(lines: Lines, speed_m_s: float, trees: Trees, t_s: F8) -> F8:
     return out.T
 
 
-@numba.njit(cache=True, nogil=True)
+@array_kernel
 def _follow(lines: Lines, s_per_m: float, trees: Trees, cosine: F8, sine: F8, out: F8) -> None:
     """Fill (m, k), line after line, so that each value is independent of other trees and times."""
     for tree in range(len(out)):
