@@ -5,15 +5,18 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from vlp16emu.cli import arguments as args
 from vlp16emu.cli.arguments import AsJson, CaptureFile, UnitName, WhichClock
-from vlp16emu.cli.printer import finish, size
+from vlp16emu.cli.printer import count, finish, print_json, print_rows, print_table, size, table_of
 from vlp16emu.cli.terminal import Progress, make_emulator, running, stop_on_ctrl_c
 from vlp16emu.errors import InputError, MissingExtraError
 from vlp16emu.extras.options import DatasetOptions, PictureLook, PointOptions
 from vlp16emu.run.options import BagOptions, Option, Span, TruthPackets, TruthRate, TruthReturns, TruthTo, WhichUnit
+
+if TYPE_CHECKING:
+    from vlp16emu.extras.dataset import DatasetEstimate
 
 
 def truth(
@@ -163,20 +166,61 @@ def dataset(
     out: Annotated[Path, Option("Folder: new, or of an earlier run.", name="OUT")],
     options: DatasetOptions,
     *,
+    dry_run: Annotated[
+        bool,
+        Option(
+            "Print number of walks, size and hours, measured in short runs on this machine, and write nothing.",
+            name="--dry-run",
+        ),
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Make a dataset of stands, seeds, paths and sensors from one file.
 
     Walks that an earlier run has finished are kept after a check of their sha256; the others are made.
-    OUT/manifest.json lists every file with its sha256 and the split of its stand.
+    OUT/manifest.json lists every file with its sha256 and the split of its stand. Ctrl-C ends it; the same command goes
+    on with the walks that are missing.
     """
-    from vlp16emu.extras.dataset import load_spec, make_dataset, walks_of
+    from vlp16emu.extras.dataset import estimate_dataset, load_spec, make_dataset, walks_of
 
     walks = walks_of(load_spec(spec), spec.absolute().parent)
+    if dry_run:
+        with Progress(0.0, "measuring"):
+            estimate = estimate_dataset(walks, out, **vars(options))
+        if as_json:
+            print_json(estimate)
+        else:
+            _print_estimate(estimate)
+        return
     with Progress(sum(walk.scenario.duration_s for walk in walks)) as bar:
         show = lambda done_s: bar.show("making walks", done_s)  # noqa: E731
         result = make_dataset(walks, out, progress=show, **vars(options))
     finish(result, as_json=as_json)
+
+
+def _print_estimate(estimate: "DatasetEstimate") -> None:
+    missing = f"{count(estimate.missing)} of {count(estimate.walks)}"
+    rows = {
+        "simulated": _duration(estimate.simulated_s),
+        "size": f"{_gigabytes(estimate.bytes)}, {_gigabytes(estimate.free_bytes)} are free",
+        "CPU time": _duration(3600 * estimate.cpu_hours),
+        "run time": f"{_duration(3600 * estimate.hours)} at least, on {count(estimate.cores)} cores",
+        "measured": f"{len(estimate.probes)} of {count(estimate.kinds)} pairs of stand and sensor, on this machine",
+    }
+    print_rows(f"{missing} walks are to be made", rows)
+    if estimate.probes:
+        print()
+        print_table(table_of(estimate.probes))
+
+
+def _duration(duration_s: float) -> str:
+    if duration_s < 120:
+        return f"{duration_s:.3g} s"
+    return f"{duration_s / 60:.3g} min" if duration_s < 7200 else f"{duration_s / 3600:.4g} h"
+
+
+def _gigabytes(number_of_bytes: int) -> str:
+    return size(number_of_bytes) if number_of_bytes < 1e9 else f"{number_of_bytes / 1e9:.4g} GB"
 
 
 def picture(

@@ -17,13 +17,6 @@ def _pixels(text: str) -> tuple[int, ...]:
     return size
 
 
-def _share(text: str) -> tuple[int, int]:
-    begin, _, end = text.partition(":")
-    if not all(word.isascii() and word.isdecimal() for word in (begin, end)) or int(begin) >= int(end):
-        raise ValueError(text)
-    return int(begin), int(end)
-
-
 @dataclass(frozen=True)
 class PointOptions(Span):
     """Points of a scene."""
@@ -89,7 +82,7 @@ class PictureLook(Options):
 
 @dataclass(frozen=True)
 class DatasetOptions(Options):
-    """Selection of the walks of a dataset, and number of processes."""
+    """Workers that make the walks of a dataset."""
 
     workers: Annotated[
         int | None,
@@ -100,14 +93,12 @@ class DatasetOptions(Options):
             le=1024,
         ),
     ] = None
-    share: Annotated[
-        Any,
+    scheduler: Annotated[
+        str | None,
         Option(
-            "Walks for one of several machines: from number FROM to before number TO. Shares copied into one OUT are the dataset;"
-            " a run without --share checks them, and lists all.",
-            "FROM:TO",
-            parse=_share,
-            expected="two whole numbers, such as 0:50",
+            "Dask scheduler whose workers make the walks, in place of processes on this machine: tcp://HOST:PORT, or its "
+            "scheduler file. Never changes a byte. Needs the extra 'cluster'.",
+            "ADDRESS",
         ),
     ] = None
 

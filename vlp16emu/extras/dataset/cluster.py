@@ -1,0 +1,286 @@
+"""Walks made by the workers of a Dask scheduler, on any number of machines.
+
+Dask sends walks to workers, and sends the walk of a worker that dies to another one. This process opens no port: it
+connects to the scheduler, through which everything goes. A worker that finds the mark that this process puts into the
+folder of the dataset writes there; files of other workers are fetched in pieces.
+"""
+
+import hashlib
+import json
+import os
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from importlib.metadata import version
+from itertools import islice
+from pathlib import Path
+from platform import node, python_version_tuple
+from shutil import rmtree
+from typing import TYPE_CHECKING, Any
+
+from vlp16emu.errors import InputError, MissingExtraError, RunError, readable
+from vlp16emu.extras.dataset.manifest import Entry, identity, is_list_of_files, read_list, write_list
+from vlp16emu.extras.dataset.processes import MOST_DEATHS, died_too_often
+from vlp16emu.extras.dataset.spec import DatasetWalk
+from vlp16emu.extras.dataset.walk import Made, forget_worlds, make_walk
+
+if TYPE_CHECKING:
+    from distributed import Client, Future, Worker
+
+_EXPECTED = "tcp://HOST:PORT of a Dask scheduler, or its scheduler file"
+_REACHED_WITHIN_S = 10.0
+_FIRST_WORKER_WITHIN_S = 60.0
+_MOST_AT_ONCE = 1_000  # walks that the scheduler knows at a time
+_PIECE_BYTES = 8_000_000  # of a file that is fetched; larger pieces are not faster (tools/results/dataset.md)
+_MARK = "mark"
+
+_Made = tuple[str | None, Path, Entry]
+"""Address of the worker that has the folder, None for a folder inside the dataset; the folder; the entry of the walk."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cluster:
+    """Workers of a Dask scheduler, all with this version of vlp16emu."""
+
+    address: str
+    client: "Client"
+
+    @property
+    def threads(self) -> int:
+        """Number of walks that its workers make at a time."""
+        with self._lost_on_error():
+            threads: int = sum(self.client.nthreads().values())
+        return threads
+
+    def make(self, walks: Sequence[DatasetWalk], parts: Path) -> Iterator[Made]:
+        """Make walks, and yield each when its folder is complete inside `parts`.
+
+        Raises RunError if the scheduler is lost, if workers die too often over one walk, or if files that are fetched
+        cannot be written; and the errors of `make_walk`.
+        """
+        from distributed import as_completed
+
+        (parts / _MARK).write_text(parts.name, encoding="ascii")
+        scratch = f"vlp16emu-{hashlib.sha256(f'{node()}:{parts.parent}'.encode()).hexdigest()[:16]}"
+        left = iter(walks)
+        tries = dict[str, tuple[DatasetWalk, int]]()
+
+        def submit(walk: DatasetWalk, number: int = 1) -> "Future":
+            key = f"vlp16emu_walk-{parts.name}-{walk.number}-{number}"  # Dask's dashboard shows what is before the dash
+            tries[key] = walk, number
+            return self.client.submit(_make_on_worker, walk, parts, scratch, key=key, pure=False)
+
+        with self._lost_on_error():
+            self.client.run(_clear, scratch)  # what an earlier run into the same folder left, if it was killed
+            futures = as_completed(map(submit, islice(left, _MOST_AT_ONCE)), loop=self.client.loop)
+            for future in futures:
+                walk, number = tries.pop(future.key)
+                place, source, entry = self._result(future, walk)
+                folder = source if place is None else self._fetch(place, source, entry, parts)
+                if folder is not None:
+                    yield walk, folder, entry
+                    futures.update(map(submit, islice(left, 1)))
+                elif number < MOST_DEATHS:
+                    futures.add(submit(walk, number + 1))
+                else:
+                    raise RunError(died_too_often(walk))
+            self.client.run(_clear, scratch)
+
+    @contextmanager
+    def _lost_on_error(self) -> Iterator[None]:
+        try:
+            yield
+        except (CancelledError, OSError):
+            raise RunError(f"{self.address}: the scheduler is lost; what is made so far is kept") from None
+
+    def _result(self, future: "Future", walk: DatasetWalk) -> _Made:
+        from distributed import KilledWorker
+
+        try:
+            made: _Made = future.result()
+        except KilledWorker:
+            raise RunError(died_too_often(walk)) from None
+        except ImportError as error:  # workers that came later
+            raise RunError(f"walk {walk.name}: a worker has no {error.name}") from None
+        _, _, entry = made
+        if not (entry.items() >= identity(walk).items() and is_list_of_files(entry["files"])):
+            raise RunError(f"walk {walk.name}: a worker has made another one of it, with {entry['written_by']}")
+        return made
+
+    def _fetch(self, place: str, source: Path, entry: Entry, parts: Path) -> Path | None:
+        """Copy the files of a walk from a worker into a new folder inside `parts`; None if the worker is gone."""
+        folder = parts / source.name
+        pieces = self._pieces(place, source)
+        held = memoryview(b"")
+        try:
+            for file in entry["files"]:
+                path = folder / file["path"]
+                path.parent.mkdir(parents=True, exist_ok=True)
+                digest = hashlib.sha256()
+                with path.open("wb") as opened:
+                    left = file["bytes"]
+                    while left and (held := held or memoryview(next(pieces, b""))):
+                        taken = held[:left]
+                        digest.update(taken)
+                        left -= opened.write(taken)
+                        held = held[len(taken) :]
+                if digest.hexdigest() != file["sha256"]:
+                    rmtree(folder)
+                    return None
+            write_list(folder, entry)
+        except OSError as error:
+            raise RunError(f"{error.filename or folder}: {error.strerror}; what is made so far is kept") from None
+        self._call(place, rmtree, source)
+        return folder
+
+    def _pieces(self, place: str, source: Path) -> Iterator[bytes]:
+        """Yield the content of all files of a walk, one after the other, until the worker is gone."""
+        begin = 0
+        while piece := self._call(place, _read_piece, source, begin):
+            yield piece
+            begin += len(piece)
+
+    def _call(self, place: str, function: Callable[..., Any], *arguments: object) -> Any:
+        """Call a function in a worker, beside the walks that it makes; None if the worker or the file is gone."""
+        with self._lost_on_error():
+            if place not in self.client.nthreads():
+                return None
+        with suppress(OSError):
+            return self.client.run(function, *arguments, workers=[place]).get(place)
+        return None
+
+
+@contextmanager
+def connect(scheduler: str) -> Iterator[Cluster]:
+    """Connect to a Dask scheduler, given by its address or scheduler file.
+
+    Raises MissingExtraError without Dask; InputError if no scheduler answers, it has no workers, or one of them has no
+    vlp16emu or Python of this version.
+    """
+    try:
+        import dask
+
+        dask.config.set({"logging.distributed": "critical"})  # read when distributed is imported
+        from distributed import Client
+        from distributed.versions import VersionMismatchWarning
+    except ImportError as error:
+        raise MissingExtraError(error.name or "distributed", "cluster", "a dataset made by Dask") from None
+    address = _address(scheduler)
+    _reach(address)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", VersionMismatchWarning)  # a table; the versions that matter are checked below
+        try:
+            client = Client(address, timeout=_REACHED_WITHIN_S, set_as_default=False)
+        except Exception as error:  # noqa: BLE001  # whatever a server of another kind or version answers
+            raise InputError(address, f"no Dask scheduler answers ({error})", _EXPECTED) from None
+        with client:
+            try:
+                client.wait_for_workers(1, timeout=_FIRST_WORKER_WITHIN_S)
+            except TimeoutError:
+                found = f"has no workers after {_FIRST_WORKER_WITHIN_S:.0f} s"
+                raise InputError(address, found, f"at least one: `dask worker {address}`") from None
+            check_versions(address, client.get_versions(packages=["vlp16emu"]))
+            yield Cluster(address, client)
+
+
+def check_versions(address: str, versions: Mapping[str, Any]) -> None:
+    """Raise InputError if scheduler or workers have no vlp16emu or Python of this version.
+
+    Parameters
+    ----------
+    address : of the scheduler
+    versions : result of `distributed.Client.get_versions` with the package vlp16emu
+    """
+    major, minor, _ = python_version_tuple()
+    here = version("vlp16emu"), f"{major}.{minor}"
+    places = {"the scheduler": versions["scheduler"]}
+    places |= {f"worker {worker}": one for worker, one in versions["workers"].items()}
+    others = list[str]()
+    for place, one in places.items():
+        package = one["packages"]["vlp16emu"]
+        python = ".".join(one["host"]["python"].split(".")[:2])
+        if (package, python) != here:
+            others.append(f"{place} has {f'vlp16emu {package}' if package else 'no vlp16emu'} on Python {python}")
+    if others:
+        more = f" (and {len(others) - 1} more)" if others[1:] else ""
+        raise InputError(address, f"{others[0]}{more}", f"vlp16emu {here[0]} on Python {here[1]}, as here")
+
+
+def _address(scheduler: str) -> str:
+    """Return the address of a scheduler; from its file if `scheduler` is no address."""
+    from distributed.comm import parse_host_port
+
+    path = Path(scheduler)
+    if not scheduler or "://" in scheduler or not os.path.lexists(path):
+        address = scheduler
+    else:
+        with readable(path, "a scheduler file", InputError):
+            text = path.read_text(encoding="utf-8")
+        try:
+            address = str(json.loads(text)["address"])
+        except (ValueError, KeyError, TypeError, RecursionError):
+            raise InputError(scheduler, "is no scheduler file", _EXPECTED) from None
+    try:
+        host, _ = parse_host_port(address.partition("://")[2] or address)
+    except ValueError:
+        host = ""
+    if not host:
+        raise InputError("scheduler", f"found {scheduler!r}", _EXPECTED)
+    return address
+
+
+def _reach(address: str) -> None:
+    """Raise InputError if nothing answers at an address: a `Client` that cannot connect leaves a traceback on stderr."""
+    from distributed import Security
+    from distributed.comm import connect as connect_comm
+    from distributed.utils import LoopRunner
+
+    async def reach() -> None:
+        arguments = Security().get_connection_args("client")
+        comm = await connect_comm(address, timeout=_REACHED_WITHIN_S, **arguments)
+        await comm.close()
+
+    try:
+        LoopRunner(asynchronous=False).run_sync(reach)
+    except (OSError, ValueError, RuntimeError, ImportError) as error:
+        raise InputError(address, f"no Dask scheduler answers ({error})", _EXPECTED) from None
+
+
+def _make_on_worker(walk: DatasetWalk, parts: Path, scratch: str) -> _Made:
+    from distributed import get_worker
+
+    worker = get_worker()
+    try:
+        is_shared = (parts / _MARK).read_text(encoding="ascii") == parts.name
+    except (OSError, ValueError):
+        is_shared = False
+    if is_shared:
+        _, folder, entry = make_walk(walk, parts, threads=1)
+        return None, folder, entry
+    place = Path(worker.local_directory) / scratch
+    try:
+        place.mkdir(exist_ok=True)
+    except OSError as error:
+        raise RunError(f"{worker.address}: {place}: {error.strerror}; what is made so far is kept") from None
+    _, folder, entry = make_walk(walk, place, threads=1)
+    return worker.address, folder, entry
+
+
+def _read_piece(folder: Path, begin: int) -> bytes:
+    """Return a piece of the files of a walk, in the order of its list, from a byte of all of them together."""
+    piece = bytearray()
+    for file in read_list(folder)["files"]:
+        if len(piece) < _PIECE_BYTES and begin < file["bytes"]:
+            with (folder / file["path"]).open("rb") as opened:
+                opened.seek(begin)
+                piece += opened.read(_PIECE_BYTES - len(piece))
+        begin = max(begin - file["bytes"], 0)
+    return bytes(piece)
+
+
+def _clear(scratch: str, dask_worker: "Worker") -> None:
+    """Remove what a worker keeps of a dataset: its files, and the world of the latest walk."""
+    rmtree(Path(dask_worker.local_directory) / scratch, ignore_errors=True)
+    forget_worlds()

@@ -1,0 +1,92 @@
+"""Walks made by this process or by worker processes of this machine."""
+
+import multiprocessing
+import os
+import signal
+from collections import deque
+from collections.abc import Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, ProcessPoolExecutor, wait
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from threading import Thread
+
+from vlp16emu.cores import usable_cores
+from vlp16emu.errors import RunError
+from vlp16emu.extras.dataset.spec import DatasetWalk
+from vlp16emu.extras.dataset.walk import Made, make_walk
+
+MOST_DEATHS = 4  # deaths of workers over one walk that end a run, as for Dask (distributed.scheduler.allowed-failures)
+
+
+def make_here(walks: Sequence[DatasetWalk], parts: Path, workers: int | None) -> Iterator[Made]:
+    """Make walks in folders inside `parts`, and yield each when it is done.
+
+    `workers` processes make them, by default one per core; with 0 this process. A walk whose worker dies is made again
+    by another; RunError if it happens too often to one walk.
+    """
+    if workers == 0:
+        yield from (make_walk(walk, parts, threads=0) for walk in walks)
+        return
+    cores = usable_cores()
+    count = max(min(workers or cores, len(walks)), 1)
+    threads = max(cores // count, 1)
+    left = deque(walks)
+    deaths = dict[int, int]()
+    running = dict[Future[Made], tuple[ProcessPoolExecutor, DatasetWalk]]()
+
+    def start(worker: ProcessPoolExecutor) -> None:
+        if left:
+            walk = left.popleft()
+            running[worker.submit(make_walk, walk, parts, threads)] = worker, walk
+
+    with ExitStack() as stack, _terminated_on_error():
+        for _ in range(count):
+            start(stack.enter_context(_new_worker()))
+        while running:
+            done, _ = wait(running, return_when=FIRST_COMPLETED)
+            for future in done:
+                worker, walk = running.pop(future)
+                try:
+                    made = future.result()
+                except BrokenExecutor:
+                    deaths[walk.number] = deaths.get(walk.number, 0) + 1
+                    if deaths[walk.number] == MOST_DEATHS:
+                        raise RunError(died_too_often(walk)) from None
+                    left.appendleft(walk)
+                    worker = stack.enter_context(_new_worker())
+                else:
+                    yield made
+                start(worker)
+
+
+def died_too_often(walk: DatasetWalk) -> str:
+    """Return the line for a walk over which workers die again and again."""
+    return f"walk {walk.name}: {MOST_DEATHS} workers died over it; what is made so far is kept"
+
+
+def _new_worker() -> ProcessPoolExecutor:
+    """Return an executor of one process: with more, the death of one would end the walks of all."""
+    return ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"), initializer=_start_worker)
+
+
+@contextmanager
+def _terminated_on_error() -> Iterator[None]:
+    others = set(multiprocessing.active_children())
+    try:
+        yield
+    except BaseException:
+        for process in set(multiprocessing.active_children()) - others:
+            process.terminate()
+        raise
+
+
+def _start_worker() -> None:
+    """Ignore Ctrl-C, which the parent process handles, and end with the parent."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def end_with_parent() -> None:
+        if parent := multiprocessing.parent_process():
+            parent.join()
+            os._exit(1)
+
+    Thread(target=end_with_parent, daemon=True).start()
