@@ -252,11 +252,7 @@ def _make_on_worker(walk: DatasetWalk, parts: Path, scratch: str) -> _Made:
     from distributed import get_worker
 
     worker = get_worker()
-    try:
-        is_shared = (parts / _MARK).read_text(encoding="ascii") == parts.name
-    except (OSError, ValueError):
-        is_shared = False
-    if is_shared:
+    if _sees(parts):
         _, folder, entry = make_walk(walk, parts, threads=1)
         return None, folder, entry
     place = Path(worker.local_directory) / scratch
@@ -266,6 +262,14 @@ def _make_on_worker(walk: DatasetWalk, parts: Path, scratch: str) -> _Made:
         raise RunError(f"{worker.address}: {place}: {error.strerror}; what is made so far is kept") from None
     _, folder, entry = make_walk(walk, place, threads=1)
     return worker.address, folder, entry
+
+
+def _sees(parts: Path) -> bool:
+    """Return True if a folder of the client is there, and has the client's mark."""
+    try:
+        return (parts / _MARK).read_text(encoding="ascii") == parts.name
+    except (OSError, ValueError):
+        return False
 
 
 def _read_piece(folder: Path, begin: int) -> bytes:

@@ -2,45 +2,24 @@
 
 import json
 import multiprocessing
+import os
 import re
 import threading
+from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
 from pathlib import Path
-from shutil import copytree
 
 import numpy as np
 import pytest
+from extras.dataset.kit import PUCK_ALONE, SPEC, walks_in
 
 import vlp16emu.run.emulator as emulator_module
 from vlp16emu import Emulator
-from vlp16emu.errors import OutputError, ScenarioError
+from vlp16emu.errors import InputError, OutputError, RunError, ScenarioError
 from vlp16emu.extras.clouds.points import write_points
-from vlp16emu.extras.dataset import load_spec, make_dataset, walks_of
+from vlp16emu.extras.dataset import estimate_dataset, make_dataset
+from vlp16emu.extras.dataset.layouts import LAYOUTS
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
-
-SPEC = """
-schema = 1
-layout = "semantickitti"
-seeds = [1, 2]
-stands = [
-    { name = "a", scene = "static_bench", set = ["duration_s=0.25"] },
-    { name = "b", scene = "static_bench", set = ["duration_s=0.25", "world.width_m=20.0"] },
-]
-paths = [{ name = "middle" }]
-sensors = [{ name = "puck" }, { name = "four", set = ["sensor.model=free", "sensor.beams=4"] }]
-splits = { train = 0.5, val = 0.0, test = 0.5 }
-"""
-PUCK_ALONE = SPEC.replace(', { name = "four", set = ["sensor.model=free", "sensor.beams=4"] }', "")
-
-
-def spec_file(folder, text=SPEC):
-    path = folder / "spec.toml"
-    path.write_text(text)
-    return path
-
-
-def walks_in(folder, text=SPEC):
-    return walks_of(load_spec(spec_file(folder, text)), folder)
 
 
 @pytest.fixture(scope="module")
@@ -137,23 +116,81 @@ def test_what_is_not_listed_is_not_touched(tmp_path, strange):
 def test_a_note_beside_a_walk_s_files_stays(tmp_path):
     """A whole walk is kept with what somebody put beside it; one to be made again is refused until that is gone.
 
-    The folder in which an earlier run made walks is removed; another of a like name stays.
+    In the folder for parts, that of an earlier run which was killed is removed; what somebody put there stays.
     """
     (walk, *_) = walks_in(tmp_path)
-    folder = tmp_path / "out" / "sequences" / "00"
-    for name in (".vlp16emu.parts", ".parts.mine"):
-        (tmp_path / "out" / name / "walk").mkdir(parents=True)
-    make_dataset([walk], tmp_path / "out", workers=0)
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [".parts.mine", "manifest.json", "sequences"]
+    out = tmp_path / "out"
+    folder = out / "sequences" / "00"
+    for name in ("run-0123456789abcdef", "run-of-mine"):
+        (out / ".vlp16emu.parts" / name / "walk").mkdir(parents=True)
+    make_dataset([walk], out, workers=0)
+    assert sorted(path.name for path in out.iterdir()) == [".vlp16emu.parts", "manifest.json", "sequences"]
+    assert [path.name for path in (out / ".vlp16emu.parts").iterdir()] == ["run-of-mine"]
     (folder / "notes.txt").write_text("mine")
-    assert make_dataset([walk], tmp_path / "out", workers=0).made == 0
+    assert make_dataset([walk], out, workers=0).made == 0
     (folder / "poses.txt").unlink()
     with pytest.raises(OutputError, match=r"notes\.txt"):
-        make_dataset([walk], tmp_path / "out", workers=0)
+        make_dataset([walk], out, workers=0)
     assert (folder / "velodyne" / "000000.bin").exists()
     (folder / "notes.txt").rename(tmp_path / "notes.txt")
-    assert make_dataset([walk], tmp_path / "out", workers=0).made == 1
+    assert make_dataset([walk], out, workers=0).made == 1
     assert (folder / "poses.txt").exists()
+
+
+@pytest.mark.parametrize("form", ["relative", "absolute", "link", "number", "list", "twice_written"])
+def test_a_list_names_no_file_outside_its_walk(tmp_path, form):
+    """A `walk.json` that names a file elsewhere, with its true size and sha256, does not make it a file of the dataset."""
+    (walk, *_) = walks_in(tmp_path)
+    out = tmp_path / "out"
+    make_dataset([walk], out, workers=0)
+    mine, folder = tmp_path / "mine" / "poses.txt", out / "sequences" / "00"
+    mine.parent.mkdir()
+    (folder / "poses.txt").rename(mine)
+    (folder / "link").symlink_to(mine.parent)
+    listed = json.loads((folder / "walk.json").read_text())
+    (entry,) = (file for file in listed["files"] if file["path"] == "poses.txt")
+    entry["path"] = {
+        "relative": "../../../mine/poses.txt",
+        "absolute": str(mine),
+        "link": "link/poses.txt",
+        "number": 7,
+        "list": ["poses.txt"],
+        "twice_written": "./link/poses.txt",
+    }[form]
+    listed["scenario_sha256"] = "of another scene"  # so that it would be made again
+    (folder / "walk.json").write_text(json.dumps(listed))
+    content = mine.read_bytes()
+    with pytest.raises(OutputError, match=r"is there, and no walk\.json lists it so"):
+        make_dataset([walk], out, workers=0)
+    assert mine.read_bytes() == content
+
+
+def test_a_folder_of_walks_that_is_a_link_is_refused(tmp_path):
+    """A dataset is not written through a link that leads out of its folder."""
+    (walk, *_) = walks_in(tmp_path)
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "sequences").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(OutputError, match="sequences/00 is reached through a link"):
+        make_dataset([walk], tmp_path / "out", workers=0)
+    assert not list((tmp_path / "elsewhere").iterdir())
+
+
+@pytest.mark.parametrize("kind", ["pipe", "zero", "text"])
+def test_a_list_that_is_no_file_is_a_file_of_others(tmp_path, kind):
+    """A `walk.json` that is a FIFO, a device or another text is neither waited for nor touched."""
+    (walk, *_) = walks_in(tmp_path)
+    path = tmp_path / "out" / "sequences" / "00" / "walk.json"
+    path.parent.mkdir(parents=True)
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "zero":
+        path.symlink_to("/dev/zero")
+    else:
+        path.write_text('{"written_by": "vlp16emu 0.1.0", "files": {"path": 3}}')
+    with pytest.raises(OutputError, match=r"sequences/00/walk\.json is there"):
+        make_dataset([walk], tmp_path / "out", workers=0)
+    assert os.path.lexists(path)
 
 
 def test_sensors_of_a_stand_share_its_world(tmp_path, monkeypatch):
@@ -170,7 +207,7 @@ def test_sensors_of_a_stand_share_its_world(tmp_path, monkeypatch):
     monkeypatch.setattr(emulator_module.Emulator, "__init__", made)
     shared = make_dataset(walks, tmp_path / "shared", workers=0)
     assert len(set(map(id, worlds))) == 2 < len(worlds)
-    monkeypatch.setattr("vlp16emu.extras.dataset.in_one_world", lambda *_: False)
+    monkeypatch.setattr("vlp16emu.extras.dataset.walk.in_one_world", lambda *_: False)
     assert make_dataset(walks, tmp_path / "alone", workers=0).sha256 == shared.sha256
 
 
@@ -218,20 +255,57 @@ def test_workers_that_are_killed_lose_nothing(tmp_path):
     assert "ExecutorManager" not in str([*map(type, threading.enumerate())])  # its semaphores would stay
 
 
-def test_shares_of_machines_are_the_dataset(made, tmp_path):
-    """Shares that two machines made are, in one folder, the dataset that one machine makes; each stand is in one split."""
-    walks, _, first = made
-    assert sorted(split for _, split in {(walk.stand, walk.split) for walk in walks}) == ["test", "train"]
-    for name, share in (("one", (0, 3)), ("two", (3, 99))):
-        assert make_dataset(walks, tmp_path / name, workers=0, share=share).made == len(walks[slice(*share)])
-        copytree(tmp_path / name, tmp_path / "all", dirs_exist_ok=True)
-    whole = make_dataset(walks, tmp_path / "all", workers=0)
-    assert (whole.made, whole.walks, whole.sha256) == (0, len(walks), first.sha256)
+def test_a_walk_that_kills_its_workers_ends_the_run(tmp_path, monkeypatch):
+    """After four deaths over one walk the run ends with its name; a death does not touch the walk of another worker."""
+    walks, tried = walks_in(tmp_path, PUCK_ALONE)[:2], []
+
+    class Dead(ThreadPoolExecutor):  # in the place of processes
+        def submit(self, job, walk, parts, threads):
+            tried.append(walk.number)
+            if walk.number == 0:
+                job = lambda *_: (_ for _ in ()).throw(BrokenExecutor)  # noqa: E731
+            return super().submit(job, walk, parts, threads)
+
+    monkeypatch.setattr("vlp16emu.extras.dataset.processes._new_worker", lambda: Dead(1))
+    with pytest.raises(RunError, match=r"^walk a\.1\.middle\.puck: 4 workers died over it; what is made"):
+        make_dataset(walks, tmp_path / "out", workers=2)
+    assert tried.count(0) == 4
+    assert tried.count(1) == 1
+
+
+def test_an_estimate_is_near_what_is_made_and_makes_nothing(made, tmp_path):
+    """Bytes of walks shorter than the measured span are exact; walks that are complete are left out."""
+    walks, out, first = made
+    estimate = estimate_dataset(walks, tmp_path / "new" / "out", workers=1)
+    assert not (tmp_path / "new").exists()
+    assert estimate.bytes == first.bytes
+    assert (estimate.missing, estimate.kinds, estimate.cores) == (8, 4, 1)
+    assert estimate.simulated_s == 8 * 0.25
+    assert 0 < estimate.cpu_hours == estimate.hours
+    again = estimate_dataset(walks, out, workers=1)
+    assert (again.complete, again.missing, again.bytes, again.hours, again.probes) == (8, 0, 0, 0, ())
+
+
+def test_an_estimate_of_many_sensors_measures_eight(tmp_path, monkeypatch):
+    """Of twelve sensors eight are measured, and the others are taken as their mean."""
+    sensors = ", ".join(f'{{ name = "s{n}", set = ["sensor.model=free", "sensor.beams={n}"] }}' for n in range(1, 13))
+    text = re.sub(r"sensors = .*", f"sensors = [{sensors}]", SPEC).replace("seeds = [1, 2]", "seeds = [1]")
+    walks = [walk for walk in walks_in(tmp_path, text) if walk.stand == "a"]
+    monkeypatch.setitem(LAYOUTS, "semantickitti", lambda _, folder, span: (folder / "x").write_bytes(bytes(1000)))
+    estimate = estimate_dataset(walks, tmp_path / "out", workers=1)
+    assert (estimate.kinds, len(estimate.probes), estimate.bytes) == (12, 8, 12_000)
+
+
+def test_workers_and_a_scheduler_exclude_each_other(tmp_path):
+    """The workers of a scheduler are its own: a number of others is refused before anything is made."""
+    with pytest.raises(InputError, match=r"^workers: found 2 beside a scheduler; expected one of both"):
+        make_dataset([], tmp_path / "out", workers=2, scheduler="tcp://127.0.0.1:9")
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_dataset_of_the_documents_has_24_walks(tmp_path):
     """The file that `scenes/OUTPUTS.md` shows is one."""
-    root = Path(__file__).resolve().parents[2]
+    root = Path(__file__).resolve().parents[3]
     (text,) = re.findall(r"```toml\n(schema.*?)```", (root / "scenes" / "OUTPUTS.md").read_text(), re.DOTALL)
     assert len(walks_in(tmp_path, text)) == 24
 
