@@ -53,6 +53,7 @@ class Check:
 
 _EXTRAS = {
     "cloud": (("laspy", "lazrs", "pypcd4"), "points in LAS and LAZ, score of PCD"),
+    "cluster": (("distributed",), "dataset --scheduler"),
     "data": (("pyarrow",), "--truth-returns, labels of captures"),
     "dem": (("rasterio",), "heights from GeoTIFF files (world.dem)"),
     "picture": (("PIL",), "picture"),

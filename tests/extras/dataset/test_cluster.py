@@ -16,6 +16,7 @@ from vlp16emu.extras.dataset import cluster, make_dataset
 dask = pytest.importorskip("dask")
 distributed = pytest.importorskip("distributed")
 
+PAGE = Path(__file__).resolve().parents[3] / "tools" / "results" / "dataset.md"
 LONGEST_S = 100.0  # that a program of these tests takes for a step, on a machine with other work
 
 KILLED = """
@@ -221,3 +222,19 @@ def test_dask_is_an_extra(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(MissingExtraError, match=r"needs distributed: pip install 'vlp16emu\[cluster\]'"):
         make_dataset([], tmp_path / "out", scheduler="tcp://127.0.0.1:9")
+
+
+def test_the_page_of_results_is_made_by_its_command(tool_named, capsys):
+    """`tools/results/dataset.md` begins as what `tools/dataset_speed` prints, has its tables, and one manifest for all ways."""
+    tool_named("dataset_speed").main(["--shortest"])
+    made, page = (text.splitlines() for text in (capsys.readouterr().out, PAGE.read_text(encoding="utf-8")))
+    assert made[:3] == page[:3]
+    assert page[2].strip() == "tools/dataset_speed > tools/results/dataset.md"
+
+    def first_words(lines):
+        return [line.split("|")[1].split()[0] for line in lines if line.startswith("| ")]
+
+    assert set(first_words(made)) <= set(first_words(page))
+    assert len(first_words(made)) == 11
+    assert "The manifests are the same bytes." in made
+    assert "The manifests are the same bytes." in page

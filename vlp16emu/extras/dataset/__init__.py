@@ -1,7 +1,7 @@
-"""Datasets: their file, their walks and the manifest. Walks are made by this process, by others or by a cluster.
+"""Datasets: their file, their walks and the manifest.
 
-The folder of each walk lists its own files with their sha256, and the manifest joins these lists. Unlisted files are
-never removed.
+Walks are made by this process, by others or by a cluster. The folder of each walk lists its own files with
+their sha256, and the manifest joins these lists. Unlisted files are never removed.
 """
 
 from vlp16emu.extras.dataset.estimate import DatasetEstimate, estimate_dataset

@@ -1,8 +1,8 @@
 """Walks made by the workers of a Dask scheduler, on any number of machines.
 
-Dask sends walks to workers, and sends the walk of a worker that dies to another one. This process opens no port: it
-connects to the scheduler, through which everything goes. A worker that finds the mark that this process puts into the
-folder of the dataset writes there; files of other workers are fetched in pieces.
+Dask sends walks to workers, and sends the walk of a worker that dies to another one. This process opens no
+port: it connects to the scheduler, through which everything goes. A worker that finds the mark that this
+process puts into the folder of the dataset writes there; files of other workers are fetched in pieces.
 """
 
 import hashlib
@@ -37,7 +37,7 @@ _PIECE_BYTES = 8_000_000  # of a file that is fetched; larger pieces are not fas
 _MARK = "mark"
 
 _Made = tuple[str | None, Path, Entry]
-"""Address of the worker that has the folder, None for a folder inside the dataset; the folder; the entry of the walk."""
+"""Address of the worker that has the folder, None for one inside the dataset; the folder; entry of the walk."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +57,8 @@ class Cluster:
     def make(self, walks: Sequence[DatasetWalk], parts: Path) -> Iterator[Made]:
         """Make walks, and yield each when its folder is complete inside `parts`.
 
-        Raises RunError if the scheduler is lost, if workers die too often over one walk, or if files that are fetched
-        cannot be written; and the errors of `make_walk`.
+        Raises RunError if the scheduler is lost, if workers die too often over one walk, or if files that are
+        fetched cannot be written; and the errors of `make_walk`.
         """
         from distributed import as_completed
 
@@ -68,12 +68,13 @@ class Cluster:
         tries = dict[str, tuple[DatasetWalk, int]]()
 
         def submit(walk: DatasetWalk, number: int = 1) -> "Future":
-            key = f"vlp16emu_walk-{parts.name}-{walk.number}-{number}"  # Dask's dashboard shows what is before the dash
+            # Dask's dashboard shows the part of a key before the first dash.
+            key = f"vlp16emu_walk-{parts.name}-{walk.number}-{number}"
             tries[key] = walk, number
             return self.client.submit(_make_on_worker, walk, parts, scratch, key=key, pure=False)
 
         with self._lost_on_error():
-            self.client.run(_clear, scratch)  # what an earlier run into the same folder left, if it was killed
+            self.client.run(_clear, scratch)  # files of an earlier run that was killed
             futures = as_completed(map(submit, islice(left, _MOST_AT_ONCE)), loop=self.client.loop)
             for future in futures:
                 walk, number = tries.pop(future.key)
@@ -106,11 +107,11 @@ class Cluster:
             raise RunError(f"walk {walk.name}: a worker has no {error.name}") from None
         _, _, entry = made
         if not (entry.items() >= identity(walk).items() and is_list_of_files(entry["files"])):
-            raise RunError(f"walk {walk.name}: a worker has made another one of it, with {entry['written_by']}")
+            raise RunError(f"walk {walk.name}: a worker has made another one, with {entry['written_by']}")
         return made
 
     def _fetch(self, place: str, source: Path, entry: Entry, parts: Path) -> Path | None:
-        """Copy the files of a walk from a worker into a new folder inside `parts`; None if the worker is gone."""
+        """Copy the files of a walk from a worker into a folder inside `parts`; None if the worker is gone."""
         folder = parts / source.name
         pieces = self._pieces(place, source)
         held = memoryview(b"")
@@ -131,7 +132,8 @@ class Cluster:
                     return None
             write_list(folder, entry)
         except OSError as error:
-            raise RunError(f"{error.filename or folder}: {error.strerror}; what is made so far is kept") from None
+            where = error.filename or folder
+            raise RunError(f"{where}: {error.strerror}; what is made so far is kept") from None
         self._call(place, rmtree, source)
         return folder
 
@@ -143,7 +145,7 @@ class Cluster:
             begin += len(piece)
 
     def _call(self, place: str, function: Callable[..., Any], *arguments: object) -> Any:
-        """Call a function in a worker, beside the walks that it makes; None if the worker or the file is gone."""
+        """Call a function in a worker, beside its walks; None if the worker or the file is gone."""
         with self._lost_on_error():
             if place not in self.client.nthreads():
                 return None
@@ -156,8 +158,8 @@ class Cluster:
 def connect(scheduler: str) -> Iterator[Cluster]:
     """Connect to a Dask scheduler, given by its address or scheduler file.
 
-    Raises MissingExtraError without Dask; InputError if no scheduler answers, it has no workers, or one of them has no
-    vlp16emu or Python of this version.
+    Raises MissingExtraError without Dask; InputError if no scheduler answers, it has no workers, or one of them
+    has no vlp16emu or Python of this version.
     """
     try:
         import dask
@@ -170,7 +172,7 @@ def connect(scheduler: str) -> Iterator[Cluster]:
     address = _address(scheduler)
     _reach(address)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", VersionMismatchWarning)  # a table; the versions that matter are checked below
+        warnings.simplefilter("ignore", VersionMismatchWarning)  # a table; see `check_versions`
         try:
             client = Client(address, timeout=_REACHED_WITHIN_S, set_as_default=False)
         except Exception as error:  # noqa: BLE001  # whatever a server of another kind or version answers
@@ -202,7 +204,8 @@ def check_versions(address: str, versions: Mapping[str, Any]) -> None:
         package = one["packages"]["vlp16emu"]
         python = ".".join(one["host"]["python"].split(".")[:2])
         if (package, python) != here:
-            others.append(f"{place} has {f'vlp16emu {package}' if package else 'no vlp16emu'} on Python {python}")
+            found = f"vlp16emu {package}" if package else "no vlp16emu"
+            others.append(f"{place} has {found} on Python {python}")
     if others:
         more = f" (and {len(others) - 1} more)" if others[1:] else ""
         raise InputError(address, f"{others[0]}{more}", f"vlp16emu {here[0]} on Python {here[1]}, as here")
@@ -232,7 +235,10 @@ def _address(scheduler: str) -> str:
 
 
 def _reach(address: str) -> None:
-    """Raise InputError if nothing answers at an address: a `Client` that cannot connect leaves a traceback on stderr."""
+    """Raise InputError if nothing answers at an address.
+
+    A `Client` that cannot connect prints a traceback when it is collected.
+    """
     from distributed import Security
     from distributed.comm import connect as connect_comm
     from distributed.utils import LoopRunner
@@ -273,7 +279,7 @@ def _sees(parts: Path) -> bool:
 
 
 def _read_piece(folder: Path, begin: int) -> bytes:
-    """Return a piece of the files of a walk, in the order of its list, from a byte of all of them together."""
+    """Return a piece of the files of a walk, joined in the order of its list, that starts at a byte."""
     piece = bytearray()
     for file in read_list(folder)["files"]:
         if len(piece) < _PIECE_BYTES and begin < file["bytes"]:

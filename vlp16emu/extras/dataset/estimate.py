@@ -24,7 +24,7 @@ from vlp16emu.run.options import Span
 from vlp16emu.scenario import load
 from vlp16emu.store import user_store
 
-_MOST_PROBES = 8  # pairs of stand and sensor that are measured; a pair takes 7 s of a walk and the growth of its stand
+_MOST_PROBES = 8  # pairs of stand and sensor; each takes the growth of its stand and 7 s of a walk
 _FIRST_S = 0.5  # run before the measured span: the world grows in it
 _MEASURED_S = 7.0  # a window of the world, 6.8 s (engine.windows.SEGMENT): shorter spans open one or none
 _HOUR_S = 3600.0
@@ -60,10 +60,10 @@ class DatasetEstimate:
 
 
 def estimate_dataset(walks: Sequence[DatasetWalk], out: Path, **options: Any) -> DatasetEstimate:
-    """Estimate size and run time of the missing walks of a dataset; no file is made outside a temporary folder.
+    """Estimate size and run time of the missing walks of a dataset; no file is left behind.
 
-    At most 8 pairs of stand and sensor are measured: 7 s of a walk each, written by the dataset's own writers, and the
-    growth of the stand.
+    At most 8 pairs of stand and sensor are measured: the growth of the stand, and 7 s of a walk, written by
+    the dataset's own writers into a temporary folder.
 
     Parameters
     ----------
@@ -71,8 +71,8 @@ def estimate_dataset(walks: Sequence[DatasetWalk], out: Path, **options: Any) ->
     out : its folder, which need not exist
     options : fields of `DatasetOptions`; a scheduler is asked for the number of its workers
 
-    Raises InputError for options that exclude each other, a scheduler that has no fit workers, or a scene that cannot
-    be made; MissingExtraError for a scheduler without Dask.
+    Raises InputError for options that exclude each other, a scheduler that has no fit workers, or a scene
+    that cannot be made; MissingExtraError for a scheduler without Dask.
     """
     asked = DatasetOptions(**options)
     check_options(asked)

@@ -21,8 +21,8 @@ _IDENTITY = " ".join(f"{value:g}" for value in np.eye(3, 4).ravel())
 def _semantic_kitti(emulator: Emulator, folder: Path, span: Span) -> None:
     """Write a sequence: one scan per revolution, each deskewed to the pose of its first pulse.
 
-    Poses are world_T_sensor in the world of the scene; camera and lidar coincide, so `calib.txt` has identities.
-    Instances are numbered from 1 in order of first appearance in the sequence.
+    Poses are world_T_sensor in the world of the scene; camera and lidar coincide, so `calib.txt` has
+    identities. Instances are numbered from 1 in order of first appearance in the sequence.
     """
     for name in ("velodyne", "labels"):
         (folder / name).mkdir()
@@ -35,7 +35,8 @@ def _semantic_kitti(emulator: Emulator, folder: Path, span: Span) -> None:
         assert scan.world_T_sensor is not None
         pulse = emulator.world_T_sensor(scan.t_ns)
         first = scan.world_T_sensor
-        from_first_m = matvec(pulse[:, :3, :3], scan.xyz_m.astype(np.float64)) + (pulse[:, :3, 3] - first[:3, 3])
+        turned_m = matvec(pulse[:, :3, :3], scan.xyz_m.astype(np.float64))
+        from_first_m = turned_m + (pulse[:, :3, 3] - first[:3, 3])
         deskewed_m = matmul(from_first_m, first[:3, :3])
         rows = np.column_stack([deskewed_m, scan.reflectivity / 255]).astype("<f4")
         (folder / "velodyne" / f"{number:06d}.bin").write_bytes(rows.tobytes())

@@ -1,7 +1,7 @@
 """The list of the files of each walk, `walk.json`, which the manifest of the dataset joins.
 
-A list comes from a folder of the user: its paths stay inside the folder of the walk, and a file counts as listed only
-if its size and sha256 are those of the list.
+A list comes from a folder of the user: its paths stay inside the folder of the walk, and a file counts as
+listed only if its size and sha256 are those of the list.
 """
 
 import hashlib
@@ -31,17 +31,18 @@ def identity(walk: DatasetWalk) -> Entry:
     tree = walk.scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
     names = ("name", "folder", "split", "stand", "seed", "path", "sensor", "layout")
     digest = hashlib.sha256(json.dumps(tree, sort_keys=True).encode()).hexdigest()
-    return {name: getattr(walk, name) for name in names} | {"written_by": WRITTEN_BY, "scenario_sha256": digest}
+    entry = {name: getattr(walk, name) for name in names}
+    return entry | {"written_by": WRITTEN_BY, "scenario_sha256": digest}
 
 
 def complete_entry(out: Path, walk: DatasetWalk) -> Entry | None:
-    """Return the list of a walk if all its files agree with it and the walk is the same; None if it must be made.
+    """Return the list of a walk if all its files agree with it and the walk is the same; None if not.
 
-    OutputError if its folder has a file that is not listed, or differs from the list, as it may be a user's file; or
-    if the folder is reached through a link out of `out`.
+    OutputError if its folder has a file that is not listed, or differs from the list, as it may be a user's
+    file; or if the folder is reached through a link.
     """
     folder = out / walk.folder
-    if os.path.realpath(folder) != os.path.join(os.path.realpath(out), walk.folder):  # noqa: PTH118  # as realpath gives
+    if _real(folder) != _real(out) / walk.folder:
         raise OutputError(str(out), f"{walk.folder} is reached through a link", "folders inside it")
     entry = listed(out, walk)
     ours = _intact_files(folder)
@@ -58,7 +59,7 @@ def complete_entry(out: Path, walk: DatasetWalk) -> Entry | None:
 
 
 def listed(out: Path, walk: DatasetWalk) -> Entry | None:
-    """Return the list of a walk if it is a list of the same walk, without a look at the files; None if not."""
+    """Return the list of a walk if it is a list of the same walk; its files are not checked. None if not."""
     entry = read_list(out / walk.folder)
     return entry if entry.items() >= identity(walk).items() else None
 
@@ -74,7 +75,10 @@ def described_files(folder: Path) -> list[Entry]:
 
 
 def take_place(made: Path, final: Path) -> None:
-    """Move a complete folder to its place, after removal of the listed files of an earlier run; RunError if that fails."""
+    """Move a complete folder to its place, after removal of the listed files of an earlier run.
+
+    Raises RunError if that fails.
+    """
     try:
         # The list is removed last: without it, files that are left after a kill would count as a user's.
         for path in sorted(_intact_files(final), key=lambda path: path.name == LIST):
@@ -107,14 +111,14 @@ def write_manifest(path: Path, entries: Iterable[Entry]) -> str:
 
 
 def is_list_of_files(files: object) -> bool:
-    """Return True for a list of tables with path, size and sha256, and paths that stay inside the folder of a walk."""
+    """Return True for a list of tables with path, size and sha256 whose paths stay inside a folder."""
     return isinstance(files, list) and all(
         isinstance(file, dict) and file.keys() == _KEYS and _stays_inside(file["path"]) for file in files
     )
 
 
 def _stays_inside(path: object) -> bool:
-    """Return True for a relative path in its shortest form, without `..`, that names a file other than the list."""
+    """Return True for a relative path in its shortest form, without `..`, other than that of the list."""
     if not isinstance(path, str) or "\0" in path:
         return False
     pure = PurePosixPath(path)
@@ -130,8 +134,8 @@ def _intact_files(folder: Path) -> set[Path]:
 
 def _agrees(folder: Path, file: Entry) -> bool:
     path = folder / file["path"]
-    real = os.path.join(os.path.realpath(folder), file["path"])  # noqa: PTH118  # as realpath gives
-    if os.path.realpath(path) != real or not path.is_file():  # through a link it would be a file of others
+    # What is reached through a link may be anybody's.
+    if _real(path) != _real(folder) / file["path"] or not path.is_file():
         return False
     return path.stat().st_size == file["bytes"] and _description(path, folder) == file
 
@@ -147,6 +151,11 @@ def read_list(folder: Path) -> Entry:
     except InputError:
         return {}
     return tree if is_list_of_files(tree.get("files")) else {}
+
+
+def _real(path: Path) -> Path:
+    """Return a path without links; `Path.resolve` fails for a loop of links."""
+    return Path(os.path.realpath(path))
 
 
 def _parse(text: str) -> Entry:

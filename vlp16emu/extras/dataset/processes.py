@@ -15,14 +15,14 @@ from vlp16emu.errors import RunError
 from vlp16emu.extras.dataset.spec import DatasetWalk
 from vlp16emu.extras.dataset.walk import Made, make_walk
 
-MOST_DEATHS = 4  # deaths of workers over one walk that end a run, as for Dask (distributed.scheduler.allowed-failures)
+MOST_DEATHS = 4  # over one walk, as for Dask (distributed.scheduler.allowed-failures, 3, and one more)
 
 
 def make_here(walks: Sequence[DatasetWalk], parts: Path, workers: int | None) -> Iterator[Made]:
     """Make walks in folders inside `parts`, and yield each when it is done.
 
-    `workers` processes make them, by default one per core; with 0 this process. A walk whose worker dies is made again
-    by another; RunError if it happens too often to one walk.
+    `workers` processes make them, by default one per core; with 0 this process. A walk whose worker dies is
+    made again by another; RunError if it happens too often to one walk.
     """
     if workers == 0:
         yield from (make_walk(walk, parts, threads=0) for walk in walks)

@@ -13,7 +13,7 @@ from typing import Any
 
 from vlp16emu.errors import InputError
 from vlp16emu.extras.dataset.cluster import connect
-from vlp16emu.extras.dataset.manifest import MANIFEST, Entry, check_manifest, complete_entry, take_place, write_manifest
+from vlp16emu.extras.dataset.manifest import MANIFEST, check_manifest, complete_entry, take_place, write_manifest
 from vlp16emu.extras.dataset.processes import make_here
 from vlp16emu.extras.dataset.spec import DatasetWalk
 from vlp16emu.extras.dataset.walk import Made, forget_worlds
@@ -22,9 +22,9 @@ from vlp16emu.output import lock, opening
 
 PARTS = ".vlp16emu.parts"
 """Folder within the dataset in which walks are made, in a folder of each run."""
-_RUN = re.compile("run-[0-9a-f]{16}")  # folder of a run; one that exists when a run begins is of a run that was killed
+_RUN = re.compile("run-[0-9a-f]{16}")  # folder of a run; a run that is killed leaves it
 
-
+Progress = Callable[[float], None]
 Maker = Callable[[Sequence[DatasetWalk], Path], Iterator[Made]]
 """Makes walks in folders inside a folder, and yields each when it is done."""
 
@@ -41,7 +41,7 @@ class DatasetResult:
 
 
 def make_dataset(
-    walks: Sequence[DatasetWalk], out: Path, *, progress: Callable[[float], None] = lambda _: None, **options: Any
+    walks: Sequence[DatasetWalk], out: Path, *, progress: Progress = lambda _: None, **options: Any
 ) -> DatasetResult:
     """Make the missing walks of a dataset, and its manifest.
 
@@ -53,16 +53,15 @@ def make_dataset(
     progress : called with the simulated seconds so far, walk by walk
     options : fields of `DatasetOptions`
 
-    Raises InputError for options that exclude each other, or a scheduler that has no fit workers; OutputError if the
-    folder cannot be written, another run writes it, or the folder of a walk has an unlisted file; MissingExtraError
-    for a scheduler without Dask; RunError if a walk fails, workers die repeatedly over one walk, or the scheduler is
-    lost.
+    Raises InputError for options that exclude each other, or a scheduler that has no fit workers; OutputError
+    if the folder cannot be written, another run writes it, or the folder of a walk has an unlisted file;
+    MissingExtraError for a scheduler without Dask; RunError if a walk fails, workers die repeatedly over one
+    walk, or the scheduler is lost.
     """
     out = out.absolute()
     asked = DatasetOptions(**options)
     check_options(asked)
     path = out / MANIFEST
-    entries = dict[int, Entry]()
     with ExitStack() as stack:
         make: Maker = partial(make_here, workers=asked.workers)
         if asked.scheduler is not None:
@@ -109,7 +108,7 @@ def _locked(out: Path) -> Iterator[None]:
 
 @contextmanager
 def _parts_of_run(out: Path) -> Iterator[Path]:
-    """Make a new folder in which walks are made; remove it at the end, and those of killed runs at the beginning."""
+    """Make a folder in which walks are made, and remove it at the end; first remove those of killed runs."""
     parts = out / PARTS
     with opening(str(parts), "a folder that can be written"):
         parts.mkdir(exist_ok=True)

@@ -96,7 +96,9 @@ class DatasetWalk:
     @property
     def folder(self) -> str:
         """Folder within the dataset."""
-        return f"sequences/{self.number:02d}" if self.layout == "semantickitti" else f"walks/{self.number:04d}"
+        if self.layout == "semantickitti":
+            return f"sequences/{self.number:02d}"
+        return f"walks/{self.number:04d}"
 
 
 def load_spec(path: Path) -> DatasetSpec:
@@ -145,6 +147,7 @@ def _split_of(spec: DatasetSpec) -> dict[str, str]:
     names = sorted(stand.name for stand in spec.stands)
     shuffled = [names[i] for i in generator(spec.seed, Purpose.DATASET_SPLIT).permutation(len(names))]
     ends = [0, *(round(end * len(names)) for end in (spec.splits.train, 1 - spec.splits.test, 1.0))]
-    return {
-        name: split for split, (begin, end) in zip(_SPLITS, pairwise(ends), strict=True) for name in shuffled[begin:end]
-    }
+    split_of = dict[str, str]()
+    for split, (begin, end) in zip(_SPLITS, pairwise(ends), strict=True):
+        split_of |= dict.fromkeys(shuffled[begin:end], split)
+    return split_of

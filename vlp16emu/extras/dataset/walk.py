@@ -23,7 +23,8 @@ def make_walk(walk: DatasetWalk, parts: Path, threads: int) -> Made:
     """Make the files of a walk in a new folder inside `parts`.
 
     The world of the latest walk of this thread is reused if it fits; that never changes a byte.
-    Raises InputError, in the name of the walk, if its scene cannot be made; RunError if its files cannot be written.
+    Raises InputError, in the name of the walk, if its scene cannot be made; RunError if its files cannot be
+    written.
     """
     latest = _LATEST.pop(get_ident(), None)
     like = latest if latest and in_one_world(walk.scenario, latest.scenario) else None
