@@ -31,15 +31,15 @@ def test_a_dry_run_says_what_is_made_and_makes_nothing(cli, spec, tmp_path):
     """Number, size and hours come before anything is made, as a page and as JSON; they hold for the walks made then."""
     out = tmp_path / "out"
     page = cli("dataset", spec, out, "--dry-run", "--workers", "0")
-    assert page.out.startswith("2 of 2 walks are to be made\n  simulated  0.4 s\n  size       ")
-    assert "\nstand  sensor  measured s  grow cpu s  cpu s per s  bytes per s\nhall " in page.out
+    assert page.out.startswith("2 of 2 walks to be made\n  simulated  0.4 s\n  size       ")
+    assert "\nstand and sensor  measured  growth, CPU  CPU per s  MB per s\nhall, puck " in page.out
     tree = cli("dataset", spec, out, "--dry-run", "--json").tree
     assert sorted(path.name for path in tmp_path.iterdir()) == ["spec.toml"]
     made = cli("dataset", spec, out, "--workers", "0", "--json").tree
     assert tree["missing"] == made["made"] == 2
     assert tree["bytes"] == made["bytes"]
     again = cli("dataset", spec, out, "--dry-run")
-    assert again.out.startswith("0 of 2 walks are to be made\n")
+    assert again.out.startswith("0 of 2 walks to be made\n")
 
 
 @pytest.mark.parametrize(

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 
 from vlp16emu.cli import arguments as args
 from vlp16emu.cli.arguments import AsJson, CaptureFile, UnitName, WhichClock
-from vlp16emu.cli.printer import count, finish, print_json, print_rows, print_table, size, table_of
+from vlp16emu.cli.printer import count, finish, print_json, print_rows, print_table, size
 from vlp16emu.cli.terminal import Progress, make_emulator, running, stop_on_ctrl_c
 from vlp16emu.errors import InputError, MissingExtraError
 from vlp16emu.extras.options import DatasetOptions, PictureLook, PointOptions
 from vlp16emu.run.options import BagOptions, Option, Span, TruthPackets, TruthRate, TruthReturns, TruthTo, WhichUnit
 
 if TYPE_CHECKING:
-    from vlp16emu.extras.dataset import DatasetEstimate
+    from vlp16emu.extras.dataset import DatasetEstimate, Probe
 
 
 def truth(
@@ -199,18 +199,27 @@ def dataset(
 
 
 def _print_estimate(estimate: "DatasetEstimate") -> None:
-    missing = f"{count(estimate.missing)} of {count(estimate.walks)}"
     rows = {
         "simulated": _duration(estimate.simulated_s),
         "size": f"{_gigabytes(estimate.bytes)}, {_gigabytes(estimate.free_bytes)} are free",
         "CPU time": _duration(3600 * estimate.cpu_hours),
-        "run time": f"{_duration(3600 * estimate.hours)} at least, on {count(estimate.cores)} cores",
-        "measured": f"{len(estimate.probes)} of {count(estimate.kinds)} pairs of stand and sensor, on this machine",
+        "run time": f"{_duration(3600 * estimate.hours)} at least, on {_counted(estimate.cores, 'core')}",
+        "measured": f"{len(estimate.probes)} of {_counted(estimate.kinds, 'pair')} of stand and sensor, on this machine",
     }
-    print_rows(f"{missing} walks are to be made", rows)
+    print_rows(f"{count(estimate.missing)} of {_counted(estimate.walks, 'walk')} to be made", rows)
     if estimate.probes:
         print()
-        print_table(table_of(estimate.probes))
+        head = ["stand and sensor", "measured", "growth, CPU", "CPU per s", "MB per s"]
+        print_table([head, *map(_probe_cells, estimate.probes)])
+
+
+def _probe_cells(probe: "Probe") -> list[str]:
+    times = f"{probe.measured_s:.3g} s", f"{probe.grow_cpu_s:.2f} s", f"{probe.cpu_s_per_s:.2f} s"
+    return [f"{probe.stand}, {probe.sensor}", *times, f"{probe.bytes_per_s / 1e6:.3f}"]
+
+
+def _counted(number: int, thing: str) -> str:
+    return f"{count(number)} {thing}{'' if number == 1 else 's'}"
 
 
 def _duration(duration_s: float) -> str:

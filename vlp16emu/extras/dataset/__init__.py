@@ -4,7 +4,7 @@ Walks are made by this process, by others or by a cluster. The folder of each wa
 their sha256, and the manifest joins these lists. Unlisted files are never removed.
 """
 
-from vlp16emu.extras.dataset.estimate import DatasetEstimate, estimate_dataset
+from vlp16emu.extras.dataset.estimate import DatasetEstimate, Probe, estimate_dataset
 from vlp16emu.extras.dataset.run import DatasetResult, make_dataset
 from vlp16emu.extras.dataset.spec import DatasetSpec, DatasetWalk, load_spec, walks_of
 
@@ -13,6 +13,7 @@ __all__ = [
     "DatasetResult",
     "DatasetSpec",
     "DatasetWalk",
+    "Probe",
     "estimate_dataset",
     "load_spec",
     "make_dataset",
