@@ -1,12 +1,15 @@
-"""What the documents show can be done, and what they name exists."""
+"""What the documents show can be done and prints what they say, and what they name exists."""
 
 import json
 import re
 import shlex
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
 import pytest
+from printed import TIMES, differences, shown_block
 
 from vlp16emu.cli.app import run
 from vlp16emu.scenario import load
@@ -52,6 +55,57 @@ def test_the_tables_of_the_documents_fit_into_a_scene(tables, tmp_path):
     path = tmp_path / "my_forest.toml"
     path.write_text("\n".join([*lines, tables, *others]), encoding="utf-8")
     assert load(str(path)).title == "Thirty seconds among birches"
+
+
+BLOCK = shown_block(DOCUMENTS["README.md"], "wrote walk.pcap")
+
+
+def program(folder, *words):
+    """Run the program in a folder, and return its standard output."""
+    command = [sys.executable, "-m", "vlp16emu", *map(str, words)]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True).stdout
+
+
+@pytest.fixture(scope="module")
+def quickstart(tmp_path_factory):
+    """Run the commands of `tools/quickstart` in an empty folder; return it and their output."""
+    folder = tmp_path_factory.mktemp("quickstart")
+    script = (ROOT / "tools/quickstart").read_text(encoding="utf-8").replace('"$walk"', "./walk.pcap")
+    commands = re.findall(r'(?m)^"\$emulator" (.*)$', script)
+    return folder, "".join(program(folder, *shlex.split(command)) for command in commands)
+
+
+def test_the_readme_shows_what_the_quick_start_prints(quickstart):
+    """The first block of README is what the commands of `tools/quickstart` print, but for the times of the machine."""
+    _, printed = quickstart
+    assert differences(BLOCK, printed) == []
+
+
+FIGURES = [figure.start() for figure in re.finditer(r"\d", BLOCK)]
+
+
+def edited(place):
+    """Return the block of README with another digit at a place, and the line of that place."""
+    digit = "1" if BLOCK[place] == "0" else "0"
+    begin = BLOCK.rfind("\n", 0, place) + 1
+    return BLOCK[:place] + digit + BLOCK[place + 1 :], BLOCK[begin:].partition("\n")[0]
+
+
+def test_an_edited_figure_of_the_readme_is_found():
+    """A change of any one digit of the block differs from what is printed, unless the digit belongs to a time."""
+    for place in FIGURES:
+        other, line = edited(place)
+        is_time = line.strip().startswith(TIMES)
+        assert len(differences(other, BLOCK)) == (0 if is_time else 1), line
+    assert sum(edited(place)[1].strip().startswith(TIMES) for place in FIGURES) < 10 < len(FIGURES)
+
+
+def test_a_line_more_or_less_is_found():
+    """A line that only the document or only the command has is a difference, also that of a time."""
+    for line in (*TIMES, "sha256"):
+        without = "\n".join(one for one in BLOCK.splitlines() if not one.strip().startswith(line))
+        assert differences(BLOCK, without)
+        assert differences(without, BLOCK)
 
 
 def test_the_python_of_the_readme_runs(capsys, tmp_path, monkeypatch):
