@@ -3,6 +3,7 @@
 import json
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -12,7 +13,9 @@ import pytest
 from printed import TIMES, differences, shown_block
 
 from vlp16emu.cli.app import run
-from vlp16emu.scenario import load
+from vlp16emu.cli.verb import leaves_of
+from vlp16emu.doors import door
+from vlp16emu.scenario import load, scene_files
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = {
@@ -106,6 +109,55 @@ def test_a_line_more_or_less_is_found():
         without = "\n".join(one for one in BLOCK.splitlines() if not one.strip().startswith(line))
         assert differences(BLOCK, without)
         assert differences(without, BLOCK)
+
+
+ENDLESS = {"--loop": "", "birch_walk --to 192.168.1.10": "birch_walk --to 127.0.0.1 --data-port 0 --position-port 0"}
+"""Parts of README's commands without which they end by themselves, on this machine."""
+PLACES = {"SPEC.toml": "spec.toml", "OUT": "out", "field_day.pcap": "walk.pcap"}
+"""What stands for a file of the reader, and a file of this test in its place."""
+SHORT = {"accuracy": "--pulses 128", "dataset": "--workers 0"}
+"""Options with which a command takes a moment, beside `--duration`."""
+SPEC = """
+schema = 1
+layout = "pcap+truth"
+stands = [{ name = "hall", scene = "static_bench", set = ["duration_s=0.3"] }]
+seeds = [1]
+paths = [{ name = "as_it_is" }]
+sensors = [{ name = "puck" }]
+"""
+
+
+def readme_commands():
+    """Return the commands of README's tables of verbs in their order, without the page, which has no end."""
+    table = DOCUMENTS["README.md"].partition("## Commands\n")[2].partition("\n`--help`")[0]
+    return [command for command in re.findall(r"`vlp16emu ([^`]+)`", table) if not command.startswith("view ")]
+
+
+def in_a_moment(command):
+    """Return the words of a command in the hall, for three tenths of a second."""
+    for part, other in ENDLESS.items():
+        command = command.replace(part, other)
+    words = [PLACES.get(word, word) for word in shlex.split(command)]
+    words = ["static_bench" if word in scene_files() else word for word in words]
+    if "--duration" in words:
+        words[words.index("--duration") + 1] = "0.3"
+    elif any(leaf.name == "--duration" for leaf in leaves_of(door(words[0], "verbs"))):
+        words += ["--duration", "0.3"]
+    return words + SHORT.get(words[0], "").split()
+
+
+def test_the_commands_of_the_readme_run(tmp_path, monkeypatch, capfd):
+    """The commands of README's tables run one after the other in an empty folder, in the hall for a moment."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "spec.toml").write_text(SPEC, encoding="utf-8")
+    for command in readme_commands():
+        words = in_a_moment(command)
+        if words[0] == "score":
+            shutil.copy("truth/trajectory.tum", "estimate.tum")
+        code = run(words)
+        printed = capfd.readouterr()
+        may_find = words[0] == "doctor" or words[-2:] == ["--for", "all"]  # of this machine, and of a bag without IMU
+        assert code <= int(may_find), (words, *printed)
 
 
 def test_the_python_of_the_readme_runs(capsys, tmp_path, monkeypatch):
