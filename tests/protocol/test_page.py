@@ -35,7 +35,7 @@ def test_codes_of_no_returns_are_as_the_page_says(preset):
     with_code, without = answer("Reflectivity where there is no return").split("; 0 with ")
     codes, _ = no_return_codes(preset)
     assert len(codes) > 1000
-    assert (np.mean(codes > 0) > 0.9) == (f'"{preset}"' in with_code)  # a laser of a unit may have codes of 0
+    assert (np.mean(codes > 0) > 0.5) == (f'"{preset}"' in with_code)  # a laser of a unit may have codes of 0
     assert (codes == 0).all() == (f"`{preset}`" in without)
 
 
