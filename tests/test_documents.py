@@ -15,6 +15,7 @@ from printed import TIMES, differences, shown_block
 from vlp16emu.cli.app import run
 from vlp16emu.cli.verb import leaves_of
 from vlp16emu.doors import door
+from vlp16emu.errors import InputError
 from vlp16emu.scenario import load, scene_files
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -173,6 +174,32 @@ def test_the_commands_of_the_documents_are_understood(command, capsys):
     """Verbs and options in the documents and in the help's examples exist: with --help behind them they are accepted."""
     assert run([*shlex.split(command)[1:], "--help"]) == 0
     assert capsys.readouterr().err == ""
+
+
+def settings_of(command):
+    """Return the scene and the settings of a command with `--set`."""
+    words = shlex.split(command)
+    scene = next((word for word in words if word in scene_files()), "birch_walk")
+    return scene, [words[i + 1] for i, word in enumerate(words) if word == "--set"]
+
+
+@pytest.mark.parametrize("command", [one for one in COMMANDS if "--set" in one])
+def test_the_settings_of_the_documents_are_taken(command, tmp_path, monkeypatch):
+    """Each setting of a command in the documents is one of its scene, or names a file of the reader that is missing here."""
+    monkeypatch.chdir(tmp_path)
+    try:
+        load(*settings_of(command))
+    except InputError as error:
+        assert "no such file" in str(error) or "No such file" in str(error)  # noqa: PT017  # of the reader's own
+
+
+def test_the_page_of_the_paper_has_the_commands_of_its_tool(tool_named):
+    """`tools/results/paper.md` has the rows of `tools/paper`, in their order, each with a result."""
+    lines = [line for line in DOCUMENTS["tools/results/paper.md"].splitlines() if "`vlp16emu" in line]
+    cells = [line.strip("| ").split(" | ") for line in lines]
+    rows = [(row.part, row.what, f"`{row.command}`") for row in tool_named("paper").ROWS]
+    assert [tuple(line[:3]) for line in cells] == rows
+    assert all(len(line) == 4 for line in cells)
 
 
 @documents
