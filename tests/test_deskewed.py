@@ -12,6 +12,8 @@ from vlp16emu.cli.app import run
 from vlp16emu.errors import InputError, TrajectoryError
 from vlp16emu.extras.clouds.deskew import Trajectory, write_deskewed
 from vlp16emu.extras.clouds.points import write_points
+from vlp16emu.extras.options import TrajectoryErrors
+from vlp16emu.extras.recorded.files import read_tum
 from vlp16emu.packets import DATA_BYTES, DISTANCE_LSB_M
 from vlp16emu.run.options import TruthTo
 
@@ -40,9 +42,9 @@ def points(*words):
         return dict(arrays)
 
 
-def deskewed(capture, trajectory, out, unit=1, truth=None, offset_s=0.0):
+def deskewed(capture, trajectory, out, unit=1, truth=None, **errors):
     """Arrays of a capture's points in the world, and the report."""
-    way = Trajectory(trajectory, unit, offset_s)
+    way = Trajectory(trajectory, unit, TrajectoryErrors(**errors))
     report = write_deskewed(capture, out, way, truth, stop=Event())
     with np.load(out) as arrays:
         return dict(arrays), report
@@ -92,10 +94,40 @@ def test_the_true_trajectory_gives_the_points_of_the_scene(walk, true):
 def test_a_time_offset_takes_later_poses(walk):
     """With 50 ms each pulse has the pose of 50 ms later; pulses that have none there are left out and counted."""
     folder, emulator, _ = walk
-    late, report = deskewed(folder / "walk.pcap", folder / "truth", folder / "w.npz", offset_s=0.05)
+    late, report = deskewed(folder / "walk.pcap", folder / "truth", folder / "w.npz", time_offset_s=0.05)
     truth = emulator.world_T_sensor(late["t_ns"] + 50_000_000)
     assert np.abs(late["viewpoint_m"] - truth[:, :3, 3]).max() < 1e-5
     assert 0.1 < report["without_pose"] / (report["without_pose"] + report["points"]) < 0.2
+
+
+def test_a_wrong_mount_moves_points_in_the_sensor(walk, true):
+    """A boresight error of 2 degrees of yaw and a lever arm of 0.1 m move points in the frame of the body."""
+    folder, emulator, _ = walk
+    mount = 0.1, 0.0, 0.0, 0.0, 0.0, 2.0
+    wrong, _ = deskewed(folder / "walk.pcap", folder / "truth", folder / "w.npz", mount=mount)
+    points, _ = true
+    cos, sin = np.cos(np.radians(2.0)), np.sin(np.radians(2.0))
+    x, y, z = points["sensor_m"].astype(float).T
+    in_body_m = np.column_stack([cos * x - sin * y + 0.1, sin * x + cos * y, z])
+    poses = emulator.world_T_sensor(points["t_ns"])
+    expected_m = np.einsum("nij,nj->ni", poses[:, :3, :3], in_body_m) + poses[:, :3, 3]
+    np.testing.assert_allclose(wrong["world_m"], expected_m, atol=1e-4)
+
+
+def test_drift_grows_with_time(walk, true):
+    """Drifts of 6 m to the east and of 60 degrees per minute grow with the time since the first pose."""
+    folder, _, _ = walk
+    wrong, _ = deskewed(folder / "walk.pcap", folder / "truth", folder / "w.npz", drift=(6.0, 0.0, 0.0, 60.0))
+    points, _ = true
+    first = read_tum(folder / "truth" / "trajectory.tum")
+    since_s = (points["t_ns"] - first.t_ns[0]) / 1e9
+    angle = np.radians(since_s)  # 60 degrees per minute
+    x, y, z = (points["world_m"] - first.position_m[0]).T
+    east = np.cos(angle) * x - np.sin(angle) * y + 0.1 * since_s
+    north = np.sin(angle) * x + np.cos(angle) * y
+    expected_m = np.column_stack([east, north, z]) + first.position_m[0]
+    assert np.abs(expected_m - points["world_m"]).max() > 0.05
+    np.testing.assert_allclose(wrong["world_m"], expected_m, atol=1e-5)
 
 
 def test_laz_of_a_capture_has_returns_time_and_place(walk, true):
@@ -151,6 +183,12 @@ def test_a_trajectory_of_another_day_is_refused(walk, tmp_path):
         (["{pcap}", "{out}", "--trajectory", "{out}"], "no such file"),
         (["{pcap}", "{out}", "--trajectory", "{folder}"], "rig.json: no such file"),
         (["static_bench", "{out}", "--time-offset", "1"], "--time-offset: found beside a scene"),
+        (["static_bench", "{out}", "--drift", "1,0,0,0"], "--drift: found beside a scene"),
+        (["{pcap}", "{out}", "--mount", "1,0"], "--mount: found 1,0; expected the numbers X,Y,Z,ROLL,PITCH,YAW"),
+        (
+            ["{pcap}", "{out}", "--drift", "1,0,0,nan"],
+            "--drift: found 1,0,0,nan; expected the numbers EAST,NORTH,UP,YAW",
+        ),
     ],
 )
 def test_what_makes_no_sense_is_refused_in_one_line(walk, refused, options, line):

@@ -1,15 +1,22 @@
-"""What the documents show can be done, and what they name exists."""
+"""What the documents show can be done and prints what they say, and what they name exists."""
 
 import json
 import re
 import shlex
+import shutil
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
 import pytest
+from printed import TIMES, differences, shown_block
 
 from vlp16emu.cli.app import run
-from vlp16emu.scenario import load
+from vlp16emu.cli.verb import leaves_of
+from vlp16emu.doors import door
+from vlp16emu.errors import InputError
+from vlp16emu.scenario import load, scene_files
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = {
@@ -54,6 +61,106 @@ def test_the_tables_of_the_documents_fit_into_a_scene(tables, tmp_path):
     assert load(str(path)).title == "Thirty seconds among birches"
 
 
+BLOCK = shown_block(DOCUMENTS["README.md"], "wrote walk.pcap")
+
+
+def program(folder, *words):
+    """Run the program in a folder, and return its standard output."""
+    command = [sys.executable, "-m", "vlp16emu", *map(str, words)]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True).stdout
+
+
+@pytest.fixture(scope="module")
+def quickstart(tmp_path_factory):
+    """Run the commands of `tools/quickstart` in an empty folder; return it and their output."""
+    folder = tmp_path_factory.mktemp("quickstart")
+    script = (ROOT / "tools/quickstart").read_text(encoding="utf-8").replace('"$walk"', "./walk.pcap")
+    commands = re.findall(r'(?m)^"\$emulator" (.*)$', script)
+    return folder, "".join(program(folder, *shlex.split(command)) for command in commands)
+
+
+def test_the_readme_shows_what_the_quick_start_prints(quickstart):
+    """The first block of README is what the commands of `tools/quickstart` print, but for the times of the machine."""
+    _, printed = quickstart
+    assert differences(BLOCK, printed) == []
+
+
+FIGURES = [figure.start() for figure in re.finditer(r"\d", BLOCK)]
+
+
+def edited(place):
+    """Return the block of README with another digit at a place, and the line of that place."""
+    digit = "1" if BLOCK[place] == "0" else "0"
+    begin = BLOCK.rfind("\n", 0, place) + 1
+    return BLOCK[:place] + digit + BLOCK[place + 1 :], BLOCK[begin:].partition("\n")[0]
+
+
+def test_an_edited_figure_of_the_readme_is_found():
+    """A change of any one digit of the block differs from what is printed, unless the digit belongs to a time."""
+    for place in FIGURES:
+        other, line = edited(place)
+        is_time = line.strip().startswith(TIMES)
+        assert len(differences(other, BLOCK)) == (0 if is_time else 1), line
+    assert sum(edited(place)[1].strip().startswith(TIMES) for place in FIGURES) < 10 < len(FIGURES)
+
+
+def test_a_line_more_or_less_is_found():
+    """A line that only the document or only the command has is a difference, also that of a time."""
+    for line in (*TIMES, "sha256"):
+        without = "\n".join(one for one in BLOCK.splitlines() if not one.strip().startswith(line))
+        assert differences(BLOCK, without)
+        assert differences(without, BLOCK)
+
+
+ENDLESS = {"--loop": "", "birch_walk --to 192.168.1.10": "birch_walk --to 127.0.0.1 --data-port 0 --position-port 0"}
+"""Parts of README's commands without which they end by themselves, on this machine."""
+PLACES = {"SPEC.toml": "spec.toml", "OUT": "out", "field_day.pcap": "walk.pcap"}
+"""What stands for a file of the reader, and a file of this test in its place."""
+SHORT = {"accuracy": "--pulses 128", "dataset": "--workers 0"}
+"""Options with which a command takes a moment, beside `--duration`."""
+SPEC = """
+schema = 1
+layout = "pcap+truth"
+stands = [{ name = "hall", scene = "static_bench", set = ["duration_s=0.3"] }]
+seeds = [1]
+paths = [{ name = "as_it_is" }]
+sensors = [{ name = "puck" }]
+"""
+
+
+def readme_commands():
+    """Return the commands of README's tables of verbs in their order, without the page, which has no end."""
+    table = DOCUMENTS["README.md"].partition("## Commands\n")[2].partition("\n`--help`")[0]
+    return [command for command in re.findall(r"`vlp16emu ([^`]+)`", table) if not command.startswith("view ")]
+
+
+def in_a_moment(command):
+    """Return the words of a command in the hall, for three tenths of a second."""
+    for part, other in ENDLESS.items():
+        command = command.replace(part, other)
+    words = [PLACES.get(word, word) for word in shlex.split(command)]
+    words = ["static_bench" if word in scene_files() else word for word in words]
+    if "--duration" in words:
+        words[words.index("--duration") + 1] = "0.3"
+    elif any(leaf.name == "--duration" for leaf in leaves_of(door(words[0], "verbs"))):
+        words += ["--duration", "0.3"]
+    return words + SHORT.get(words[0], "").split()
+
+
+def test_the_commands_of_the_readme_run(tmp_path, monkeypatch, capfd):
+    """The commands of README's tables run one after the other in an empty folder, in the hall for a moment."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "spec.toml").write_text(SPEC, encoding="utf-8")
+    for command in readme_commands():
+        words = in_a_moment(command)
+        if words[0] == "score":
+            shutil.copy("truth/trajectory.tum", "estimate.tum")
+        code = run(words)
+        printed = capfd.readouterr()
+        may_find = words[0] == "doctor" or words[-2:] == ["--for", "all"]  # of this machine, and of a bag without IMU
+        assert code <= int(may_find), (words, *printed)
+
+
 def test_the_python_of_the_readme_runs(capsys, tmp_path, monkeypatch):
     """The examples in Python run as printed, and the capture is clean."""
     monkeypatch.chdir(tmp_path)
@@ -67,6 +174,32 @@ def test_the_commands_of_the_documents_are_understood(command, capsys):
     """Verbs and options in the documents and in the help's examples exist: with --help behind them they are accepted."""
     assert run([*shlex.split(command)[1:], "--help"]) == 0
     assert capsys.readouterr().err == ""
+
+
+def settings_of(command):
+    """Return the scene and the settings of a command with `--set`."""
+    words = shlex.split(command)
+    scene = next((word for word in words if word in scene_files()), "birch_walk")
+    return scene, [words[i + 1] for i, word in enumerate(words) if word == "--set"]
+
+
+@pytest.mark.parametrize("command", [one for one in COMMANDS if "--set" in one])
+def test_the_settings_of_the_documents_are_taken(command, tmp_path, monkeypatch):
+    """Each setting of a command in the documents is one of its scene, or names a file of the reader that is missing here."""
+    monkeypatch.chdir(tmp_path)
+    try:
+        load(*settings_of(command))
+    except InputError as error:
+        assert "no such file" in str(error) or "No such file" in str(error)  # noqa: PT017  # of the reader's own
+
+
+def test_the_page_of_the_paper_has_the_commands_of_its_tool(tool_named):
+    """`tools/results/paper.md` has the rows of `tools/paper`, in their order, each with a result."""
+    lines = [line for line in DOCUMENTS["tools/results/paper.md"].splitlines() if "`vlp16emu" in line]
+    cells = [line.strip("| ").split(" | ") for line in lines]
+    rows = [(row.part, row.what, f"`{row.command}`") for row in tool_named("paper").ROWS]
+    assert [tuple(line[:3]) for line in cells] == rows
+    assert all(len(line) == 4 for line in cells)
 
 
 @documents

@@ -94,3 +94,12 @@ def test_people_get_a_page(cli):
     assert "\nmeasured now, on " in outcome.out
     assert "\n  verdict" in outcome.out
     assert outcome.err == ""
+
+
+def test_a_recording_is_estimated(cli):
+    """The size is that of the recording, in proportion to its duration; a longer one takes longer; one beyond the scene is refused."""
+    short, long = (cli("plan", "static_bench", "--duration", s, "--json").tree["recording"] for s in (1, 10))
+    assert long["bytes"] == pytest.approx(10 * short["bytes"], rel=0.01)
+    assert long["bytes"] == pytest.approx(753.5 * 10 * (1206 + 58) + 146 * 10 * (512 + 58), rel=0.01)
+    assert long["wall_s"] > short["wall_s"] > 0
+    assert "expected" in cli("plan", "birch_walk", "--duration", 1000).err

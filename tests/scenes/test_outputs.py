@@ -11,7 +11,7 @@ from vlp16emu.extras.truth.truth import _GNSS_COLUMNS, _IMU_COLUMNS, ATTITUDE, S
 from vlp16emu.forest.plants.species import flora
 from vlp16emu.forest.stand.given_stand import _COLUMNS
 from vlp16emu.forest.stand.inventory import INVENTORY
-from vlp16emu.scenario import scene_files
+from vlp16emu.scenario import load, scene_files
 from vlp16emu.tables import LARGEST
 from vlp16emu.types import PlantPart, Semantic
 
@@ -93,3 +93,15 @@ def test_every_scene_has_a_row_and_a_picture():
         assert f"\n### {name}\n" in text, name
         assert f"](pictures/{name}.png)" in text, name
         assert (Path(__file__).parents[2] / "scenes" / "pictures" / f"{name}.png").is_file(), name
+
+
+def test_the_figures_of_a_scene_are_those_of_the_program(tool_named):
+    """In the table of scenes, seasons, sensors and durations are right, and all figures of the first row."""
+    tool = tool_named("scene_table")
+    text = (SCENES / "README.md").read_text(encoding="utf-8")
+    for name, file in scene_files().items():
+        (line,) = re.findall(rf"(?m)^\| \[`{name}`\].*$", text)
+        season, sensor, duration = tool.setting_cells(load(str(file)))
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        assert [cells[2], *cells[-2:]] == [season, sensor, duration], name
+    assert f"\n{tool.row('birch_walk', 'pure silver birch')}\n" in text

@@ -12,7 +12,7 @@ from vlp16emu.cli.arguments import AsJson, RunOptions, SceneName, Settings
 from vlp16emu.cli.printer import count, print_json, print_rows, print_table, rows_of, size, table_of, text_of, tree_of
 from vlp16emu.cli.terminal import Progress, compile_first, make_emulator
 from vlp16emu.errors import InputError
-from vlp16emu.run.options import Option
+from vlp16emu.run.options import Duration, Option
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -56,15 +56,18 @@ _TOO_SLOW = (
 )
 
 
-def plan(scene: SceneName, making: RunOptions, *, as_json: AsJson = False) -> None:
-    """Report what a scene needs and what it leaves out, and measure whether a stream keeps up.
+def plan(scene: SceneName, making: RunOptions, *, duration_s: Duration = None, as_json: AsJson = False) -> None:
+    """Report what a scene needs and what it leaves out, what a recording takes, and whether a stream keeps up.
 
     The world is grown, the kernels are loaded, and two seconds are recorded without a file: the speed holds for this
-    machine at its present load. It does not include the new window of the world that a walk needs every 7 s.
+    machine at its present load. It does not include the new window of the world that a walk needs every 7 s; the time of a
+    recording does.
     """
     began_s = time.perf_counter()
     emulator = make_emulator(scene, making)
-    from vlp16emu.extras.plan import libraries, needs, stream_outlook, surroundings
+    _, stop_s = emulator.scenario.span_s(0.0, duration_s)
+    emulator.packets(0.0, stop_s)  # not taken: it refuses a walk that ends before
+    from vlp16emu.extras.plan import libraries, needs, recording_outlook, stream_outlook, surroundings
 
     emulator.record(os.devnull, duration_s=min(0.1, emulator.scenario.duration_s))
     started_s = time.perf_counter() - began_s
@@ -80,6 +83,7 @@ def plan(scene: SceneName, making: RunOptions, *, as_json: AsJson = False) -> No
         "world": surroundings(engine),
         "measured": {"started_s": started_s}
         | {name: getattr(measured, name) for name in ("simulated_s", "wall_s", "real_time_factor")},
+        "recording": recording_outlook(engine, measured, started_s, stop_s),
         "stream": stream,
     }
     if as_json:
@@ -91,6 +95,7 @@ def plan(scene: SceneName, making: RunOptions, *, as_json: AsJson = False) -> No
     print_rows("in reach", rows_of(tree["world"]))
     print_rows("libraries", {name: "loaded" if on else "left out" for name, on in tree["libraries"].items()})
     print_rows(f"measured now, on {engine.threads} threads", rows_of(tree["measured"]))
+    print_rows("recording, estimated", rows_of(tree["recording"]))
     print_rows("stream", rows_of(stream))
     if not stream["keeps_up"]:
         print(_TOO_SLOW)

@@ -12,7 +12,7 @@ from vlp16emu.cli.arguments import AsJson, CaptureFile, UnitName, WhichClock
 from vlp16emu.cli.printer import count, finish, print_json, print_rows, print_table, size
 from vlp16emu.cli.terminal import Progress, make_emulator, running, stop_on_ctrl_c
 from vlp16emu.errors import InputError, MissingExtraError
-from vlp16emu.extras.options import DatasetOptions, PictureLook, PointOptions
+from vlp16emu.extras.options import DatasetOptions, PictureLook, PointOptions, TrajectoryErrors
 from vlp16emu.run.options import BagOptions, Option, Span, TruthPackets, TruthRate, TruthReturns, TruthTo, WhichUnit
 
 if TYPE_CHECKING:
@@ -54,18 +54,9 @@ def points(
     ],
     options: PointOptions,
     making: args.EmulatorOptions,
+    errors: TrajectoryErrors,
     *,
     trajectory: args.TrajectoryFile = None,
-    time_offset_s: Annotated[
-        float,
-        Option(
-            "Of a capture: seconds added to the time of a pulse before its pose is looked up.",
-            "S",
-            ge=-7 * 86_400,
-            le=7 * 86_400,
-            shown=False,
-        ),
-    ] = 0.0,
     clock: args.WhichClock = None,
     as_json: args.AsJson = False,
 ) -> None:
@@ -73,7 +64,7 @@ def points(
 
     Each point is given in the world and in the sensor's frame at the instant of its pulse, as a user would
     compute it. No packets are made, so ranges are not on their 2 mm grid. Ctrl-C leaves a valid file.
-    Points of a capture are placed in the world by a trajectory, the true one or an estimate.
+    Points of a capture are placed in the world by a trajectory: the true one, an estimate, or one with errors on purpose.
     """
     from vlp16emu.captures.capture import is_capture_name
 
@@ -81,9 +72,10 @@ def points(
         spans = {"--duration": options.duration_s, "--start": options.start_s}
         made = {"--set": making.settings, "--ideal": making.ideal, "--threads": making.threads}
         _refuse({**spans, **made}, f"the capture {scene}", "a scene")
-        _deskew(Path(scene), out, trajectory, time_offset_s, options, clock=clock, as_json=as_json)
+        _deskew(Path(scene), out, trajectory, errors, options, clock=clock, as_json=as_json)
         return
-    _refuse({"--time-offset": time_offset_s, "--clock": clock}, "a scene", "a capture and its --trajectory")
+    wrong = {"--time-offset": errors.time_offset_s, "--mount": errors.mount, "--drift": errors.drift}
+    _refuse({**wrong, "--clock": clock}, "a scene", "a capture and its --trajectory")
     began_s = time.perf_counter()
     emulator = make_emulator(scene, making)
     from vlp16emu.extras.clouds.points import write_points
@@ -104,7 +96,7 @@ def _deskew(
     capture: Path,
     out: Path,
     trajectory: Path | None,
-    time_offset_s: float,
+    errors: TrajectoryErrors,
     options: PointOptions,
     *,
     clock: str | None,
@@ -116,7 +108,7 @@ def _deskew(
     from vlp16emu.extras.clouds.cloud import label_scheme
     from vlp16emu.extras.clouds.deskew import CaptureTruth, Trajectory, write_deskewed
 
-    way, truth, labels = Trajectory(trajectory, options.unit, time_offset_s), None, options.labels
+    way, truth, labels = Trajectory(trajectory, options.unit, errors), None, options.labels
     if options.truth or labels:
         place = TruthTo.of(options.truth_to)
         folder = place.folder if place else trajectory

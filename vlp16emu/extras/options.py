@@ -1,5 +1,6 @@
 """Options of extras, for Python and the command line. They need no library, as help must be quick."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -7,6 +8,9 @@ from typing import Annotated, Any
 from vlp16emu.run.options import Option, Options, Span, TruthPlace, WhichUnit
 
 _LARGEST_PX = 8_192
+_MOUNT = "X,Y,Z,ROLL,PITCH,YAW"
+_DRIFT = "EAST,NORTH,UP,YAW"
+_FARTHEST = 1e6  # greatest of these numbers
 
 
 def _pixels(text: str) -> tuple[int, ...]:
@@ -15,6 +19,53 @@ def _pixels(text: str) -> tuple[int, ...]:
     if len(words) != 2 or len(size) != 2 or not all(64 <= n <= _LARGEST_PX for n in size):
         raise ValueError(text)
     return size
+
+
+def _numbers(names: str) -> Callable[[str], tuple[float, ...]]:
+    """Return the parser of numbers that are named in a list such as `X,Y,Z`."""
+
+    def parse(text: str) -> tuple[float, ...]:
+        numbers = tuple(float(word) for word in text.split(","))
+        if len(numbers) != len(names.split(",")) or not all(abs(number) <= _FARTHEST for number in numbers):
+            raise ValueError(text)
+        return numbers
+
+    return parse
+
+
+@dataclass(frozen=True)
+class TrajectoryErrors(Options):
+    """Errors that a trajectory gets on purpose, to see what they do to a map."""
+
+    time_offset_s: Annotated[
+        float,
+        Option(
+            "For a capture: seconds added to the time of a pulse before its pose is looked up.",
+            "S",
+            ge=-7 * 86_400,
+            le=7 * 86_400,
+            shown=False,
+        ),
+    ] = 0.0
+    mount: Annotated[
+        Any,
+        Option(
+            "For a capture: extrinsics of the sensor on the body of the trajectory, in m and degrees as in [motion.mount];"
+            " with the true trajectory, errors of boresight and lever arm.",
+            _MOUNT,
+            parse=_numbers(_MOUNT),
+            expected=f"the numbers {_MOUNT}",
+        ),
+    ] = None
+    drift: Annotated[
+        Any,
+        Option(
+            "For a capture: drift of the trajectory from its first pose on, in m and degrees per minute.",
+            _DRIFT,
+            parse=_numbers(_DRIFT),
+            expected=f"the numbers {_DRIFT}",
+        ),
+    ] = None
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 import math
 import sys
+import time
 from collections import Counter
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +18,9 @@ from vlp16emu.forest.plants.stem import StemKey
 from vlp16emu.forest.stand.floor_shapes import FloorKey
 from vlp16emu.forest.stand.tree_models import ModelKey
 from vlp16emu.forest.tiles import TileKey
+from vlp16emu.run.report import Recording
 from vlp16emu.scenario import Scenario
+from vlp16emu.units import S_NS
 
 _KINDS = {
     CrownKey: "trees",
@@ -105,6 +108,28 @@ def verdict(speed: float) -> str:
     if speed < 1.0:
         return "no, packets will be late"
     return "yes" if speed >= _SCARCE else "yes, with next to nothing left for other programs"
+
+
+def recording_outlook(engine: Engine, measured: Recording, started_s: float, duration_s: float) -> dict[str, float]:
+    """Return run time and size of a recording, from a measured one; all windows of the world take as long as the second one.
+
+    Parameters
+    ----------
+    started_s : measured time from the start of the program to the end of the first moment
+    duration_s : simulated seconds of the recording
+    """
+    segment_s = engine.batching.segment * engine.batching.block_ns / S_NS
+    further = int(duration_s // segment_s) if engine.parts.moves else 0
+    opening_s = 0.0
+    if further:
+        began_s = time.process_time()
+        engine.windows.at_block(engine.batching.segment).result()
+        opening_s = (time.process_time() - began_s) / engine.threads
+    return {
+        "duration_s": duration_s,
+        "wall_s": started_s + duration_s / measured.real_time_factor + further * opening_s,
+        "bytes": round(measured.bytes * duration_s / measured.simulated_s),
+    }
 
 
 def stream_outlook(scenario: Scenario, speed: float) -> dict[str, object]:

@@ -64,7 +64,7 @@ class Lidar(Preset):
     lines, and a random state at the start; `steady` turns at constant speed, and power-up is the start of the run."""
     return_mode: Literal["strongest", "last", "dual"] = "strongest"
     """Returns that are sent: the strongest, the last, or both."""
-    min_range_m: Annotated[float, Field(ge=0.5, le=131.07)] = 0.5
+    min_range_m: Annotated[float, Field(ge=0.5, lt=131.07)] = 0.5
     """Nearer targets are blanked; no real unit sends less than 0.5 m."""
     max_range_m: Annotated[float, Field(gt=0.5, le=131.07, validate_default=True)] = 100.0
     """Farther targets are lost; 100 m in the data sheet, 131.07 m is the largest code."""

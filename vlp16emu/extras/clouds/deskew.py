@@ -11,20 +11,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.captures import CaptureReader, PacketChunk, chosen_unit, packet_clock
-from vlp16emu.elementary import matvec
+from vlp16emu.elementary import matmul, matvec
 from vlp16emu.errors import InputError, TrajectoryError
 from vlp16emu.extras.clouds import cloud
 from vlp16emu.extras.clouds.scan import twins
+from vlp16emu.extras.options import TrajectoryErrors
 from vlp16emu.extras.recorded.files import read_tum
 from vlp16emu.extras.recorded.motion import RecordedMotion
 from vlp16emu.extras.recorded.settings import Recorded
 from vlp16emu.extras.truth.folder import read_json
 from vlp16emu.extras.truth.slots import SlotReader
+from vlp16emu.motion.pose import rotation, rotations
 from vlp16emu.scenario import load
 from vlp16emu.types import F8, I8
 from vlp16emu.units import S_NS, US_NS, seconds_to_ns
 
 _PACKETS = 100  # transformed together: 38 400 points, some 20 MB
+_MINUTE_NS = 60 * S_NS
 _TAKEN = ("distance_m", "azimuth_deg", "reflectivity", "ring", "laser", "is_last")
 """Columns that are copied from packets unchanged."""
 
@@ -36,10 +39,10 @@ class Trajectory:
     ----------
     path : a TUM file, or a folder with the ground truth of a run
     unit : number of the sensor in the run, from 1; InputError if the folder has no such trajectory
-    offset_s : added to the time of a pulse before its pose is looked up
+    errors : applied to its poses
     """
 
-    def __init__(self, path: Path, unit: int, offset_s: float = 0.0) -> None:
+    def __init__(self, path: Path, unit: int, errors: TrajectoryErrors | None = None) -> None:
         self.path, self.unit, self.origin, self.sensor = path, unit, None, None
         if path.is_dir():
             self.path, self.origin, self.sensor = _of_truth(path, unit)
@@ -47,7 +50,10 @@ class Trajectory:
         self._first_ns, self._last_ns = int(poses.t_ns[0]), int(poses.t_ns[-1])
         recorded = Recorded(kind="recorded", file=str(self.path), format="tum")
         self._motion = RecordedMotion(recorded, poses, start_ns=self._first_ns)
-        self._offset_ns = seconds_to_ns(offset_s)
+        errors = errors or TrajectoryErrors()
+        self._offset_ns = seconds_to_ns(errors.time_offset_s)
+        self._mount = errors.mount
+        self._drift = errors.drift
         self.first_m = poses.position_m[0]
 
     @property
@@ -62,8 +68,23 @@ class Trajectory:
 
     def poses_at(self, t_ns: I8) -> tuple[F8, F8]:
         """Return rotations (n, 3, 3) and positions (n, 3) of the sensor in the world at instants (n,)."""
-        poses = self._motion.poses_at(np.clip(t_ns + self._offset_ns, self._first_ns, self._last_ns))
-        return poses.world_R_body, poses.world_p_body_m
+        at_ns = np.clip(t_ns + self._offset_ns, self._first_ns, self._last_ns)
+        poses = self._motion.poses_at(at_ns)
+        turn, place_m = poses.world_R_body, poses.world_p_body_m
+        if self._drift is not None:
+            turn, place_m = self._with_drift(turn, place_m, (at_ns - self._first_ns) / _MINUTE_NS)
+        if self._mount is not None:
+            *lever_arm_m, roll_deg, pitch_deg, yaw_deg = self._mount
+            place_m = place_m + matvec(turn, np.array(lever_arm_m))
+            turn = matmul(turn, rotation(yaw_deg, pitch_deg, roll_deg))
+        return turn, place_m
+
+    def _with_drift(self, turn: F8, place_m: F8, minutes: F8) -> tuple[F8, F8]:
+        """Return poses with the drift after `minutes` (n,): a rotation about the first pose, then a translation."""
+        *per_minute_m, yaw_deg = self._drift
+        yaw = rotations(np.radians(yaw_deg * minutes), 0.0, 0.0)
+        from_first_m = matvec(yaw, place_m - self.first_m)
+        return matmul(yaw, turn), self.first_m + from_first_m + minutes[:, None] * np.array(per_minute_m)
 
 
 class CaptureTruth:
