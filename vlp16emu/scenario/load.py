@@ -75,13 +75,7 @@ def load(
         raise ScenarioError(_origin(source, changes, fault), *fault[1:]) from None
 
 
-def rewrite(
-    tree: dict[str, Any],
-    settings: Mapping[str, object] | Sequence[str],
-    *,
-    folder: Path,
-    to: Path,
-) -> None:
+def rewrite(tree: dict[str, Any], settings: Mapping[str, object] | Sequence[str], *, folder: Path, to: Path) -> None:
     """Apply settings to the tables of a scene file in place, and let its relative files be found from another folder.
 
     Parameters

@@ -124,7 +124,9 @@ class Draft:
         changed = dict[str, object]()
         if self.way_points != first.way_points:
             changed["motion.way_points_m"] = [[one.x_m, one.y_m] for one in self.way_points]
-            stops = [{"way_point": i, "pause_s": one.pause_s} for i, one in enumerate(self.way_points, 1) if one.pause_s]
+            stops = [
+                {"way_point": i, "pause_s": one.pause_s} for i, one in enumerate(self.way_points, 1) if one.pause_s
+            ]
             stops += [one.model_dump(exclude_none=True) for one in walk.stops if one.at_m is not None]
             if stops or walk.stops:
                 changed["motion.stops"] = stops

@@ -44,7 +44,7 @@ _SOLID = frozenset(
 _BODY_M = 0.25  # half the width of a person's shoulders in outdoor clothing, as of `extras.people`
 _SAMPLE_M = 0.25  # greatest edge of the triangles whose corners stand for an object
 _ABOUT_FAULT_M = 1.0  # length to either side of a fault that is marked
-_PER_S = 10  # the recording ends at a whole tenth of a second
+PER_S = 10  # the recording ends at a whole tenth of a second
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +123,7 @@ class Surroundings:
         path, run_time_s = route.path, route.run_time_s
         recorded_s = scenario.duration_s
         if draft.is_whole or recorded_s > run_time_s:
-            recorded_s = math.floor(run_time_s * _PER_S) / _PER_S
+            recorded_s = math.floor(run_time_s * PER_S) / PER_S
         marks = sorted(self._marks(path.xy_m, path.along_m), key=lambda mark: int(mark.rows.argmax()))
         data, position = (self._packets(kind, recorded_s) for kind in (PacketKind.DATA, PacketKind.POSITION))
         return Outlook(
