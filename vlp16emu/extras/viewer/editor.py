@@ -27,7 +27,8 @@ from vlp16emu.types import F8, U1
 _FARTHEST_M = 10_000.0  # limit of a way point from the scene's origin: nobody drags it farther
 _GIZMOS = 24  # way points with arrows, around the chosen one; more would hide the path
 _DOTS = 100  # places along the curve that insert a way point
-_RAISED_M = 0.15  # height of the path over the ground, so that the ground does not hide it
+_RAISED_M = 0.3  # height of the path over the ground, so that the ground does not hide it
+_PREVIEW_S = 600.0  # most time of a walk whose stand is drawn, if less is recorded: a browser draws some hundred metres
 _LISTED_EM = 12  # height of the list of marks, which scrolls
 _CLEAR: tuple[int, int, int] = (30, 90, 220)
 _CHOSEN: tuple[int, int, int] = (255, 255, 255)
@@ -39,10 +40,10 @@ _RGB: dict[Kind, tuple[int, int, int]] = {
 }
 """Colours of marks, from the least to the most serious."""
 _MEANING: dict[Kind, str] = {
-    "unknown": "not grown yet: the preview shows what stands there",
-    "left out": "left out of the stand that is recorded",
-    "stays": "stays there: the sensor goes through it",
-    "refused": "not recorded",
+    "unknown": "beyond the stand that is drawn",
+    "left out": "in the way, left out of the stand that is recorded",
+    "stays": "in the way: the sensor goes through it",
+    "refused": "so that it cannot be recorded",
 }
 _BALL = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], np.float32)
 _BALL_FACES = [(0, 2, 4), (2, 1, 4), (1, 3, 4), (3, 0, 4), (2, 0, 5), (1, 2, 5), (3, 1, 5), (0, 3, 5)]
@@ -123,7 +124,7 @@ class Editor:
 
     def _panel(self) -> None:
         gui, draft, to = self._server.gui, self._versions.draft, self._opened.to
-        with gui.add_folder("Path"):
+        with gui.add_folder("Path", order=0.0):  # before the sweeps, whose legend may be long
             self._text = gui.add_html("")
             ends = {"preview": self._begin_preview} | ({} if to is None else {"save": self._save})
             self._add_buttons(ends, "preview grows the stand along this path, and shows its sweeps")
@@ -151,9 +152,12 @@ class Editor:
 
         def pressed(event: viser.GuiEvent[Any]) -> None:
             name = event.target.value
-            self._requests.put(lambda: requests[name]())
+            self._requests.put(lambda: self._press(requests, name))
 
         buttons.on_click(pressed)
+
+    def _press(self, requests: dict[str, Callable[[], None]], name: str) -> None:
+        requests[name]()
 
     def _on_user(self, control: Any, request: Callable[[], None]) -> None:
         """Make a request when a user sets a control, and not when the panel follows a change."""
@@ -235,7 +239,9 @@ class Editor:
         """Grow the stand around a draft, and show it with its sweeps."""
         note = ""
         try:
-            scenario = load(self._opened.scenario, settings)
+            end_s = self._around.outlook(replace(draft, is_whole=True)).recorded_s
+            longer_s = max(self._around.outlook(draft).recorded_s, min(end_s, _PREVIEW_S))
+            scenario = load(self._opened.scenario, settings | {"duration_s": longer_s})
             emulator = Emulator(scenario, threads=self._emulator.engine.threads, like=self._emulator)
             seen = self._show_stand(emulator)
             around = Surroundings(self._opened.scenario, emulator.parts.units, seen)

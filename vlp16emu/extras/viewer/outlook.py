@@ -132,7 +132,7 @@ class Surroundings:
             length_m=route.length_m,
             run_time_s=run_time_s,
             recorded_s=recorded_s,
-            revolutions=recorded_s * self._units[0].section.rpm / 60.0,
+            revolutions=self._units[0].head.rotor.revolutions(seconds_to_ns(recorded_s)),
             data_packets=data,
             position_packets=position,
         )
