@@ -231,7 +231,7 @@ def view(
     ] = None,
     save: Annotated[
         Path | None,
-        Option("File in which the page saves the scene with the path as edited; replaced if it exists.", "FILE.toml"),
+        Option("File in which the page saves the scene with the edited path; replaced if it exists.", "FILE.toml"),
     ] = None,
     radius_m: Annotated[
         float, Option("Distance from the path up to which the stand is drawn.", "M", ge=1, le=100)
@@ -241,10 +241,11 @@ def view(
     ] = "127.0.0.1",
     port: Annotated[int, Option("Port of the page, 0 for any free one.", "N", ge=0, le=65_535)] = 8016,
 ) -> None:
-    """Show a scene in the browser: the stand, the sweep at any time, and the path of a walk, which can be edited.
+    """Show a scene in the browser: the stand, the sweep at any time, and the path of a walk, to be edited.
 
-    Drag way points over the ground; see at once length, run time and packets, and what is in the way; save the scene with the new
-    path. For a capture, the page shows its sweeps and marks faulty packets. Needs the extra 'viewer'. Ctrl-C ends it.
+    Drag way points over the ground; see at once length, run time and packets, and what is in the way; save the
+    scene with the new path. For a capture, the page shows its sweeps and marks faulty packets. Needs the extra
+    'viewer'. Ctrl-C ends it.
     """
     from vlp16emu.captures.capture import is_capture_name
 

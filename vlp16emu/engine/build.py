@@ -223,8 +223,8 @@ def _world(scenario: Scenario) -> tuple[Motion, HeightField, World, Any]:
 
 def reach_of_path_m(scenario: Scenario) -> float:
     """Return the distance from the carrier's path up to which a sensor may hit something."""
-    longest_m = (sensor.max_range_m + float(norm(np.array(mount.lever_arm_m))) for sensor, mount in _sensors(scenario))
-    return _STRAY_M + max(longest_m)
+    sensors = _sensors(scenario)
+    return _STRAY_M + max(sensor.max_range_m + float(norm(np.array(mount.lever_arm_m))) for sensor, mount in sensors)
 
 
 def mounts_of(scenario: Scenario) -> list[Mount]:

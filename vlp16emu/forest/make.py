@@ -55,9 +55,10 @@ class ForestSite:
         return None
 
     def has_ground(self, xy_m: F8, reach_m: float) -> NDArray[np.bool_]:
-        """Return a mask of points (n, 2) at which a path can be: all of them, or where a height file covers what is in reach."""
-        ground = self._ground
-        return ground.has_heights(xy_m, reach_m) if isinstance(ground, DemHeights) else np.ones(len(xy_m), np.bool_)
+        """Return a mask of the points (n, 2) at which a path has ground: with a file of heights not everywhere."""
+        if isinstance(self._ground, DemHeights):
+            return self._ground.has_heights(xy_m, reach_m)
+        return np.ones(len(xy_m), np.bool_)
 
     def world(
         self, path_xy_m: F8, *, reach_m: float, farthest_m: float, wind: Wind | None, start_ns: int

@@ -76,7 +76,7 @@ def load(
 
 
 def rewrite(tree: dict[str, Any], settings: Mapping[str, object] | Sequence[str], *, folder: Path, to: Path) -> None:
-    """Apply settings to the tables of a scene file in place, and let its relative files be found from another folder.
+    """Apply settings to the tables of a scene file in place, and name its relative files from another folder.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def rewrite(tree: dict[str, Any], settings: Mapping[str, object] | Sequence[str]
 
 
 def _move_files(tree: Any, kinds: Sequence[Any], before: Path, after: str) -> None:
-    """Change the relative files in tables or a list, which may be of some kinds, to paths from the folder `after`."""
+    """Change the relative files in tables or a list of some kinds to paths from the folder `after`."""
     is_table = isinstance(tree, dict)
     for name, value in [*(tree.items() if is_table else enumerate(tree))]:
         own = _kinds_of(kinds, name) if is_table else kinds

@@ -17,12 +17,13 @@ from vlp16emu.scenario import load
 
 POLE = {"name": "pole", "foot_m": [6.0, -4.0, 0.0], "diameter_m": 0.5, "height_m": 4.0}
 CEILING = {"name": "lamp", "centre_m": [-6.0, -4.0, 5.0], "size_m": [2.0, 2.0, 1.0]}
+ROOM = {"kind": "hall", "length_m": 30.0, "width_m": 18.0, "height_m": 6.0}
 HALL = {
     "schema": 1,
     "duration_s": 3.0,
     "beam": {"model": "none"},
     "motion": {"kind": "walk", "way_points_m": [[-6, 0], [0, 1], [6, 0]]},
-    "world": {"kind": "hall", "length_m": 30.0, "width_m": 18.0, "height_m": 6.0, "poles": [POLE], "boxes": [CEILING]},
+    "world": ROOM | {"poles": [POLE], "boxes": [CEILING]},
 }
 BIRCH = {"species": "silver_birch", "share": 1.0, "dbh_cm": 18.0, "height_m": 19.0}
 FOREST = HALL | {
@@ -61,7 +62,8 @@ def test_the_outlook_is_that_of_the_recording(hall, tmp_path):
     (sent,) = emulator.record(tmp_path / "walk.pcap").units
     assert (sent.packets, sent.position_packets) == (outlook.data_packets, outlook.position_packets)
     assert sent.turn.revolutions == outlook.revolutions
-    assert outlook.length_m == pytest.approx(np.hypot(*np.diff(outlook.path_m[:, :2], axis=0).T).sum(), rel=1e-3)
+    steps_m = np.diff(outlook.path_m[:, :2], axis=0)
+    assert outlook.length_m == pytest.approx(np.hypot(*steps_m.T).sum(), rel=1e-3)
 
 
 def test_a_short_walk_shortens_the_recording(hall):
@@ -75,7 +77,7 @@ def test_a_short_walk_shortens_the_recording(hall):
 
 
 def test_objects_of_a_hall_stay_in_the_way(hall):
-    """A path through a pole and one out of the hall are marked where they are so; a lamp at the ceiling is in nobody's way."""
+    """A pole and the outside of the hall are marked where the path leads there; a lamp is in nobody's way."""
     surroundings, draft, _ = hall
     assert surroundings.outlook(draft).marks == ()
     through = surroundings.outlook(draft.moved(0, -10.0, -4.0).moved(1, 0.0, -4.0).moved(2, 10.0, -4.0))
@@ -118,7 +120,7 @@ def test_stems_and_stones_are_left_out(forest):
 
 
 def test_the_ground_is_followed_and_its_limits_shown(forest):
-    """Points are on the ground of the world; what is farther from the grown path than the stand reaches is marked as unknown."""
+    """Points are on the ground; what is farther from the grown path than the stand is marked as unknown."""
     surroundings, draft, seen = forest
     outlook = surroundings.outlook(draft.moved(1, 25.0, 1.0))
     np.testing.assert_allclose(outlook.path_m[:, 2], seen.bare.height_m(*outlook.path_m[:, :2].T))
@@ -129,7 +131,7 @@ def test_the_ground_is_followed_and_its_limits_shown(forest):
 
 @pytest.mark.parametrize(("on_conflict", "kind"), [("refuse", "refused"), ("drop", "left out")])
 def test_the_stems_of_a_list_are_known_also_where_they_were_left_out(on_conflict, kind, tmp_path):
-    """A listed stem in the way has the scene refused, or is left out, as the scene says; around it there is no mark."""
+    """A listed stem in the way has the scene refused, or is left out, as the scene says."""
     (tmp_path / "stems.csv").write_text(
         "x,y,species,dbh_cm,height_m\n3,0.2,silver_birch,20,18\n3,5,silver_birch,20,18\n"
     )
@@ -142,7 +144,7 @@ def test_the_stems_of_a_list_are_known_also_where_they_were_left_out(on_conflict
 
 
 def test_a_path_off_the_grid_of_heights_is_marked(tmp_path):
-    """Points off the grid, and points that have a cell without height in reach, are those that `check` refuses."""
+    """Points off the grid, or with a cell without height in reach, are those that `check` refuses."""
     heights_m = np.zeros((40, 40), np.float64)
     heights_m[2, 3] = np.nan
     np.save(tmp_path / "ground.npy", heights_m)

@@ -30,7 +30,8 @@ length_m = 30.0
 width_m = 18.0
 height_m = 6.0
 """
-PATH = {"motion.way_points_m": [[float(x), 2.5] for x in range(-4, 5)], "motion.speed_m_s": 2.0, "duration_s": 0.2}
+LINE = [[float(x), 2.5] for x in range(-4, 5)]
+PATH = {"motion.way_points_m": LINE, "motion.speed_m_s": 2.0, "duration_s": 0.2}
 
 
 @pytest.fixture
@@ -40,7 +41,7 @@ def scene(tmp_path):
 
 
 def test_the_saved_path_is_recorded(scene, tmp_path):
-    """A recording of the saved scene has the new path in its truth; comments and other keys are the user's."""
+    """A recording of the saved scene has the new path in its truth; comments stay."""
     to = tmp_path / "new.toml"
     write_scene(to, scene, ["seed=7"], PATH | {"motion.stops": [{"way_point": 3, "pause_s": 5.0}]})
     text = to.read_text()
@@ -84,7 +85,7 @@ def test_the_scenario_of_a_run_becomes_a_scene(scene, tmp_path):
     [
         'motion = { kind = "walk", way_points_m = [[0, 0], [5, 1]], run_time_s = 20 }',
         'motion.kind = "walk"\nmotion.way_points_m = [[0, 0], [5, 1]]',
-        '[motion]\nkind = "walk"\nway_points_m = [[0, 0], [5, 1]]\n[[motion.stops]]\nway_point = 1\npause_s = 3',
+        '[motion]\nkind = "walk"\nlawn_mower = { length_m = 5.0, width_m = 9.0 }\n[[motion.stops]]\nat_m = 1\npause_s = 3',
     ],
 )
 def test_each_form_of_a_table_is_changed(motion, tmp_path):
@@ -98,7 +99,7 @@ def test_each_form_of_a_table_is_changed(motion, tmp_path):
 
 
 def test_a_wrong_place_is_refused(scene, tmp_path):
-    """The scene itself, its inputs, another ending and a folder that does not exist are refused, and nothing is written."""
+    """The scene itself, its inputs, another ending and a folder that does not exist are refused."""
     with pytest.raises(OutputError, match="is read by this run"):
         write_scene(scene, scene, [], PATH, inputs=[scene])
     (tmp_path / "link.toml").symlink_to(scene)

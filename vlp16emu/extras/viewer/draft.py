@@ -54,9 +54,8 @@ class Draft:
         one_way = walk.model_copy(update={"back_and_forth": False})
         given = way_points(one_way, scenario.gps, scenario.world.site(scenario.world_seed).origin_m[:2])
         rows = np.column_stack([given.xy_m, given.pause_s]).tolist()
-        return cls(
-            tuple(WayPoint(*row) for row in rows), walk.speed_m_s, walk.run_time_s, walk.laps, walk.back_and_forth
-        )
+        points = tuple(WayPoint(*row) for row in rows)
+        return cls(points, walk.speed_m_s, walk.run_time_s, walk.laps, walk.back_and_forth)
 
     @property
     def xy_m(self) -> F8:
@@ -84,7 +83,7 @@ class Draft:
         return replace(self, way_points=tuple(rows))
 
     def inserted(self, x_m: float, y_m: float) -> tuple[Self, int]:
-        """Return the draft with a way point more, in the leg that it lengthens least, and the number of the way point."""
+        """Return the draft with a way point more, in the leg that it lengthens least, and its number."""
         new = WayPoint(round(x_m, _DECIMALS), round(y_m, _DECIMALS))
         detours_m = [_gap_m(a, new) + _gap_m(new, b) - _gap_m(a, b) for a, b in pairwise(self.way_points)]
         number = 1 + int(np.argmin(detours_m))
@@ -99,7 +98,7 @@ class Draft:
         return replace(self, way_points=tuple(rows)) if len(rows) >= fewest else self
 
     def closed(self, *, is_loop: bool) -> Self:
-        """Return the draft as a loop back to the first way point, or open again; two way points cannot be a loop."""
+        """Return the draft as a loop back to the first way point, or open; two way points stay open."""
         if is_loop == self.is_loop or (is_loop and len(self.way_points) < _FEWEST_OF_LOOP - 1):
             return self
         end = self.way_points[0]._replace(pause_s=0.0)
@@ -107,9 +106,9 @@ class Draft:
         return replace(self, way_points=rows, laps=self.laps if is_loop or self.back_and_forth else 1)
 
     def simplified(self, tolerance_m: float) -> Self:
-        """Return the draft with fewer way points, whose curve passes all of the present ones within a tolerance.
+        """Return the draft with fewer way points, whose curve passes all present ones within a tolerance.
 
-        Way points with a stop stay. A phone's track has one per second, of which few are needed.
+        Way points with a stop stay. A phone's track has one per second, far more than a curve needs.
         """
         xy_m, last = self.xy_m, len(self.way_points) - 1
         kept = {0, last} | {i for i, one in enumerate(self.way_points) if one.pause_s}
@@ -124,9 +123,8 @@ class Draft:
         changed = dict[str, object]()
         if self.way_points != first.way_points:
             changed["motion.way_points_m"] = [[one.x_m, one.y_m] for one in self.way_points]
-            stops = [
-                {"way_point": i, "pause_s": one.pause_s} for i, one in enumerate(self.way_points, 1) if one.pause_s
-            ]
+            numbered = enumerate(self.way_points, start=1)
+            stops = [{"way_point": i, "pause_s": one.pause_s} for i, one in numbered if one.pause_s]
             stops += [one.model_dump(exclude_none=True) for one in walk.stops if one.at_m is not None]
             if stops or walk.stops:
                 changed["motion.stops"] = stops
@@ -188,7 +186,7 @@ def _gap_m(one: WayPoint, other: WayPoint) -> float:
 
 
 def _strays(xy_m: F8, kept: list[int], tolerance_m: float) -> Iterator[int]:
-    """Yield the point of each leg that is farthest from the curve through the kept ones, if beyond a tolerance."""
+    """Yield the point of each leg that is farthest from the curve through the kept ones, if too far."""
     plan = plan_of(xy_m[kept])
     for leg, (begin, end) in enumerate(pairwise(kept)):
         if end - begin < 2:

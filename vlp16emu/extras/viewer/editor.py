@@ -28,7 +28,7 @@ _FARTHEST_M = 10_000.0  # limit of a way point from the scene's origin: nobody d
 _GIZMOS = 24  # way points with arrows, around the chosen one; more would hide the path
 _DOTS = 100  # places along the curve that insert a way point
 _RAISED_M = 0.3  # height of the path over the ground, so that the ground does not hide it
-_PREVIEW_S = 600.0  # most time of a walk whose stand is drawn, if less is recorded: a browser draws some hundred metres
+_PREVIEW_S = 600.0  # most of a walk whose stand is drawn, if less is recorded: a browser draws some 100 m
 _LISTED_EM = 12  # height of the list of marks, which scrolls
 _CLEAR: tuple[int, int, int] = (30, 90, 220)
 _CHOSEN: tuple[int, int, int] = (255, 255, 255)
@@ -61,19 +61,20 @@ class Opened:
     to: Path | None  # File to save it in; None if the user named none
 
     def walkable(self, error: InputError) -> Scenario:
-        """Return the scene with as many of its way points as a person can walk along; `error` if none can be left out.
+        """Return the scene with as many of its way points as a person can walk along; raise `error` if none.
 
-        A phone notes its place each second, with an error of some metres: nobody walks through all these places.
+        A phone notes its place each second with an error of metres: nobody walks through all these places.
         """
         walk = self.scenario.motion
         if not isinstance(walk, Walk):
             raise error
         first = Draft.of(self.scenario)
+        site = self.scenario.world.site(self.scenario.world_seed)
         for tolerance_m in (0.5, 1.0, 2.0, 4.0):
             settings = first.simplified(tolerance_m).settings(first, walk)
             scenario = load(self.scenario, settings)
             try:
-                walk_of(scenario).route(scenario.world.site(scenario.world_seed), scenario.gps, is_stored=False)
+                walk_of(scenario).route(site, scenario.gps, is_stored=False)
             except InputError:
                 continue
             return scenario
@@ -83,8 +84,8 @@ class Opened:
 class Editor:
     """Way points of a draft in the scene, and its panel.
 
-    A thread of its own changes the draft, one request after another, and shows the outlook of the last. The preview
-    grows the stand in another thread.
+    A thread of its own changes the draft, one request after another, and shows the outlook of the last.
+    The preview grows the stand in another thread.
 
     Parameters
     ----------
@@ -112,7 +113,7 @@ class Editor:
         self._chosen, self._is_growing, self._note = 0, False, ""
         if self._grown != self._saved:
             was, now = len(self._saved.way_points), len(self._grown.way_points)
-            self._note = f"Nobody can walk through all {was} way points of the scene; {now} are left. Undo shows why."
+            self._note = f"Nobody can walk through all {was} way points; {now} are left. Undo shows why."
         self._requests: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._gizmos: list[viser.TransformControlsHandle] = []
         self._names: list[viser.LabelHandle] = []
@@ -130,8 +131,10 @@ class Editor:
             self._add_buttons(ends, "preview grows the stand along this path, and shows its sweeps")
             self._number = gui.add_number("way point", 1, min=1, step=1, hint="or click one in the scene")
             self._pause = gui.add_number("stop there, s", draft.way_points[0].pause_s, min=0.0, step=1.0)
-            self._add_buttons({"insert": self._insert_after, "delete": self._delete}, "or click a dot of the curve")
-            self._add_buttons({"undo": lambda: self._versions.step(-1), "redo": lambda: self._versions.step(1)})
+            changes = {"insert": self._insert_after, "delete": self._delete}
+            self._add_buttons(changes, "or click a dot of the curve")
+            steps = {"undo": lambda: self._versions.step(-1), "redo": lambda: self._versions.step(1)}
+            self._add_buttons(steps)
             self._loop = gui.add_checkbox("loop", draft.is_loop)
             self._return = gui.add_checkbox("there and back", draft.back_and_forth)
             self._laps = gui.add_number("laps", draft.laps, min=1, max=1000, step=1)
@@ -139,10 +142,12 @@ class Editor:
             self._time = gui.add_number(
                 "run time, s", draft.run_time_s or 0.0, min=0.0, step=1.0, hint="0: by the speed"
             )
-            self._whole = gui.add_checkbox("record all of it", draft.is_whole, hint="instead of the scene's duration")
+            hint = "instead of the scene's duration"
+            self._whole = gui.add_checkbox("record all of it", draft.is_whole, hint=hint)
             self._tolerance = gui.add_number("tolerance, m", 1.0, min=0.05, max=20.0, step=0.25)
-            self._add_buttons({"simplify": self._simplify}, "fewer way points, with the curve within the tolerance")
-        for control in (self._pause, self._loop, self._return, self._laps, self._speed, self._time, self._whole):
+            self._add_buttons({"simplify": self._simplify}, "fewer way points, within the tolerance")
+        checkboxes = self._loop, self._return, self._whole
+        for control in (self._pause, self._laps, self._speed, self._time, *checkboxes):
             self._on_user(control, self._take_panel)
         self._on_user(self._number, lambda: self._choose(int(_limited(self._number.value, 1, 1e6)) - 1))
 
@@ -289,10 +294,9 @@ class Editor:
         else:
             is_whole = outlook.run_time_s - outlook.recorded_s < 1 / PER_S
             part = "all of it" if is_whole else f"the first {outlook.recorded_s:.1f} s"
-            lines += [
-                f"recorded: {part}, {_grouped(outlook.revolutions)} revolutions,",
-                f"{_grouped(outlook.data_packets)} data and {_grouped(outlook.position_packets)} position packets",
-            ]
+            data, position = _grouped(outlook.data_packets), _grouped(outlook.position_packets)
+            lines.append(f"recorded: {part}, {_grouped(outlook.revolutions)} revolutions,")
+            lines.append(f"{data} data and {position} position packets")
         if self._is_growing:
             lines.append("growing the stand along the path ...")
         elif draft != self._grown:
@@ -314,7 +318,8 @@ class Editor:
                     rgb[mark.rows] = colour
         segments_m = np.stack([line_m[:-1], line_m[1:]], axis=1)
         colours = np.stack([rgb[:-1], rgb[1:]], axis=1)
-        self._server.scene.add_line_segments("/draft", segments_m, colours, thickness=5.0, thickness_units="screen")
+        scene = self._server.scene
+        scene.add_line_segments("/draft", segments_m, colours, thickness=5.0, thickness_units="screen")
         rows = np.linspace(0, len(line_m) - 1, _DOTS + 2).astype(np.int64)[1:-1]
         self._dots = self._put_balls("/dots", self._dots, line_m[rows], _DOT_M, rgb[rows], self._click_dot)
 
@@ -354,7 +359,8 @@ class Editor:
             before.batched_colors = rgb
             return before
         still = np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (len(places_m), 1))
-        look: dict[str, Any] = {"lod": "off", "cast_shadow": False, "receive_shadow": False, "flat_shading": True}
+        look: dict[str, Any] = {"lod": "off", "flat_shading": True}
+        look |= dict.fromkeys(("cast_shadow", "receive_shadow"), False)
         faces: NDArray[np.uint32] = np.array(_BALL_FACES, np.uint32)
         balls = self._server.scene.add_batched_meshes_simple(
             name, radius_m * _BALL, faces, still, places_m, batched_colors=rgb, **look
@@ -376,10 +382,11 @@ class Editor:
     def _add_gizmo(self, place: int) -> None:
         """Add the arrows of a way point, which slides level, and goes to the ground when it is let go."""
         scene, name = self._server.scene, f"/gizmos/{place}"
-        look: dict[str, Any] = {"scale": 1.6, "line_width": 4.0, "disable_rotations": True, "depth_test": False}
+        look: dict[str, Any] = {"scale": 1.6, "line_width": 4.0}
+        look |= {"disable_rotations": True, "depth_test": False}
         gizmo = scene.add_transform_controls(name, active_axes=(True, True, False), **look)
 
-        async def dragged(event: viser.TransformControlsEvent) -> None:  # a coroutine: events keep their order
+        async def dragged(event: viser.TransformControlsEvent) -> None:  # coroutines stay in order
             x_m, y_m, _ = gizmo.position.tolist()
             number, is_end = self._first_gizmo + place, event.phase == "end"
             self._requests.put(lambda: self._drag(number, x_m, y_m, is_end=is_end))

@@ -26,13 +26,13 @@ from vlp16emu.forest.stand.given_stand import listed_trees
 from vlp16emu.forest.stand.stand import foot_discs, in_the_way_m, path_gap_m
 from vlp16emu.scenario import Scenario, load
 from vlp16emu.sensor.settings import Sensor
-from vlp16emu.types import F8, PacketKind, Semantic
+from vlp16emu.types import F8, Mesh, PacketKind, Semantic
 from vlp16emu.units import seconds_to_ns
 from vlp16emu.world.hall import HallWorld
 
 Kind = Literal["refused", "stays", "left out", "unknown"]
-"""What a recording does with a thing in the way: `refused`: there is none; `stays`: the sensor goes through it; `left out`: the
-stand is grown without it; `unknown`: what stands there is not grown yet."""
+"""What a recording does with a thing in the way: `refused`: there is no recording; `stays`: the sensor goes
+through it; `left out`: the stand is grown without it; `unknown`: what stands there is not grown yet."""
 
 _SOLID = frozenset(
     {
@@ -93,11 +93,12 @@ class Surroundings:
         if isinstance(world, Woods):
             self._clearance_m = world.path_clearance_m
         self._trees = listed_trees(world, scenario.world_seed) if isinstance(world, Plot) else seen.trees
-        self._stems: Kind = "refused" if isinstance(world, Plot) and world.on_conflict != "drop" else "left out"
+        keeps_stems = isinstance(world, Plot) and world.on_conflict != "drop"
+        self._stems: Kind = "refused" if keeps_stems else "left out"
         self._solids = [*_solids(seen, self._walk.sensor_height_m)]
         self._middle_m = np.array([one.xy_m.mean(axis=0) for one in self._solids]).reshape(-1, 2)
-        reach_m = (norm(one.xy_m - middle).max() for one, middle in zip(self._solids, self._middle_m, strict=True))
-        self._reach_m = np.array([*reach_m])
+        around_m = zip(self._middle_m, (one.xy_m for one in self._solids), strict=True)
+        self._reach_m = np.array([norm(xy_m - middle_m).max() for middle_m, xy_m in around_m])
 
     def on_ground(self, xy_m: F8) -> F8:
         """Return points (n, 3) on the ground at places (n, 2)."""
@@ -165,9 +166,12 @@ class Surroundings:
     def _off_ground(self, xy_m: F8, along_m: F8) -> Iterator[Mark]:
         site = self._site
         if isinstance(site, HallWorld) and (rows := ~site.has_ground(xy_m)).any():
-            yield Mark("stays", f"{_stretch(along_m, rows)}: outside the walls, where nothing is in sight", rows)
-        if isinstance(site, ForestSite) and (rows := ~site.has_ground(xy_m, reach_of_path_m(self._scenario))).any():
-            yield Mark("refused", f"{_stretch(along_m, rows)}: off the ground of the file of heights", rows)
+            words = "outside the walls, where nothing is in sight"
+            yield Mark("stays", f"{_stretch(along_m, rows)}: {words}", rows)
+        reach_m = reach_of_path_m(self._scenario)
+        if isinstance(site, ForestSite) and (rows := ~site.has_ground(xy_m, reach_m)).any():
+            words = "no heights in the file, under it or in sight"
+            yield Mark("refused", f"{_stretch(along_m, rows)}: {words}", rows)
 
     def _stem_marks(self, path: Corridor, along_m: F8) -> Iterator[Mark]:
         table = self._seen.plants.trees
@@ -212,22 +216,24 @@ def _solids(seen: Survey, height_m: float) -> Iterator[_Solid]:
             continue
         world_T = window.world_T_shape[i]
         meshes = [mesh for mesh in seen.world.shape(key) if len(mesh.faces)]
-        corners_m = [matvec(world_T[:, :3], mesh.vertices_m.astype(np.float64)) + world_T[:, 3] for mesh in meshes]
-        points_m = np.concatenate([_sample(at_m, mesh.faces) for at_m, mesh in zip(corners_m, meshes, strict=True)])
+        points_m = np.concatenate([_sample(mesh, world_T) for mesh in meshes])
         low = points_m[:, 2] < seen.bare.height_m(points_m[:, 0], points_m[:, 1]) + height_m
         if low.any():
             kind: Kind = "left out" if name is None else "stays"
             yield _Solid(name or str(key.kind).replace("_", " "), kind, points_m[low, :2])
 
 
-def _sample(vertices_m: F8, faces: NDArray[np.uint32]) -> F8:
-    """Return points (k, 3) all over the faces of a mesh, at most `_SAMPLE_M` apart; large meshes have a point per centimetre at most."""
+def _sample(mesh: Mesh, world_T_mesh: F8) -> F8:
+    """Return points (k, 3) in the world all over a mesh, between a centimetre and `_SAMPLE_M` apart."""
+    vertices_m = matvec(world_T_mesh[:, :3], mesh.vertices_m.astype(np.float64)) + world_T_mesh[:, 3]
+    faces = mesh.faces
     if np.ptp(vertices_m, axis=0).max() <= _SAMPLE_M:
         return vertices_m
     import trimesh  # here: it takes a while to load
 
-    triangles = faces if faces.shape[1] == 3 else np.concatenate([faces[:, [0, 1, 3]], faces[:, [2, 3, 1]]])
-    points_m, _ = trimesh.remesh.subdivide_to_size(vertices_m, triangles, _SAMPLE_M, max_iter=20)
+    if faces.shape[1] == 4:
+        faces = np.concatenate([faces[:, [0, 1, 3]], faces[:, [2, 3, 1]]])
+    points_m, _ = trimesh.remesh.subdivide_to_size(vertices_m, faces, _SAMPLE_M, max_iter=20)
     return np.unique(np.round(points_m, 2), axis=0)
 
 
@@ -237,7 +243,7 @@ def _near_stem(tree: np.void, within_m: float, xy_m: F8) -> NDArray[np.bool_]:
 
 
 def _rows_near(xy_m: F8, places_m: F8, within_m: float) -> NDArray[np.bool_]:
-    """Return a mask of the points (n, 2) of a path within a distance of places (k, 2), with the point nearest to them."""
+    """Return a mask of the points (n, 2) of a path that are near places (k, 2), at least the nearest one."""
     from scipy.spatial import KDTree  # here: it takes a while to load
 
     gap_m = np.asarray(KDTree(places_m).query(xy_m)[0])

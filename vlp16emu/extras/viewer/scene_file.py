@@ -16,7 +16,7 @@ _ONE_LINE = 6  # way points that are written on one line; more have one each
 
 
 def check_place(to: Path, inputs: Iterable[Path]) -> None:
-    """Raise OutputError if a scene file cannot be written to a place: another ending, no folder, or one of the inputs."""
+    """Raise OutputError if a place is not for a scene file: another ending, no folder, or an input."""
     where = f"--save {to}"
     if to.suffix != ".toml":
         raise OutputError(where, f"found the ending {to.suffix!r}", "a file that ends in .toml")
@@ -30,7 +30,7 @@ def write_scene(
 ) -> None:
     """Write a scene with settings and changed keys into a file.
 
-    Comments and other keys stay as they are. Relative files of the scene are found from the folder of the new file.
+    Comments and other keys stay as they are. Relative files are found from the folder of the new file.
 
     Parameters
     ----------
@@ -56,7 +56,8 @@ def write_scene(
     else:
         document = tomlkit.parse(text)
     rewrite(document, settings, folder=scene.parent, to=to.parent)
-    rewrite(document, dict.fromkeys(changed, 0), folder=to.parent, to=to.parent)  # without the keys that these exclude
+    # Their values follow, in a form of their own; this removes the keys that they exclude.
+    rewrite(document, dict.fromkeys(changed, 0), folder=to.parent, to=to.parent)
     for key, value in changed.items():
         *tables, name = key.split(".")
         reduce(getitem, tables, document)[name] = _formatted(value)
@@ -67,7 +68,7 @@ def write_scene(
 
 
 def _formatted(value: object) -> Any:
-    """Return a list as a TOML array with its tables inline, and one row to a line if it is long; other values as they are."""
+    """Return a list as a TOML array, with inline tables and one row to a line if long; other values as they are."""
     import tomlkit
 
     if not isinstance(value, list):

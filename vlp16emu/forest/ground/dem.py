@@ -240,7 +240,7 @@ class DemHeights:
         return height
 
     def has_heights(self, xy_m: F8, reach_m: float) -> NDArray[np.bool_]:
-        """Return a mask of points (n, 2) on the grid that have all heights within reach, as `check` requires of a path."""
+        """Return a mask of the points (n, 2) on the grid with all heights within reach, as `check` requires."""
         x, y = xy_m.T
         on_grid = (x >= self._west_m) & (x <= self._east_m) & (y >= self._south_m) & (y <= self._north_m)
         gap_m, _ = self._voids.query(xy_m)
@@ -248,7 +248,7 @@ class DemHeights:
 
     @cached_property
     def _voids(self) -> Any:
-        """Cells without a height, as a `scipy.spatial.KDTree`; the distance to the nearest of none is infinite."""
+        """Cells without a height, as a `scipy.spatial.KDTree`; from none of them the distance is infinite."""
         from scipy.spatial import KDTree  # here: it takes a while to load
 
         row, column = np.nonzero(np.isnan(self._grid.heights_m))

@@ -215,7 +215,7 @@ def _set_looks(trees: Trees, kinds: list[Species], seed: int) -> None:
 
 
 def listed_trees(section: Plot, seed: int) -> Trees:
-    """Return all trees (n,) `TREE` of a plot's list, also those on the path; parameters and errors as in `read_stem_list`."""
+    """Return all trees (n,) `TREE` of a plot's list, also those on the path; errors as in `read_stem_list`."""
     return read_stem_list(Path(section.stem_list), flora(section.species_file).trees, section.origin_m, seed)
 
 
