@@ -25,7 +25,7 @@ from vlp16emu.scenario import Scenario, load
 from vlp16emu.types import F8, U1
 
 _FARTHEST_M = 10_000.0  # limit of a way point from the scene's origin: nobody drags it farther
-_GIZMOS = 24  # way points with arrows, around the chosen one; more would hide the path
+_GIZMOS = 24  # most way points that all have arrows; of more only the chosen one, as arrows hide the path
 _DOTS = 100  # places along the curve that insert a way point
 _RAISED_M = 0.3  # height of the path over the ground, so that the ground does not hide it
 _PREVIEW_S = 600.0  # most of a walk whose stand is drawn, if less is recorded: a browser draws some 100 m
@@ -329,9 +329,11 @@ class Editor:
         rgb = np.tile(np.array(_CLEAR, np.uint8), (len(shown_m), 1))
         rgb[[one.pause_s > 0 for one in draft.way_points[: len(shown_m)]]] = (0, 190, 190)
         rgb[self._chosen % len(shown_m)] = _CHOSEN
-        self._balls = self._put_balls("/way_points", self._balls, shown_m, _BALL_M, rgb, self._choose)
-        first = min(max(self._chosen - _GIZMOS // 2, 0), max(len(shown_m) - _GIZMOS, 0))
-        count = min(_GIZMOS, len(shown_m))
+        radius_m = min(_BALL_M, 20.0 * _BALL_M / len(shown_m))  # of many way points no ball hides the path
+        self._balls = self._put_balls("/way_points", self._balls, shown_m, radius_m, rgb, self._choose)
+        is_few = len(shown_m) <= _GIZMOS
+        count = len(shown_m) if is_few else 1
+        first = 0 if is_few else self._chosen % len(shown_m)
         while len(self._gizmos) > count:
             self._gizmos.pop().remove()
             self._names.pop()
