@@ -64,7 +64,7 @@ EXTRAS_TAKE = {
     "slam": {"truth"},
     "survey": {"colours", "meshes"},
     "truth": {"bench", "imu"},
-    "viewer": {"clouds", "colours", "options", "survey", "verify"},
+    "viewer": {"clouds", "colours", "options", "survey", "verify", "walk"},
     "walk": {"splines"},
 }
 """Which extras each extra may import beside the core: options, trajectories, colours, ground truth, clouds, and the stand that the page shows."""

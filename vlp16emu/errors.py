@@ -35,11 +35,15 @@ class InputError(Vlp16emuError):
     where : file, key path, packet number or argument
     found : what was found there
     expected : what was expected; None if the finding alone is clear
+    at_m : x and y in the world where it was found; None if it has no place
     """
 
     exit_code = 2
 
-    def __init__(self, where: str, found: str, expected: str | None = None) -> None:
+    def __init__(
+        self, where: str, found: str, expected: str | None = None, *, at_m: tuple[float, float] | None = None
+    ) -> None:
+        self.at_m = at_m
         self.where, self.found = _shown(where, _LONGEST), _shown(found, _LONGEST_FOUND)
         self.expected = None if expected is None else _shown(expected, _LONGEST)
         super().__init__(where, found, expected)

@@ -1,7 +1,7 @@
 """Verbs that write or show a run, a scene or a capture: truth, points, bag, dataset, picture and view."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -10,13 +10,15 @@ from typing import TYPE_CHECKING, Annotated
 from vlp16emu.cli import arguments as args
 from vlp16emu.cli.arguments import AsJson, CaptureFile, UnitName, WhichClock
 from vlp16emu.cli.printer import count, finish, print_json, print_rows, print_table, size
-from vlp16emu.cli.terminal import Progress, make_emulator, running, stop_on_ctrl_c
-from vlp16emu.errors import InputError, MissingExtraError
+from vlp16emu.cli.terminal import Progress, compile_first, make_emulator, running, stop_on_ctrl_c
+from vlp16emu.errors import InputError, MissingExtraError, TrajectoryError
 from vlp16emu.extras.options import DatasetOptions, PictureLook, PointOptions, TrajectoryErrors
 from vlp16emu.run.options import BagOptions, Option, Span, TruthPackets, TruthRate, TruthReturns, TruthTo, WhichUnit
 
 if TYPE_CHECKING:
     from vlp16emu.extras.dataset import DatasetEstimate, Probe
+    from vlp16emu.extras.viewer.editor import Opened
+    from vlp16emu.run.emulator import Emulator
 
 
 def truth(
@@ -270,6 +272,10 @@ def view(
             "DIR",
         ),
     ] = None,
+    save: Annotated[
+        Path | None,
+        Option("File in which the page saves the scene with the edited path; replaced if it exists.", "FILE.toml"),
+    ] = None,
     radius_m: Annotated[
         float, Option("Distance from the path up to which the stand is drawn.", "M", ge=1, le=100)
     ] = 25.0,
@@ -278,27 +284,59 @@ def view(
     ] = "127.0.0.1",
     port: Annotated[int, Option("Port of the page, 0 for any free one.", "N", ge=0, le=65_535)] = 8016,
 ) -> None:
-    """Show a scene in the browser: the stand, the path, and the sweep at any time.
+    """Show a scene in the browser: the stand, the sweep at any time, and the path of a walk, to be edited.
 
-    For a capture, the page shows its sweeps and marks faulty packets. Needs the extra 'viewer'. Ctrl-C ends it.
+    Drag way points over the ground; see at once length, run time and packets, and what is in the way; save the
+    scene with the new path. For a capture, the page shows its sweeps and marks faulty packets. Needs the extra
+    'viewer'. Ctrl-C ends it.
     """
     from vlp16emu.captures.capture import is_capture_name
 
     capture = Path(scene) if is_capture_name(scene) else None
     if truth is not None and capture is None:
         raise InputError("--truth", "found beside a scene", "a capture; a scene knows its own")
+    if save is not None and capture is not None:
+        raise InputError("--save", f"found beside the capture {scene}", "a scene, whose path can be edited")
     try:
         from vlp16emu.extras.viewer.page import capture_page, guarded_server, scene_page
     except ImportError as error:
         raise MissingExtraError(error.name or "viser", "viewer", "the page in the browser") from None
+    opened = None if capture is not None else _open_scene(scene, settings or (), save)
     with guarded_server(host, port) as server:
         print(f"http://{host}:{server.get_port()}/  Ctrl-C ends it", flush=True)
-        if capture is None:
-            emulator = make_emulator(scene, args.SceneOptions(settings))
-            if emulator.scenario.motion.takes_poses:
-                raise InputError("motion.kind", "found live", "a scene whose path is known before it runs")
-            with Progress(0.0):
-                page = scene_page(server, emulator, unit, radius_m)
-        else:
+        if opened is None:
+            assert capture is not None
             page = capture_page(server, capture, truth, unit)
+        else:
+            emulator = _emulator_of(opened)
+            with Progress(0.0):
+                page = scene_page(server, emulator, opened, unit, radius_m)
         page.run()
+
+
+def _open_scene(scene: str, settings: Sequence[str], save: Path | None) -> "Opened":
+    """Read a scene for the page, and check the file in which it is to be saved."""
+    from vlp16emu.extras.viewer.draft import walk_of
+    from vlp16emu.extras.viewer.editor import Opened
+    from vlp16emu.extras.viewer.scene_file import check_place
+    from vlp16emu.scenario import find, load, named_files
+
+    scenario, file = load(scene, settings), find(scene)
+    if scenario.motion.takes_poses:
+        raise InputError("motion.kind", "found live", "a scene whose path is known before it runs")
+    inputs = [file, *named_files(scenario)]
+    if save is not None:
+        walk_of(scenario)
+        check_place(save, inputs)
+    return Opened(file, settings, scenario, inputs, save)
+
+
+def _emulator_of(opened: "Opened") -> "Emulator":
+    """Return the emulator of a scene, with fewer way points if nobody can walk through all of them."""
+    compile_first(opened.scenario.world.kind)
+    from vlp16emu.run.emulator import Emulator
+
+    try:
+        return Emulator(opened.scenario)
+    except TrajectoryError as error:
+        return Emulator(opened.walkable(error))

@@ -203,7 +203,6 @@ def beam_of(scenario: Scenario, seed: int) -> Footprint:
 def _world(scenario: Scenario) -> tuple[Motion, HeightField, World, Any]:
     """Make the carrier, the ground, the world that it goes through, and the sway of its trees."""
     sensors, section, seed = _sensors(scenario), scenario.world, scenario.world_seed
-    reach_m = _STRAY_M + max(sensor.max_range_m + float(norm(np.array(mount.lever_arm_m))) for sensor, mount in sensors)
     site = section.site(seed)
     carrier, path_xy_m = scenario.motion.carrier(
         site,
@@ -214,12 +213,18 @@ def _world(scenario: Scenario) -> tuple[Motion, HeightField, World, Any]:
     )
     world, wind = site.world(
         path_xy_m,
-        reach_m=reach_m,
+        reach_m=reach_of_path_m(scenario),
         farthest_m=max(sensor.max_range_m for sensor, _ in sensors),
         wind=scenario.wind,
         start_ns=scenario.start_ns,
     )
     return carrier, site.height_m, world, wind
+
+
+def reach_of_path_m(scenario: Scenario) -> float:
+    """Return the distance from the carrier's path up to which a sensor may hit something."""
+    sensors = _sensors(scenario)
+    return _STRAY_M + max(sensor.max_range_m + float(norm(np.array(mount.lever_arm_m))) for sensor, mount in sensors)
 
 
 def mounts_of(scenario: Scenario) -> list[Mount]:

@@ -59,7 +59,7 @@ _EXTRAS = {
     "picture": (("PIL",), "picture"),
     "ros": (("rosbags",), "bag, record into bags"),
     "score": (("evo",), "score"),
-    "viewer": (("viser", "websockets"), "view"),
+    "viewer": (("tomlkit", "viser", "websockets"), "view"),
 }  # libraries of each extra in pyproject.toml, and the features that need them
 _WIDEST = ("avx512f", "avx2", "avx", "sse4_2", "asimd")
 """Instruction sets with kernels in Embree, by their names in /proc/cpuinfo, widest first (Embree 4 manual, rtcNewDevice)."""

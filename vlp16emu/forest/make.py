@@ -3,7 +3,11 @@
 import hashlib
 import logging
 import math
+from functools import cached_property
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from vlp16emu.foliage.polyline import Corridor
 from vlp16emu.forest.ground.dem import DemHeights
@@ -42,13 +46,19 @@ class ForestSite:
         own = section.model_dump_json(include={"dem", "origin_m", "terrain"})
         return _digest(own, _content(section.dem.file if section.dem else None), str(self._seed))
 
-    @property
+    @cached_property
     def obstacles(self) -> tuple[F8, F8] | None:
         """Stems that the path must avoid, with the errors of `stems_in_the_way`; None if the path stays as it is."""
         section = self._section
         if isinstance(section, Plot) and section.on_conflict == "move_path":
             return stems_in_the_way(section, self._seed)
         return None
+
+    def has_ground(self, xy_m: F8, reach_m: float) -> NDArray[np.bool_]:
+        """Return a mask of the points (n, 2) at which a path has ground: with a file of heights not everywhere."""
+        if isinstance(self._ground, DemHeights):
+            return self._ground.has_heights(xy_m, reach_m)
+        return np.ones(len(xy_m), np.bool_)
 
     def world(
         self, path_xy_m: F8, *, reach_m: float, farthest_m: float, wind: Wind | None, start_ns: int

@@ -65,9 +65,7 @@ def load(
     if isinstance(scene, Scenario) and not settings and not ideal:
         return scene
     source = _source(scene, folder)
-    given = settings.items() if isinstance(settings, Mapping) else ()
-    read = [_Setting(key, value, f"setting {key} = {value!r}") for key, value in given] or [*map(_parsed, settings)]
-    changes = [_converted(one) for one in read]
+    changes = _settings(settings)
     if ideal:
         _without_errors(source.tree)
     try:
@@ -75,6 +73,42 @@ def load(
     except ValidationError as error:
         fault = explain(error, schema())
         raise ScenarioError(_origin(source, changes, fault), *fault[1:]) from None
+
+
+def rewrite(tree: dict[str, Any], settings: Mapping[str, object] | Sequence[str], *, folder: Path, to: Path) -> None:
+    """Apply settings to the tables of a scene file in place, and name its relative files from another folder.
+
+    Parameters
+    ----------
+    tree : tables of the file, of any subclass of `dict`; what does not change keeps its form
+    settings : as in `load`
+    folder : of the file now
+    to : folder where it is to stand
+
+    Raises ScenarioError if a setting is no assignment.
+    """
+    before, after = Path(os.path.realpath(folder)), os.path.realpath(to)
+    if str(before) != after:
+        _move_files(tree, [Scenario], before, after)
+    for setting in _settings(settings):
+        _apply(tree, setting)
+
+
+def _move_files(tree: Any, kinds: Sequence[Any], before: Path, after: str) -> None:
+    """Change the relative files in tables or a list of some kinds to paths from the folder `after`."""
+    is_table = isinstance(tree, dict)
+    for name, value in [*(tree.items() if is_table else enumerate(tree))]:
+        own = _kinds_of(kinds, name) if is_table else kinds
+        if isinstance(value, dict | list):
+            _move_files(value, own, before, after)
+        elif isinstance(value, str) and SceneFile in own and value and not Path(value).is_absolute():
+            tree[name] = os.path.relpath(before / value, after)
+
+
+def _settings(settings: Mapping[str, object] | Sequence[str]) -> list[_Setting]:
+    given = settings.items() if isinstance(settings, Mapping) else ()
+    read = [_Setting(key, value, f"setting {key} = {value!r}") for key, value in given] or [*map(_parsed, settings)]
+    return [_converted(one) for one in read]
 
 
 def _changed(source: _Source, changes: Iterable[_Setting]) -> _Source:

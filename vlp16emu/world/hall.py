@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vlp16emu.elementary import acos, cos, log, sin, tan
 from vlp16emu.errors import GeometryError
@@ -73,10 +74,14 @@ class HallWorld:
         self.check(path_xy_m)
         return self._section.furnished(self, path_xy_m, reach_m), None
 
+    def has_ground(self, xy_m: F8, _reach_m: float = 0.0) -> NDArray[np.bool_]:
+        """Return a mask of points (n, 2) inside the walls."""
+        return np.asarray((np.abs(xy_m) < np.array(self.size_m[:2]) / 2).all(axis=1))
+
     def check(self, path_xy_m: F8) -> None:
         """Warn if a path (n, 2) leads through a wall: nothing is visible from outside."""
         half_m = np.array(self.size_m[:2]) / 2
-        outside = (np.abs(path_xy_m) >= half_m).any(axis=1)
+        outside = ~self.has_ground(path_xy_m)
         if outside.any():
             x_m, y_m = path_xy_m[int(outside.argmax())]
             _log.warning(

@@ -1,4 +1,4 @@
-"""The page in the browser: its server, the stand, the path, and the sweep at the cursor's time. Nothing on it changes a file.
+"""The page in the browser: its server, the stand, the path, and the sweep at the cursor's time.
 
 By default viser listens on all interfaces, answers any page that is open in a browser, and requests a public address if
 a page asks.
@@ -29,9 +29,11 @@ from websockets.http11 import Request, Response
 
 from vlp16emu.errors import OutputError
 from vlp16emu.extras.survey import Survey, survey
+from vlp16emu.extras.viewer.editor import Editor, Opened
 from vlp16emu.extras.viewer.layers import boxed, coloured, layers_of_scan, legend_of
 from vlp16emu.extras.viewer.stand import pieces_of
 from vlp16emu.extras.viewer.sweeps import CaptureSweeps, SceneSweeps, Sweep
+from vlp16emu.extras.walk.settings import Walk
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.types import F8
 
@@ -103,14 +105,38 @@ def is_ours(headers: Headers, names: frozenset[str]) -> bool:
     return False
 
 
-def scene_page(server: viser.ViserServer, emulator: Emulator, unit: int, radius_m: float) -> "Page":
-    """Grow a scene and draw it up to a radius around its path; InputError without such a unit, or if the stand cannot be grown."""
+def scene_page(server: viser.ViserServer, emulator: Emulator, opened: Opened, unit: int, radius_m: float) -> "Page":
+    """Grow a scene and draw it up to a radius around its path, which can be edited if it is that of a walk.
+
+    InputError without such a unit, or if the stand cannot be grown.
+    """
     sweeps = SceneSweeps(emulator, unit)  # first: a wrong number should not wait for the stand
-    text, scenario = server.gui.add_markdown("growing the world"), emulator.scenario
-    seen = survey(scenario, min(radius_m, scenario.sensor.max_range_m), emulator.parts)
-    root = _draw_stand(server, seen)
+    text = server.gui.add_markdown("growing the world")
+    seen = _stand_of(emulator, radius_m)
+    page = Page(server, sweeps, seen.species, _draw_stand(server, seen))
+    way_m = seen.path_m
+    _look_from(server, way_m[0], way_m[min(len(way_m) - 1, 60)] - way_m[0])
+    if not isinstance(opened.scenario.motion, Walk):
+        if len(way_m) > 1:
+            segments_m = np.stack([way_m[:-1], way_m[1:]], axis=1)
+            server.scene.add_line_segments("/walk", segments_m, _PATH, thickness=0.06)
+        text.content = f"path not to be edited: `motion.kind` is {opened.scenario.motion.kind}, not walk"
+        return page
+
+    def show(other: Emulator) -> Survey:
+        page.change(SceneSweeps(other, unit))
+        seen = _stand_of(other, radius_m)
+        page.root = _draw_stand(server, seen)
+        return seen
+
     text.content = ""
-    return Page(server, sweeps, seen.species, root)
+    Editor(server, opened, emulator, seen, show)
+    return page
+
+
+def _stand_of(emulator: Emulator, radius_m: float) -> Survey:
+    scenario = emulator.scenario
+    return survey(scenario, min(radius_m, scenario.sensor.max_range_m), emulator.parts)
 
 
 def capture_page(server: viser.ViserServer, capture: Path, truth: Path | None, unit: int) -> "Page":
@@ -125,19 +151,18 @@ def capture_page(server: viser.ViserServer, capture: Path, truth: Path | None, u
 
 
 def _draw_stand(server: viser.ViserServer, seen: Survey) -> viser.FrameHandle:
-    """Draw the stand along the path, set the view from behind the start, and return the parent node."""
-    scene, way_m = server.scene, seen.path_m
+    """Draw the stand along the path in place of an earlier one, and return the parent node."""
+    scene = server.scene
+    pieces = [*pieces_of(seen)]  # first: it takes seconds, during which an earlier stand stays
+    scene.remove_by_name("/stand")
     root = scene.add_frame("/stand", show_axes=False)
     scene.configure_default_lights(enabled=True, cast_shadow=False)
     scene.configure_environment_map(None)  # image-based light on each pixel is slow; two lamps are enough for a stand
     # The view into a hall is through its ceiling.
     look: dict[str, Any] = {"lod": "off", "flat_shading": True, "material": "toon5"}
     look |= {"cast_shadow": False, "receive_shadow": False, "side": "double" if seen.hall is None else "front"}
-    for name, piece in pieces_of(seen):
+    for name, piece in pieces:
         scene.add_batched_meshes_simple(f"/stand/{name}", **piece, **look)
-    if len(way_m) > 1:
-        scene.add_line_segments("/walk", np.stack([way_m[:-1], way_m[1:]], axis=1), _PATH, thickness=0.06)
-    _look_from(server, way_m[0], way_m[min(len(way_m) - 1, 60)] - way_m[0])
     return root
 
 
@@ -159,7 +184,8 @@ class Page:
         species: Mapping[int, str],
         root: viser.FrameHandle | None = None,
     ) -> None:
-        self._server, self._sweeps, self._species, self._root = server, sweeps, species, root
+        self._server, self._sweeps, self._species, self.root = server, sweeps, species, root
+        self._next: SceneSweeps | None = None
         self._wake = Event()
         self._wake.set()
         self._time_s = 0.0
@@ -180,6 +206,11 @@ class Page:
         for control in (self._slider, self._play, self._layer, self._size, self._stand, self._together):
             control.on_update(lambda _: self._wake.set())
 
+    def change(self, sweeps: SceneSweeps) -> None:
+        """Show other sweeps from now on, from any thread."""
+        self._next = sweeps
+        self._wake.set()
+
     def run(self) -> None:
         """Draw what the controls select, without end."""
         while self._wake.wait():
@@ -190,6 +221,9 @@ class Page:
                 self._advance(began_s)
 
     def _draw(self) -> None:
+        if self._next is not None:
+            self._sweeps, self._next, self._time_s = self._next, None, math.nan
+            self._slider.max = max(self._sweeps.last_s, self._sweeps.step_s)
         # A client may send any number; NaN becomes the least.
         time_s = min(max(0.0, self._slider.value), self._sweeps.last_s)
         size_m = min(max(0.01, self._size.value / 100), 0.2)
@@ -211,8 +245,8 @@ class Page:
             if (world_T_sensor := shown[-1].scan.world_T_sensor) is not None:
                 self._frame.position = world_T_sensor[:3, 3]
                 self._frame.wxyz = Rotation.from_matrix(world_T_sensor[:3, :3]).as_quat(scalar_first=True)
-            if self._root is not None:
-                self._root.visible = self._stand.value
+            if self.root is not None:
+                self.root.visible = self._stand.value
         self._legend.content = legend_of(made[-1][1])
         points = f"{len(points_m):,}".replace(",", " ")
         self._text.content = f"{points} points by {layer}, sweep at {time_s:.1f} s"

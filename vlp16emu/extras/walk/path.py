@@ -73,6 +73,8 @@ class Path:
         self._curve, knots_m = _by_length(solid, along_m, closed)
         self.xy_m = np.ascontiguousarray((self._curve(knots_m) + origin_m)[:, :2])
         """(m, 2) points of the path, at most 0.25 m apart."""
+        self.along_m = knots_m  # (m,) arc length of each point
+        self.way_point_rows = at_way_points  # (n,) index of each waypoint among the points
         self._curve.powers[0] += origin_m
         east, north, _ = self._curve(knots_m, 1).T
         self._heading_rad = np.unwrap(atan2(north, east))  # (m,) at the knots, continuous
@@ -136,7 +138,8 @@ def _check_way_points(way_points_m: F8) -> None:
             raise TrajectoryError(where, f"found {tuple(point.tolist())}", f"within {_FARTHEST_M:g} m of the origin")
         if i and norm(point - way_points_m[i - 1]) < _APART_M:
             expected = "at least 1 cm between waypoints"
-            raise TrajectoryError(where, "coincides with the one before it", expected)
+            at_m = float(point[0]), float(point[1])
+            raise TrajectoryError(where, "coincides with the one before it", expected, at_m=at_m)
     length_m = float(norm(np.diff(way_points_m, axis=0)).sum())
     if length_m > _LONGEST_M:
         found = f"found {length_m / 1000:.4g} km from first to last"
@@ -191,7 +194,7 @@ def _check_radius(curvature: F8, points_m: F8, number: I8) -> None:
         where = f"path at ({x_m:.2f}, {y_m:.2f}) m, near waypoint {number[worst] + 1}"
         found = f"turns with a radius of {1.0 / curvature[worst]:.2g} m"
         expected = f"at least {_SMALLEST_RADIUS_M:g} m: more waypoints round the turn"
-        raise TrajectoryError(where, found, expected)
+        raise TrajectoryError(where, found, expected, at_m=(float(x_m), float(y_m)))
 
 
 def _spline(at: F8, points_m: F8, closed: bool) -> Spline:
@@ -243,4 +246,5 @@ def _check_slope(solid: Spline, along_m: F8, origin_m: F8) -> None:
         x_m, y_m, _ = solid(along_m[worst : worst + 1])[0] + origin_m
         where, steep_deg = f"path at ({x_m:.2f}, {y_m:.2f}) m", math.degrees(atan2(float(slope[worst]), 1.0))
         found = f"the ground rises or falls by {steep_deg:.0f} degrees"
-        raise TrajectoryError(where, found, f"at most {_STEEPEST_DEG:g} degrees")
+        expected = f"at most {_STEEPEST_DEG:g} degrees"
+        raise TrajectoryError(where, found, expected, at_m=(float(x_m), float(y_m)))

@@ -49,7 +49,7 @@ class Route:
         if walk.laps > 1 and not path.closed:
             found = f"found {walk.laps} on an open path"
             raise TrajectoryError("laps", found, "1, back_and_forth = true, or a last waypoint on the first")
-        self._path = path
+        self.path = path
         self.length_m = walk.laps * path.length_m  # length of all laps
         stops = list(zip(path.way_points_at_m.tolist(), pause_s.tolist(), strict=True))
         stops = [stop for stop in stops if stop[1] > 0.0]
@@ -88,7 +88,7 @@ class Route:
         along_m, rate, second = (self._along_m(steps, order)[:, 0] for order in range(3))
         speed_m_s = np.maximum(rate, 0.0) / self._step_s  # rounding at rest must not give a negative speed
         acceleration_m_s2 = second / (self._step_s * self._step_s)
-        point_m, heading_rad = self._path.derivatives_at(along_m)
+        point_m, heading_rad = self.path.derivatives_at(along_m)
         curve, speed = np.concatenate([point_m, heading_rad[..., None]], axis=2), speed_m_s[:, None]
         nodes = np.zeros((len(elapsed_s), AXES, 3))
         nodes[:, _PLACED, 0] = curve[:, 0]

@@ -13,6 +13,7 @@ from vlp16emu.settings import Angle, Fraction, NonNegative, Preset, SceneFile, S
 
 if TYPE_CHECKING:  # scenes are read without numpy
     from vlp16emu.extras.walk.motion import WalkMotion
+    from vlp16emu.extras.walk.route import Route
     from vlp16emu.motion.pose import Motion
     from vlp16emu.types import F8
     from vlp16emu.world.settings import Site
@@ -221,16 +222,31 @@ class Walk(MotionSection):
         Raises TrajectoryError if a person cannot walk it.
         """
         from vlp16emu.extras.walk.motion import WalkMotion, check_gait
+
+        check_gait(self.gait, self.sensor_height_m)
+        route = self.route(site, gps)
+        return WalkMotion(self, route, start_ns=start_ns, seed=seed), route.path.xy_m
+
+    def route(self, site: "Site", gps: Gps, *, is_stored: bool = True) -> "Route":
+        """Return the path over the ground, around its obstacles, with the time at each place.
+
+        Raises TrajectoryError if a person cannot walk it.
+
+        Parameters
+        ----------
+        site : ground
+        gps : position of the scene's origin on earth
+        is_stored : True to keep the path in the user's store for later runs
+        """
         from vlp16emu.extras.walk.path import path_over
         from vlp16emu.extras.walk.route import Route
         from vlp16emu.extras.walk.way_points import around, way_points
 
-        check_gait(self.gait, self.sensor_height_m)
         points = way_points(self, gps, site.origin_m[:2])
         if site.obstacles is not None:
             points = around(points, *site.obstacles)
-        path = path_over(points.xy_m, site.height_m, site.name)
-        return WalkMotion(self, Route(path, self, points.pause_s), start_ns=start_ns, seed=seed), path.xy_m
+        path = path_over(points.xy_m, site.height_m, site.name if is_stored else "")
+        return Route(path, self, points.pause_s)
 
     def under_sensors(self, carrier: "Motion") -> "Motion":
         """Return the motion of the top of the mast, or `carrier` without a mast."""

@@ -235,4 +235,5 @@ def around(points: WayPoints, places_m: F8, gaps_m: F8) -> WayPoints:
             points = WayPoints(xy_m, points.pause_s)
     x_m, y_m = places_m[worst]
     found = f"no way found around what is at ({x_m:g}, {y_m:g}) m"
-    raise TrajectoryError("world.on_conflict", found, 'another path, a smaller path_clearance_m, or "drop"')
+    expected = 'another path, a smaller path_clearance_m, or "drop"'
+    raise TrajectoryError("world.on_conflict", found, expected, at_m=(float(x_m), float(y_m)))

@@ -10,10 +10,12 @@ import math
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vlp16emu.errors import LARGEST_BYTES, GeometryError, MissingExtraError, readable
 from vlp16emu.foliage.polyline import distance_m
@@ -236,6 +238,22 @@ class DemHeights:
         flat = height.reshape(-1), x.reshape(-1), y.reshape(-1)
         _heights(*flat, self._nodes_m, self._west_m, self._south_m, self._grid.cell_m)
         return height
+
+    def has_heights(self, xy_m: F8, reach_m: float) -> NDArray[np.bool_]:
+        """Return a mask of the points (n, 2) on the grid with all heights within reach, as `check` requires."""
+        x, y = xy_m.T
+        on_grid = (x >= self._west_m) & (x <= self._east_m) & (y >= self._south_m) & (y <= self._north_m)
+        gap_m, _ = self._voids.query(xy_m)
+        return np.asarray(on_grid & (gap_m >= reach_m + _SUPPORT_CELLS * self._grid.cell_m))
+
+    @cached_property
+    def _voids(self) -> Any:
+        """Cells without a height, as a `scipy.spatial.KDTree`; from none of them the distance is infinite."""
+        from scipy.spatial import KDTree  # here: it takes a while to load
+
+        row, column = np.nonzero(np.isnan(self._grid.heights_m))
+        cell_m = self._grid.cell_m
+        return KDTree(np.column_stack([self._west_m + column * cell_m, self._north_m - row * cell_m]))
 
     def check(self, path_xy_m: F8, reach_m: float) -> None:
         """Raise GeometryError if a path (n, 2) leaves the grid or a cell within reach has no height; warn of edges in sight."""

@@ -214,13 +214,17 @@ def _set_looks(trees: Trees, kinds: list[Species], seed: int) -> None:
     trees["leaf_reflectance"] += LEAF_SPREAD * (2 * uniform[:, 2] - 1)
 
 
+def listed_trees(section: Plot, seed: int) -> Trees:
+    """Return all trees (n,) `TREE` of a plot's list, also those on the path; errors as in `read_stem_list`."""
+    return read_stem_list(Path(section.stem_list), flora(section.species_file).trees, section.origin_m, seed)
+
+
 def stems_in_the_way(section: Plot, seed: int) -> tuple[F8, F8]:
     """Positions (n, 2) of stems at the foot and above head height, and the distances (n,) that the path must keep from them.
 
     Raises GeometryError for a faulty list.
     """
-    table = flora(section.species_file).trees
-    trees = read_stem_list(Path(section.stem_list), table, section.origin_m, seed)
+    table, trees = flora(section.species_file).trees, listed_trees(section, seed)
     gap_m = foot_discs(trees, table=table)[:, 2] + section.path_clearance_m
     return np.concatenate(in_the_way_m(trees)), np.tile(gap_m, 2)
 
