@@ -72,6 +72,7 @@ DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its obje
         "audit": "vlp16emu.extras.accuracy.audit:Audit",
         "bag": "vlp16emu.extras.bag.write:bag_of_run",
         "beside": "vlp16emu.extras.bench.outlets:Beside",
+        "camera_section": "vlp16emu.extras.camera.settings:Camera",
         "displace": "vlp16emu.extras.displace:displace",
         "events": "vlp16emu.extras.bench.changes:with_events",
         "events_of_scene": "vlp16emu.extras.bench.events:checked",
