@@ -60,6 +60,7 @@ DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its obje
         "points": "vlp16emu.cli.write:points",
         "bag": "vlp16emu.cli.write:bag",
         "picture": "vlp16emu.cli.write:picture",
+        "images": "vlp16emu.cli.write:images",
         "view": "vlp16emu.cli.write:view",
         "dataset": "vlp16emu.cli.write:dataset",
         "score": "vlp16emu.cli.check:score",

@@ -48,7 +48,9 @@ def sun_direction(t_ns: int, latitude_deg: float, longitude_deg: float) -> F8:
     parallax are left out.
     """
     days = (t_ns - _J2000_NS) / _DAY_NS
-    mean_rad, anomaly_rad = (math.radians((a + b * days) % 360.0) for a, b in ((280.460, 0.9856474), (357.528, 0.9856003)))
+    mean_rad, anomaly_rad = (
+        math.radians((a + b * days) % 360.0) for a, b in ((280.460, 0.9856474), (357.528, 0.9856003))
+    )
     ecliptic_rad = mean_rad + math.radians(1.915) * sin(anomaly_rad) + math.radians(0.020) * sin(2.0 * anomaly_rad)
     tilt_rad = math.radians(23.439 - 4e-7 * days)
     sine = sin(tilt_rad) * sin(ecliptic_rad)

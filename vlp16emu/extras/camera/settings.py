@@ -14,6 +14,7 @@ _Pixels = Annotated[int, Field(ge=8, le=8192)]
 _Focal = Annotated[float, Field(ge=1, le=1e6)]
 _Place = Annotated[float, Field(ge=-1e5, le=1e5)]
 _Coefficient = Annotated[float, Field(ge=-100, le=100)]
+_Coefficients = tuple[_Coefficient, _Coefficient, _Coefficient, _Coefficient, _Coefficient]
 
 
 class Camera(Section):
@@ -34,7 +35,7 @@ class Camera(Section):
     """Focal lengths fx and fy, in place of `hfov_deg`."""
     principal_px: Annotated[tuple[_Place, _Place], Field(strict=False)] | None = None
     """Principal point cx and cy; by default the middle of the image, ((width - 1) / 2, (height - 1) / 2)."""
-    distortion: Annotated[tuple[(_Coefficient,) * 5], Field(strict=False)] = (0.0,) * 5
+    distortion: Annotated[_Coefficients, Field(strict=False)] = (0.0, 0.0, 0.0, 0.0, 0.0)
     """Distortion k1, k2, p1, p2 and k3 of Brown's model, in the order of OpenCV and of ROS' `plumb_bob`."""
     readout_s: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Rolling shutter: time from the first row to the last, each with the pose at its own time; 0 for one instant."""

@@ -3,7 +3,7 @@
 Colours need no second renderer: the camera's rays, and rays from what they meet to the sun, are cast like the sensor's pulses.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple, TypeVar
 
@@ -11,24 +11,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import matvec, norm
-from vlp16emu.engine import Engine
+from vlp16emu.engine import Engine, mounts_of
 from vlp16emu.engine.windows import windows_of, workers
 from vlp16emu.extras.camera import light
 from vlp16emu.extras.camera.grain import grain, grain_table
 from vlp16emu.extras.camera.lens import Lens
+from vlp16emu.extras.camera.mount import camera_mount, camera_of, optical
 from vlp16emu.extras.camera.settings import Camera
 from vlp16emu.extras.colours import surface_colours
-from vlp16emu.motion.mount import mounted, true_mount
+from vlp16emu.forest.plants.species import flora
+from vlp16emu.motion.mount import mounted
 from vlp16emu.motion.settings import Mount
-from vlp16emu.raycast.beam import LINE, Footprint
+from vlp16emu.raycast.beam import Footprint
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.raycast.settings import Beam
 from vlp16emu.raycast.texture import add_texture
-from vlp16emu.scenario import Scenario
-from vlp16emu.types import F4, F8, I8, NO_SURFACE, SURFACE, U1, U4, Firings, Hits, PlantPart, Poses, Semantic
+from vlp16emu.types import F4, F8, I8, NO_SURFACE, SURFACE, U1, U4, Firings, Hits, PlantPart, Semantic
 from vlp16emu.units import S_NS
 
-_DEVICE = 1001  # device number of its mount, above all sensors and the inertial unit
 _RAYS = 8  # rays that are cast together
 _TOGETHER = 1 << 14  # pixels of a thread's job
 _NEAR_M = 0.05  # beginning of the camera's rays, in front of its housing
@@ -65,23 +65,6 @@ class View(NamedTuple):
     texture: F4  # (n,) factor on brightness that the lidar sees too
 
 
-def optical(world_R_body: F8) -> F8:
-    """Return rotations (n, 3, 3) of the camera's axes, x right, y down, z forward, from those of its body, x forward, y left, z up."""
-    forward, left, up = (world_R_body[..., axis] for axis in range(3))
-    return np.stack([-left, -up, forward], axis=-1)
-
-
-def camera_of(scenario: Scenario) -> Camera:
-    """Return the camera of a scene, or the default one."""
-    camera: Camera = scenario.camera or Camera()
-    return camera
-
-
-def camera_mount(scenario: Scenario) -> Mount:
-    """Return the true mount of a scene's camera."""
-    return true_mount(camera_of(scenario).mount, scenario.sensor_seed, _DEVICE)
-
-
 class Photographer:
     """A camera on the carrier of a run.
 
@@ -89,14 +72,13 @@ class Photographer:
 
     Parameters
     ----------
-    engine : of the run, with the scene's camera or the default one
-    species : names by number
+    engine : of the run; a scene without a camera gets the default one
     samples : rays of a pixel's colour along each axis; depth and labels are always those of its middle
 
     Raises InputError if the camera's distortion cannot be inverted over the whole image.
     """
 
-    def __init__(self, engine: Engine, species: Mapping[int, str], samples: int = 1) -> None:
+    def __init__(self, engine: Engine, samples: int = 1) -> None:
         scenario, parts = engine.scenario, engine.parts
         self.engine = engine
         self.section = camera_of(scenario)
@@ -105,9 +87,17 @@ class Photographer:
         self.motion = mounted(base, camera_mount(scenario), scenario.start_ns)
         alone = replace(parts, units=(replace(parts.units[0], motion=self.motion),))
         self.windows = windows_of(alone, scenario.start_ns, engine.batching, engine.threads)
-        self._species = species
+        self._species = flora(getattr(scenario.world, "species_file", None)).names
         self._samples = samples
+        # The world is laid out for the sensors' range: a camera on a longer arm sees less far on its own side.
+        longest_m = max(_arm_m(mount) for mount in mounts_of(scenario))
+        self.far_m = max(scenario.sensor.max_range_m - max(_arm_m(self.section.mount) - longest_m, 0.0), 1.0)
         self._rays = {fine: self._grid(fine) for fine in {1, samples}}
+
+    @property
+    def step_ns(self) -> int:
+        """Time from one image to the next."""
+        return max(round(S_NS / self.section.rate_hz), 1)
 
     def take(self, t_ns: int) -> Shot:
         """Take the image whose middle row is exposed at a UTC instant.
@@ -168,7 +158,7 @@ class Photographer:
             direction = matvec(optical(poses.world_R_body)[pose_of[n]], rays[n])
             origin_m = poses.world_p_body_m[pose_of[n]]
             firings, hits = self._cast(geometry, t[n], origin_m, direction)
-            range_m, cosine = hits.range_m.copy(), hits.cos_incidence.copy()
+            cosine = hits.cos_incidence.copy()
             add_texture(firings, hits, geometry.surfaces, self.engine.parts.world.seed)
             texture = hits.cos_incidence / np.maximum(cosine, np.float32(1e-6))
             size = len(direction)
@@ -205,7 +195,7 @@ class Photographer:
         )
         if sun is not None:
             return firings, geometry.cast(firings, np.zeros(1), _HIGHEST_M, _SUN_RAYS, as_far=True)
-        return firings, geometry.cast(firings, np.array([_NEAR_M]), self.engine.scenario.sensor.max_range_m, LINE)
+        return firings, geometry.cast(firings, np.array([_NEAR_M]), self.far_m)
 
     def _light(self, geometry: Geometry, view: View, fine: int) -> F8:
         """Return the light (n, 3) that the rays of an image bring."""
@@ -220,7 +210,7 @@ class Photographer:
         met = np.flatnonzero(is_met)
         rows = view.surface[met]
         colours, grains, is_leaf = self._looks(geometry)
-        pixel_m = view.range_m[met] / (self.lens.fx * fine)
+        pixel_m = view.range_m[met].astype(np.float64) / (self.lens.fx * fine)
         shades = view.texture[met] * grain(place_m[met], pixel_m, rows, grains)
         albedo = np.minimum(colours[rows] * shades[:, None], 1.0)
         surface = light.Facing(normal[met], view.cosine[met], is_leaf[rows])
@@ -275,6 +265,10 @@ class Photographer:
         return np.divide(total, weights, out=share, where=weights > 0.0)
 
 
+def _arm_m(mount: Mount) -> float:
+    return float(norm(np.array(mount.lever_arm_m)))
+
+
 def _places(size: int, fine: int) -> F8:
     """Return the coordinates of `fine` places in each of a number of pixels."""
     return (np.arange(size * fine) + 0.5) / fine - 0.5
@@ -301,8 +295,8 @@ def _mean(seen: F8, shape: tuple[int, int]) -> F8:
 
 def _normals(place_m: F8, range_m: F8, direction: F8, shape: tuple[int, int]) -> F8:
     """Return normals (n, 3) from neighbouring pixels, of two along each axis the one at the more similar range."""
-    across = [_difference(place_m.reshape(*shape, 3), range_m.reshape(shape), axis) for axis in (0, 1)]
-    normal = np.cross(*across).reshape(-1, 3)
+    down, right = (_difference(place_m.reshape(*shape, 3), range_m.reshape(shape), axis) for axis in (0, 1))
+    normal = np.cross(down, right).reshape(-1, 3)
     normal /= np.maximum(norm(normal), 1e-12)[:, None]
     facing = normal[:, 0] * direction[:, 0] + normal[:, 1] * direction[:, 1] + normal[:, 2] * direction[:, 2]
     return np.where((facing > 0.0)[:, None], -normal, normal)
