@@ -203,6 +203,7 @@ class TrueMessages:
             "rgb": ("rgb8", shot.rgb),
             "depth": ("32FC1", depth_m),
             "semantic": ("8UC1", shot.semantic),
+            "part": ("8UC1", shot.part),
             "instance": ("32SC1", instance),
         }
         size = lens.height, lens.width

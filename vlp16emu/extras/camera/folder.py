@@ -24,10 +24,10 @@ from vlp16emu.extras.truth.folder import read_json, tum_rows
 from vlp16emu.extras.truth.truth import rig_of
 from vlp16emu.output import final_name, opening, part_beside, write_json
 from vlp16emu.run.emulator import Emulator
-from vlp16emu.types import F4, F8, U2, U4, Poses, Semantic
+from vlp16emu.types import F4, F8, U2, U4, PlantPart, Poses, Semantic
 from vlp16emu.units import S_NS, seconds_to_ns
 
-LAYERS = ("rgb", "depth", "semantic", "instance")
+LAYERS = ("rgb", "depth", "semantic", "part", "instance")
 MOST_INSTANCES = 65_535  # numbers of 16 bits, without 0
 _MM = 1e-3
 _MOST_MM = 65_535
@@ -104,6 +104,7 @@ class ImageFolder:
         with self._complete(f"image {name}"):
             self._png("rgb", name, shot.rgb)
             self._png("semantic", name, shot.semantic)
+            self._png("part", name, shot.part)
             self._png("instance", name, instance)
             if self._depth == "mm":
                 self._png("depth", name, _in_mm(shot.depth_m))
@@ -236,6 +237,7 @@ def _cameras(photographer: Photographer, scene: str, depth: str, images: ImageFo
             "range_m": photographer.far_m,
         },
         "semantic": {int(one): one.name.lower() for one in Semantic},
+        "part": {int(one): one.name.lower() for one in PlantPart},
         "images": [
             {
                 "file": f"{number:06d}",
@@ -282,7 +284,8 @@ def read_images(folder: Path) -> tuple[dict[str, Any], Lens, Iterator[Shot]]:
             depth_m = (pixels("depth", row["depth_file"]) * unit_m).astype(np.float32)
             instance = table[pixels("instance", name)]
             pose = np.array(row["world_T_camera"])
-            yield Shot(row["t_ns"], pose, pixels("rgb", name), depth_m, pixels("semantic", name), instance)
+            classes = pixels("semantic", name), pixels("part", name)
+            yield Shot(row["t_ns"], pose, pixels("rgb", name), depth_m, *classes, instance)
 
     return cameras, lens, shots()
 

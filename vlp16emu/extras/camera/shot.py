@@ -17,7 +17,6 @@ from vlp16emu.extras.camera import light
 from vlp16emu.extras.camera.grain import grain, grain_table
 from vlp16emu.extras.camera.lens import Lens
 from vlp16emu.extras.camera.mount import camera_mount, camera_of, optical
-from vlp16emu.extras.camera.settings import Camera
 from vlp16emu.extras.colours import surface_colours
 from vlp16emu.forest.plants.species import flora
 from vlp16emu.motion.mount import mounted
@@ -50,6 +49,7 @@ class Shot(NamedTuple):
     rgb: U1  # (height, width, 3)
     depth_m: F4  # (height, width) along the optical axis; 0 where nothing is met
     semantic: U1  # (height, width) `Semantic`
+    part: U1  # (height, width) `PlantPart`
     instance: U4  # (height, width) as in labels of points
 
 
@@ -123,6 +123,7 @@ class Photographer:
             light.developed(seen).reshape(*shape, 3),
             depth_m.astype(np.float32).reshape(shape),
             surfaces["semantic"][row].reshape(shape),
+            surfaces["part"][row].reshape(shape),
             surfaces["instance"][row].reshape(shape),
         )
 
