@@ -92,8 +92,7 @@ class ImageOptions(Span):
     """Images of a scene."""
 
     every_s: Annotated[
-        float | None,
-        Option("Time between images.", "S", ge=1e-3, le=86_400, shown="1 / camera.rate_hz, 0.5 without [camera]"),
+        float | None, Option("Time between images.", "S", ge=1e-3, le=86_400, shown="1 / camera.rate_hz")
     ] = None
     depth: Annotated[
         str,

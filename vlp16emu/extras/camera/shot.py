@@ -4,6 +4,7 @@ Colours need no second renderer: the camera's rays, and rays from what they meet
 """
 
 from collections.abc import Callable
+from concurrent.futures import CancelledError
 from dataclasses import replace
 from typing import Any, NamedTuple, TypeVar
 
@@ -29,7 +30,7 @@ from vlp16emu.types import F4, F8, I8, NO_SURFACE, SURFACE, U1, U4, Firings, Hit
 from vlp16emu.units import S_NS
 
 _RAYS = 8  # rays that are cast together
-_TOGETHER = 1 << 14  # pixels of a thread's job
+_TOGETHER = 1 << 12  # pixels of a thread's job: some 50 ms, so that a run ends soon
 _NEAR_M = 0.05  # beginning of the camera's rays, in front of its housing
 _SUN_RAYS = Footprint(Beam(model="adaptive", rays=_RAYS, spot_mm=(0.0, 0.0), divergence_mrad=(9.3, 9.3)))
 """Rays to the sun's disc: its radius is 4.65 mrad, half of it the deviation of a uniform disc along an axis."""
@@ -170,6 +171,8 @@ class Photographer:
 
     def _in_parts(self, work: Callable[[slice], _T], count: int) -> list[_T]:
         """Return the results of work on parts of n pixels, in order; the parts depend on nothing else."""
+        if self.windows.stop.is_set():
+            raise CancelledError
         with workers(self.engine.threads, "image", self.windows.stop) as pool:
             parts = [slice(first, min(first + _TOGETHER, count)) for first in range(0, count, _TOGETHER)]
             futures = [pool.submit(work, part) for part in parts]
