@@ -1,5 +1,8 @@
 """Images in bags, read back by rosbags."""
 
+from concurrent.futures import Future
+from threading import Event
+
 import numpy as np
 import pytest
 
@@ -7,6 +10,7 @@ from vlp16emu import Emulator
 from vlp16emu.errors import InputError
 from vlp16emu.extras.bag.write import write_bag
 from vlp16emu.extras.camera.folder import read_images, write_images
+from vlp16emu.extras.camera.shot import Photographer
 
 pytest.importorskip("rosbags", reason="the extra ros is not installed")
 pytest.importorskip("PIL.Image", reason="the extra picture is not installed")
@@ -122,3 +126,21 @@ def test_images_need_the_truth_of_their_run(bench):
     with pytest.raises(InputError, match="--images: found without --truth; expected --truth DIR of the same run"):
         write_bag(place / "x.pcap", place / "none.mcap", images=place / "images")
     assert not (place / "none.mcap").exists()
+
+
+def test_a_stopped_recording_waits_for_no_image(bench):
+    """A stop while an image is taken ends the recording with a valid bag, which lacks that image."""
+    emulator, place = bench
+    stop = Event()
+
+    def stop_in_image(self, t_ns):  # a camera that takes for ever, until the run ends
+        stop.set()
+        self.windows.wait(Future())
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Photographer, "take", stop_in_image)
+        recording = emulator.record(place / "stopped.mcap", duration_s=0.25, stop=stop)
+    assert recording.interrupted
+    found = messages(place / "stopped.mcap")
+    assert not any(topic.startswith("/camera") for topic in found)
+    assert found["/ground_truth/odom"]

@@ -175,11 +175,11 @@ def write_images(
     """
     asked, stop = ImageOptions(**options), stop or Event()
     scenario = emulator.scenario.model_copy(update={"camera": camera_of(emulator.scenario)})
-    engine = replace(emulator.engine, scenario=scenario)
+    engine = replace(emulator.stopped_by(stop).engine, scenario=scenario)
     begin_ns, end_ns = engine.span_ns(*scenario.span_s(asked.start_s, asked.duration_s))
     photographer = Photographer(engine, asked.samples)
     step_ns = seconds_to_ns(asked.every_s) if asked.every_s else photographer.step_ns
-    with photographer.windows.stopped_by(stop), ImageFolder(Path(folder), asked.depth) as images:
+    with ImageFolder(Path(folder), asked.depth) as images:
         with suppress(CancelledError):
             for since_ns in range(begin_ns, end_ns, step_ns):
                 images.add(photographer.take(scenario.start_ns + since_ns))

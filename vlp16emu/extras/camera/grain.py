@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import inline_kernel, kernel
 from vlp16emu.types import F4, F8, PlantPart, Semantic
 
 
@@ -45,7 +45,7 @@ def grain_table(surfaces: NDArray[np.void], species: Mapping[int, str]) -> F8:
     return table
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+@inline_kernel
 def _lattice(x: int, y: int, z: int, octave: int) -> float:
     """Return a number in -1..1 for a corner of the lattice: MurmurHash3's finaliser, as for voxels."""
     h = np.uint32(
@@ -60,7 +60,7 @@ def _lattice(x: int, y: int, z: int, octave: int) -> float:
     return np.float64(h >> np.uint32(8)) / 8388607.5 - 1.0
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+@inline_kernel
 def _noise(x: float, y: float, z: float, octave: int) -> float:
     """Return smooth noise in -1..1: the corners of a cell, blended by a cubic (Perlin, SIGGRAPH 1985)."""
     i = np.int64(np.floor(x))
@@ -76,7 +76,7 @@ def _noise(x: float, y: float, z: float, octave: int) -> float:
     return total
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@kernel
 def fill_grain(place_m: F8, pixel_m: F8, surface: NDArray[np.uint32], table: F8, sizes_m: F8, out: F4) -> None:
     """Fill factors (n,) on the colours of surfaces at places (n, 3) in the world; parts finer than a pixel fade."""
     for n in range(len(out)):

@@ -73,7 +73,7 @@ class Photographer:
 
     Parameters
     ----------
-    engine : of the run; a scene without a camera gets the default one
+    engine : of the run, whose stop ends it too; a scene without a camera gets the default one
     samples : rays of a pixel's colour along each axis; depth and labels are always those of its middle
 
     Raises InputError if the camera's distortion cannot be inverted over the whole image.
@@ -87,7 +87,8 @@ class Photographer:
         base = scenario.motion.under_sensors(parts.carrier)
         self.motion = mounted(base, camera_mount(scenario), scenario.start_ns)
         alone = replace(parts, units=(replace(parts.units[0], motion=self.motion),))
-        self.windows = windows_of(alone, scenario.start_ns, engine.batching, engine.threads)
+        windows = windows_of(alone, scenario.start_ns, engine.batching, engine.threads)
+        self.windows = windows.stopped_by(engine.windows.stop)
         self._species = flora(getattr(scenario.world, "species_file", None)).names
         self._samples = samples
         # The world is laid out for the sensors' range: a camera on a longer arm sees less far on its own side.
@@ -103,7 +104,7 @@ class Photographer:
     def take(self, t_ns: int) -> Shot:
         """Take the image whose middle row is exposed at a UTC instant.
 
-        Raises CancelledError if the windows are stopped.
+        Raises CancelledError if the run is stopped.
         """
         since_ns = t_ns - self.engine.scenario.start_ns
         geometry = self.windows.wait(self.windows.at_time(since_ns))
