@@ -55,7 +55,8 @@ class ImageFolder:
 
     It is NAME.xxxxxxxx.part until it is complete. After a full disk the images so far stay there.
 
-    Raises OutputError if the folder has content, or cannot be made; MissingExtraError if pillow is not installed.
+    Raises OutputError if the folder has content, or cannot be made; MissingExtraError if pillow is not
+    installed.
     """
 
     def __init__(self, path: Path, depth: str) -> None:
@@ -169,11 +170,13 @@ def write_images(
     progress, stop : as in `Emulator.record`
     options : fields of `ImageOptions`
 
-    Raises InputError for a wrong option or a distortion that cannot be inverted; MissingExtraError if pillow is not installed;
-    OutputError if the folder has content or cannot be written; TrajectoryError if the walk ends before the span; RunError if
-    the disk is full, which leaves the images before; CancelledError, and no folder, if `stop` is set before the first image.
+    Raises InputError for a wrong option or a distortion that cannot be inverted; MissingExtraError if
+    pillow is not installed; OutputError if the folder has content or cannot be written; TrajectoryError if the
+    walk ends before the span; RunError if the disk is full, which leaves the images before; CancelledError, and
+    no folder, if `stop` is set before the first image.
     """
-    asked, stop = ImageOptions(**options), stop or Event()
+    asked = ImageOptions.from_fields(options)
+    stop = stop or Event()
     scenario = emulator.scenario.model_copy(update={"camera": camera_of(emulator.scenario)})
     engine = replace(emulator.stopped_by(stop).engine, scenario=scenario)
     begin_ns, end_ns = engine.span_ns(*scenario.span_s(asked.start_s, asked.duration_s))
@@ -227,7 +230,8 @@ def _cameras(photographer: Photographer, scene: str, depth: str, images: ImageFo
         },
         "shutter": {
             "readout_s": photographer.section.readout_s,
-            "time_of_row": "t_ns + ((row - (height - 1) / 2) / (height - 1)) * readout_s; poses are those of the middle row",
+            "time_of_row": "t_ns + ((row - (height - 1) / 2) / (height - 1)) * readout_s",
+            "poses": "those of the middle row",
         },
         "rig": rig_of(scenario, photographer.engine.parts)["camera"],
         "depth": {
@@ -253,7 +257,8 @@ def _cameras(photographer: Photographer, scene: str, depth: str, images: ImageFo
 def read_images(folder: Path) -> tuple[dict[str, Any], Lens, Iterator[Shot]]:
     """Return `cameras.json` of a folder of images, the lens, and its images one after another.
 
-    Raises InputError if a file is missing or is none of `images`; MissingExtraError if pillow is not installed.
+    Raises InputError if a file is missing or is none of `images`; MissingExtraError if pillow is not
+    installed.
     """
     try:
         import PIL.Image
@@ -263,7 +268,8 @@ def read_images(folder: Path) -> tuple[dict[str, Any], Lens, Iterator[Shot]]:
     try:
         known = cameras["intrinsics"]
         size = known["width"], known["height"]
-        lens = Lens(*size, known["fx"], known["fy"], known["cx"], known["cy"], tuple(known["distortion"].values()))
+        distortion = tuple(known["distortion"].values())
+        lens = Lens(*size, known["fx"], known["fy"], known["cx"], known["cy"], distortion)
         rows, unit_m = cameras["images"], float(cameras["depth"]["unit_m"])
     except (KeyError, TypeError, AttributeError):
         raise InputError(str(folder / "cameras.json"), "not all of its members", _EXPECTED) from None

@@ -1,4 +1,4 @@
-"""Grain of ground and bark: variation of their colour that is fixed in the world, finer than the lidar's texture."""
+"""Grain of ground and bark: colour that varies in the world, finer than the lidar's texture."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.kernels.compiler import inline_kernel, kernel
-from vlp16emu.types import F4, F8, PlantPart, Semantic
+from vlp16emu.types import F4, F8, U4, PlantPart, Semantic
 
 
 class Grain(NamedTuple):
@@ -77,8 +77,8 @@ def _noise(x: float, y: float, z: float, octave: int) -> float:
 
 
 @kernel
-def fill_grain(place_m: F8, pixel_m: F8, surface: NDArray[np.uint32], table: F8, sizes_m: F8, out: F4) -> None:
-    """Fill factors (n,) on the colours of surfaces at places (n, 3) in the world; parts finer than a pixel fade."""
+def fill_grain(place_m: F8, pixel_m: F8, surface: U4, table: F8, sizes_m: F8, out: F4) -> None:
+    """Fill factors (n,) on the colours at places (n, 3) in the world; parts finer than a pixel fade."""
     for n in range(len(out)):
         across, up, brightness, strength, marks = table[surface[n]]
         out[n] = brightness
@@ -99,7 +99,7 @@ def fill_grain(place_m: F8, pixel_m: F8, surface: NDArray[np.uint32], table: F8,
         out[n] = brightness * max(1.0 + strength * total, 0.1) * (1.0 - black * (1.0 - _BLACK))
 
 
-def grain(place_m: F8, pixel_m: F8, surface: NDArray[np.uint32], table: F8) -> F4:
+def grain(place_m: F8, pixel_m: F8, surface: U4, table: F8) -> F4:
     """Return factors (n,) on the colours of n places.
 
     Parameters

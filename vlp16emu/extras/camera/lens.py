@@ -1,7 +1,7 @@
 """Pinhole projection with Brown's distortion, in both directions.
 
-Axes of a camera are x right, y down, z forward (REP 103, suffix `_optical`). All is computed by sums, products, quotients
-and square roots, so that every processor finds the same rays.
+Axes of a camera are x right, y down, z forward (REP 103, suffix `_optical`). All is computed by sums,
+products, quotients and square roots, so that every processor finds the same rays.
 """
 
 import math
@@ -66,8 +66,8 @@ class Lens:
     def _distorted(self, x: F8, y: F8) -> tuple[F8, F8, F8, F8, F8]:
         """Return distorted places (n,), (n,) and the derivatives dx/dx, dx/dy = dy/dx and dy/dy.
 
-        Brown, "Decentering distortion of lenses", Photogrammetric Engineering 32(3), 1966, in the signs of OpenCV
-        (calib3d, "Camera calibration and 3D reconstruction").
+        Brown, "Decentering distortion of lenses", Photogrammetric Engineering 32(3), 1966, in the signs of
+        OpenCV (calib3d, "Camera calibration and 3D reconstruction").
         """
         k1, k2, p1, p2, k3 = self.distortion
         square = x * x + y * y
@@ -94,4 +94,5 @@ class Lens:
             x = x + (y_by_y * off_x - x_by_y * off_y) / determinant
             y = y + (x_by_x * off_y - x_by_y * off_x) / determinant
         found = f"found {', '.join(f'{one:g}' for one in self.distortion)}"
-        raise InputError("camera.distortion", found, "a distortion that maps no two rays to one place of the image")
+        expected = "a distortion that maps no two rays to one place of the image"
+        raise InputError("camera.distortion", found, expected)

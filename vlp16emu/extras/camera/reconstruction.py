@@ -1,4 +1,4 @@
-"""Poses and intrinsics for programs that reconstruct from images: COLMAP's text model, and `transforms.json` of nerfstudio.
+"""Poses and intrinsics for programs that reconstruct from images: COLMAP and nerfstudio.
 
 Both count pixels from the corner of the first one: its middle is (0.5, 0.5).
 """
@@ -33,7 +33,10 @@ def reconstruction_files(lens: Lens, poses: Sequence[F8], depth_suffix: str) -> 
 
 
 def _colmap_camera(lens: Lens) -> str:
-    """Return the line of one camera (COLMAP, "Output format", and its models in src/colmap/sensor/models.h)."""
+    """Return the line of one camera.
+
+    COLMAP, "Output format", and the parameters of its models in src/colmap/sensor/models.h.
+    """
     k1, k2, p1, p2, k3 = lens.distortion
     numbers = [lens.fx, lens.fy, lens.cx + _CORNER, lens.cy + _CORNER]
     model = "PINHOLE"

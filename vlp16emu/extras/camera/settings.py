@@ -38,11 +38,13 @@ class Camera(Section):
     distortion: Annotated[_Coefficients, Field(strict=False)] = (0.0, 0.0, 0.0, 0.0, 0.0)
     """Distortion k1, k2, p1, p2 and k3 of Brown's model, in the order of OpenCV and of ROS' `plumb_bob`."""
     readout_s: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """Rolling shutter: time from the first row to the last, each with the pose at its own time; 0 for one instant."""
+    """Rolling shutter: time from the first row to the last, each with the pose at its own time; 0 for one
+    instant."""
     rate_hz: Annotated[float, Field(gt=0, le=1000)] = 2.0
     """Images per second."""
     mount: Mount = Mount()
-    """Mount on the carrier, like the sensor's: with no rotation the camera looks along the carrier's x axis."""
+    """Mount on the carrier, like the sensor's: with no rotation the camera looks along the carrier's x
+    axis."""
 
     @field_validator("mount")
     @classmethod

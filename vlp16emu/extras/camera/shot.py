@@ -1,6 +1,7 @@
 """Taking of images: rays through pixels, what they meet, and how it is lit.
 
-Colours need no second renderer: the camera's rays, and rays from what they meet to the sun, are cast like the sensor's pulses.
+Colours need no second renderer: the camera's rays, and rays from what they meet to the sun, are cast like the
+sensor's pulses.
 """
 
 from collections.abc import Callable
@@ -33,7 +34,8 @@ _RAYS = 8  # rays that are cast together
 _TOGETHER = 1 << 12  # pixels of a thread's job: some 50 ms, so that a run ends soon
 _NEAR_M = 0.05  # beginning of the camera's rays, in front of its housing
 _SUN_RAYS = Footprint(Beam(model="adaptive", rays=_RAYS, spot_mm=(0.0, 0.0), divergence_mrad=(9.3, 9.3)))
-"""Rays to the sun's disc: its radius is 4.65 mrad, half of it the deviation of a uniform disc along an axis."""
+"""Rays to the sun's disc: its radius is 4.65 mrad, half of it the deviation of a uniform disc along an axis.
+A beam's divergence is four deviations."""
 _HIGHEST_M = 60.0  # range of rays to the sun, beyond the highest trees
 _OFF_M = 0.25  # beginning of rays to the sun, outside what they start from: half a voxel of the far medium
 _BACK_M = 0.02  # towards the camera
@@ -91,7 +93,7 @@ class Photographer:
         self.windows = windows.stopped_by(engine.windows.stop)
         self._species = flora(getattr(scenario.world, "species_file", None)).names
         self._samples = samples
-        # The world is laid out for the sensors' range: a camera on a longer arm sees less far on its own side.
+        # The world is laid out for the sensors' range: a camera on a longer arm sees less far.
         longest_m = max(_arm_m(mount) for mount in mounts_of(scenario))
         self.far_m = max(scenario.sensor.max_range_m - max(_arm_m(self.section.mount) - longest_m, 0.0), 1.0)
         self._rays = {fine: self._grid(fine) for fine in {1, samples}}
@@ -110,10 +112,9 @@ class Photographer:
         geometry = self.windows.wait(self.windows.at_time(since_ns))
         view = self._view(geometry, t_ns, 1)
         shape = self.lens.height, self.lens.width
-        if self._samples == 1:
-            seen = self._light(geometry, view, 1)
-        else:
-            seen = _mean(self._light(geometry, self._view(geometry, t_ns, self._samples), self._samples), shape)
+        fine = self._samples
+        seen = self._light(geometry, view if fine == 1 else self._view(geometry, t_ns, fine), fine)
+        seen = _mean(seen, shape, fine)
         pose = self.pose(t_ns)
         surfaces = np.append(geometry.surfaces, np.zeros(1, SURFACE))  # the last row is that of no surface
         row = np.minimum(view.surface, len(geometry.surfaces))
@@ -144,7 +145,7 @@ class Photographer:
         return t_ns + np.rint(offset_s * S_NS).astype(np.int64)
 
     def _grid(self, fine: int) -> F8:
-        """Return directions (n, 3) in the camera's axes through `fine` times `fine` places of each pixel, row by row."""
+        """Return directions (n, 3) in the camera's axes through `fine` by `fine` places of each pixel."""
         columns, rows = (_places(size, fine) for size in (self.lens.width, self.lens.height))
         x, y = np.meshgrid(columns, rows)
         return self.lens.rays(x.ravel(), y.ravel())
@@ -154,7 +155,7 @@ class Photographer:
         rays, width = self._rays[fine], self.lens.width * fine
         row_ns = self.row_times_ns(t_ns, _places(self.lens.height, fine))
         poses = self.motion.poses_at(row_ns if self.section.readout_s else row_ns[:1])
-        pose_of = np.repeat(np.arange(len(row_ns)) if len(poses.t_ns) > 1 else np.zeros(len(row_ns), int), width)
+        pose_of = np.repeat(np.minimum(np.arange(len(row_ns)), len(poses.t_ns) - 1), width)
         t = np.repeat(row_ns, width)
 
         def part(n: slice) -> tuple[Any, ...]:
@@ -167,7 +168,8 @@ class Photographer:
             size = len(direction)
             return origin_m, direction, *(of[:size] for of in (hits.range_m, hits.surface, cosine, texture))
 
-        origin_m, direction, *met = (np.concatenate(of) for of in zip(*self._in_parts(part, len(rays)), strict=True))
+        parts = zip(*self._in_parts(part, len(rays)), strict=True)
+        origin_m, direction, *met = (np.concatenate(of) for of in parts)
         return View(origin_m, direction, t, *met)
 
     def _in_parts(self, work: Callable[[slice], _T], count: int) -> list[_T]:
@@ -182,7 +184,7 @@ class Photographer:
     def _cast(
         self, geometry: Geometry, t_ns: I8, origin_m: F8, direction: F8, sun: F8 | None = None, first: int = 0
     ) -> tuple[Firings, Hits]:
-        """Cast n rays, or with `sun` pulses as wide as the sun; the last is repeated up to a multiple of eight."""
+        """Cast n rays, or with `sun` pulses as wide as the sun, the last repeated up to a multiple of 8."""
         which = np.minimum(np.arange(len(t_ns) + -len(t_ns) % _RAYS), len(t_ns) - 1)
         shape = len(which), 1
         level = None
@@ -208,7 +210,8 @@ class Photographer:
         is_met = view.surface != NO_SURFACE
         sun = None
         if scenario.world.kind != "hall":
-            sun = light.sun_direction(int(view.t_ns[0]), scenario.gps.latitude_deg, scenario.gps.longitude_deg)
+            gps = scenario.gps
+            sun = light.sun_direction(int(view.t_ns[0]), gps.latitude_deg, gps.longitude_deg)
         place_m = view.origin_m + view.direction * np.where(is_met, view.range_m, 0.0)[:, None]
         shape = self.lens.height * fine, self.lens.width * fine
         normal = _normals(place_m, np.where(is_met, view.range_m, np.inf), view.direction, shape)
@@ -230,7 +233,7 @@ class Photographer:
         return seen
 
     def _looks(self, geometry: Geometry) -> tuple[F8, F8, NDArray[np.bool_]]:
-        """Return colours (m, 3), grain (m, 5) and whether it is a thin leaf (m,) of each surface of a window."""
+        """Return colours (m, 3), grain (m, 5) and whether it is a leaf (m,) of the surfaces of a window."""
         surfaces = geometry.surfaces
         is_leaf = (surfaces["part"] == PlantPart.LEAF) | (surfaces["semantic"] == Semantic.GRASS)
         colours = light.linear(surface_colours(surfaces, self._species))
@@ -239,7 +242,7 @@ class Photographer:
     def _sun_share(
         self, geometry: Geometry, view: View, place_m: F8, is_met: NDArray[np.bool_], sun: F8, fine: int
     ) -> F8:
-        """Return the visible share (n,) of the sun, cast at some pixels and interpolated by distance in the world."""
+        """Return the visible share (n,) of the sun, cast at some pixels and interpolated in the world."""
         height, width = self.lens.height * fine, self.lens.width * fine
         step = _SHADOW_PX * fine
         rows, columns = (np.arange(0, size, step) for size in (height, width))
@@ -255,13 +258,15 @@ class Photographer:
         share = np.ones(height * width)
         if len(cast):
             share[cast] = np.concatenate(self._in_parts(part, len(cast)))
-        nearest = [np.minimum(np.arange(size) // step, len(of) - 1) for size, of in ((height, rows), (width, columns))]
-        total, weights = np.zeros(height * width), np.zeros(height * width)
+        row_of = np.arange(height) // step
+        column_of = np.arange(width) // step
+        total = np.zeros(height * width)
+        weights = np.zeros(height * width)
         pixel_m = np.where(is_met, view.range_m, 1.0) / (self.lens.fx * fine)
         for down in (0, 1):
             for right in (0, 1):
-                i = rows[np.minimum(nearest[0] + down, len(rows) - 1)]
-                j = columns[np.minimum(nearest[1] + right, len(columns) - 1)]
+                i = rows[np.minimum(row_of + down, len(rows) - 1)]
+                j = columns[np.minimum(column_of + right, len(columns) - 1)]
                 other = (i[:, None] * width + j).ravel()
                 off_m = norm(place_m[other] - place_m)
                 weight = is_met[other] / (pixel_m * pixel_m + off_m * off_m)
@@ -286,10 +291,9 @@ def _across(direction: F8) -> F8:
     return level / length if length > 1e-9 else np.array([1.0, 0.0, 0.0])
 
 
-def _mean(seen: F8, shape: tuple[int, int]) -> F8:
+def _mean(seen: F8, shape: tuple[int, int], fine: int) -> F8:
     """Return the means (n, 3) over the places of each pixel, summed in order."""
     height, width = shape
-    fine = round((len(seen) // (height * width)) ** 0.5)
     cells = seen.reshape(height, fine, width, fine, 3)
     total = np.zeros((height, width, 3))
     for i in range(fine):
@@ -299,7 +303,7 @@ def _mean(seen: F8, shape: tuple[int, int]) -> F8:
 
 
 def _normals(place_m: F8, range_m: F8, direction: F8, shape: tuple[int, int]) -> F8:
-    """Return normals (n, 3) from neighbouring pixels, of two along each axis the one at the more similar range."""
+    """Return normals (n, 3) from neighbouring pixels, along each axis the one at the more similar range."""
     down, right = (_difference(place_m.reshape(*shape, 3), range_m.reshape(shape), axis) for axis in (0, 1))
     normal = np.cross(down, right).reshape(-1, 3)
     normal /= np.maximum(norm(normal), 1e-12)[:, None]
