@@ -51,8 +51,9 @@ NO_CORE = {"__main__", "cli", "extras", "forest", "foliage", "pytest"}
 FOREST = ("settings", "purpose", "ground", "tiles", "plants", "stand", "make")  # rooms of `forest/` from the bottom
 
 EXTRAS_TAKE = {
-    "bag": {"imu", "slam", "truth"},
+    "bag": {"camera", "imu", "slam", "truth"},
     "bench": {"imu"},
+    "camera": {"colours", "options", "truth"},
     "clouds": {"displace", "options", "recorded", "truth"},
     "dataset": {"clouds", "options"},
     "handle": {"bench", "clouds", "truth"},
@@ -63,8 +64,8 @@ EXTRAS_TAKE = {
     "score": {"clouds", "options", "recorded"},
     "slam": {"truth"},
     "survey": {"colours", "meshes"},
-    "truth": {"bench", "imu"},
     "viewer": {"clouds", "colours", "options", "survey", "verify", "walk"},
+    "truth": {"bench", "camera", "imu"},
     "walk": {"splines"},
 }
 """Which extras each extra may import beside the core: options, trajectories, colours, ground truth, clouds, and the stand that the page shows."""

@@ -1,4 +1,4 @@
-"""Verbs that write or show a run, a scene or a capture: truth, points, bag, dataset, picture and view."""
+"""Verbs that write or show a run, a scene or a capture: truth, points, bag, dataset, picture, images and view."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -12,7 +12,7 @@ from vlp16emu.cli.arguments import AsJson, CaptureFile, UnitName, WhichClock
 from vlp16emu.cli.printer import count, finish, print_json, print_rows, print_table, size
 from vlp16emu.cli.terminal import Progress, compile_first, make_emulator, running, stop_on_ctrl_c
 from vlp16emu.errors import InputError, MissingExtraError, TrajectoryError
-from vlp16emu.extras.options import DatasetOptions, PictureLook, PointOptions, TrajectoryErrors
+from vlp16emu.extras.options import DatasetOptions, ImageOptions, PictureLook, PointOptions, TrajectoryErrors
 from vlp16emu.run.options import BagOptions, Option, Span, TruthPackets, TruthRate, TruthReturns, TruthTo, WhichUnit
 
 if TYPE_CHECKING:
@@ -139,6 +139,10 @@ def bag(
             "Folder of truth of the same run: odometry, transforms, inertial unit and fixes go into the bag.", "DIR"
         ),
     ] = None,
+    images: Annotated[
+        Path | None,
+        Option("Folder of `vlp16emu images` of the same run: its images go into the bag. Needs --truth.", "DIR"),
+    ] = None,
     unit: UnitName = None,
     clock: WhichClock = None,
     as_json: AsJson = False,
@@ -151,7 +155,7 @@ def bag(
     from vlp16emu.extras.bag.write import write_bag
 
     with stop_on_ctrl_c() as stop:
-        result = write_bag(file, out, truth, unit=unit, clock=clock, options=options, stop=stop)
+        result = write_bag(file, out, truth, images=images, unit=unit, clock=clock, options=options, stop=stop)
     finish(result, as_json=as_json)
 
 
@@ -258,6 +262,28 @@ def picture(
             source = source_of_scene(make_emulator(scene, changes).stopped_by(stop), span)
         made = draw_picture(source, out, look, stop)
     finish(made, as_json=as_json)
+
+
+def images(
+    scene: args.SceneName,
+    out: Annotated[Path, Option("Folder to write, new or empty.", name="OUT")],
+    options: ImageOptions,
+    making: args.EmulatorOptions,
+    *,
+    as_json: args.AsJson = False,
+) -> None:
+    """Write what a camera beside the sensor sees: colour, depth, classes and instances.
+
+    The table [camera] of the scene sets lens, mount, size, rate and shutter; without it the camera is at the sensor and looks
+    ahead. Intrinsics and poses come as cameras.json, TUM, COLMAP's text model and nerfstudio's transforms.json. Ctrl-C
+    keeps the images so far. Needs the extra 'picture'.
+    """
+    emulator = make_emulator(scene, making)
+    from vlp16emu.extras.camera.folder import write_images
+
+    with running(emulator, "taking images", options) as hooks:
+        result = write_images(emulator, out, **vars(options), **hooks)
+    finish(result, as_json=as_json)
 
 
 def view(

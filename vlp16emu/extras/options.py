@@ -132,6 +132,25 @@ class PictureLook(Options):
 
 
 @dataclass(frozen=True)
+class ImageOptions(Span):
+    """Images of a scene."""
+
+    every_s: Annotated[
+        float | None, Option("Time between images.", "S", ge=1e-3, le=86_400, shown="1 / camera.rate_hz")
+    ] = None
+    depth: Annotated[
+        str,
+        Option(
+            "Depth along the optical axis: 16-bit PNG in mm, up to 65.5 m (mm), or .npy in metres (float32).",
+            words=("mm", "float32"),
+        ),
+    ] = "mm"
+    samples: Annotated[
+        int, Option("Rays for the colour of a pixel, along each axis: 2 or 3 for smooth edges.", "N", ge=1, le=8)
+    ] = 1
+
+
+@dataclass(frozen=True)
 class DatasetOptions(Options):
     """Workers that make the walks of a dataset."""
 

@@ -43,10 +43,10 @@ def record(
 ) -> Recording:
     """Write the packets of a run into a file; parameters and errors as in `Emulator.record`."""
     units, truth = emulator.parts.units, TruthTo.of(options.truth)
-    paths = _paths(emulator, Path(path), split=options.split)
-    files = _files(emulator, path, paths, truth, options)
     stop = stop or Event()
     emulator = emulator.with_truth_in(truth).stopped_by(stop)
+    paths = _paths(emulator, Path(path), split=options.split)
+    files = _files(emulator, path, paths, truth, options)
     scenario = emulator.scenario
     span_s = scenario.span_s(options.start_s, options.duration_s)
     host = HostClock(scenario.capture, scenario.seed, scenario.start_ns)

@@ -160,6 +160,8 @@ class Scenario(Section):
     """Motion of the sensor."""
     imu: Annotated[Any, LazySection("imu_section")] | None = None
     """An inertial measurement unit beside the sensor; its samples are part of the ground truth."""
+    camera: Annotated[Any, LazySection("camera_section")] | None = None
+    """A camera beside the sensor, whose images bags have."""
     rig: Annotated[list[RigUnit], Field(max_length=253, default_factory=list)]
     """Further sensors on the same carrier, numbered from 2; `[sensor]` is unit 1."""
     events: Annotated[list[Any], _Events, Field(default_factory=list)]

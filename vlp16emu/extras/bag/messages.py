@@ -1,8 +1,8 @@
-"""ROS messages of a sensor, its carrier, an inertial unit and a GNSS receiver."""
+"""ROS messages of a sensor, its carrier, an inertial unit, a GNSS receiver and a camera."""
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,10 @@ from vlp16emu.packets import DATA_PAYLOAD, JUMP_NS, data_fields, decode_data, de
 from vlp16emu.types import U1
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
+if TYPE_CHECKING:  # bags without images load no camera
+    from vlp16emu.extras.camera.lens import Lens
+    from vlp16emu.extras.camera.shot import Shot
+
 _POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")])
 """PointXYZIRT of velodyne_pointcloud (pointcloudXYZIRT.cpp, ros-drivers/velodyne): packed, 22 bytes."""
 _FLOAT32, _UINT16 = 7, 4  # types of sensor_msgs/PointField
@@ -27,6 +31,7 @@ _FIELDS = [
 _NO_ATTITUDE, _NO_ESTIMATE = (0.0,) * 4, np.array([-1.0, *[0.0] * 8])
 """Orientation of an inertial unit that reports none, and the covariance that marks it (sensor_msgs/Imu)."""
 _EXACT = np.zeros(36)
+_CAMERA = "camera_optical_frame"  # its axes are x right, y down, z forward (REP 103)
 _UNKNOWN_M2 = 1e6  # variance of the altitude: an RMC sentence has none
 _UNKNOWN_RAD2 = math.pi**2 / 3.0  # variance of a uniformly distributed heading, the limit of drift
 
@@ -151,6 +156,8 @@ class TrueMessages:
             placed["gps"] = np.column_stack([np.eye(4, 3), [*antenna_m, 1.0]])
         if "imu" in self._rig:
             placed["imu"] = given_mount(self._rig["imu"], "body_T_imu")
+        if "camera" in self._rig:
+            placed[_CAMERA] = given_mount(self._rig["camera"], "body_T_camera")
         header = self._bag.header(t_ns, "base_link", "/tf_static")
         poses = {child: transform(T[:3, :3], T[:3, 3]) for child, T in placed.items() if T is not None}
         moved = [(header, child, (T["translation_m"], T["quaternion_xyzw"])) for child, T in poses.items()]
@@ -184,6 +191,35 @@ class TrueMessages:
         # Status -1 is none, service 1 is GPS, covariance 1 is approximated.
         what = (int(valid) - 1, 1), latitude_deg, longitude_deg, math.nan, self._place, 1
         self._bag.write("/fix", t_ns, "sensor_msgs/msg/NavSatFix", self._bag.header(t_ns, "gps", "/fix"), *what)
+
+    def image(self, lens: "Lens", shot: "Shot") -> None:
+        """Write the layers of an image, each with its intrinsics as drivers of depth cameras publish them.
+
+        Depth is in metres, NaN where nothing is met (REP 118); instances are those of points, as signed numbers.
+        """
+        depth_m = np.where(shot.depth_m > 0.0, shot.depth_m, np.float32(np.nan))
+        instance = shot.instance.view(np.int32)
+        layers = {
+            "rgb": ("rgb8", shot.rgb),
+            "depth": ("32FC1", depth_m),
+            "semantic": ("8UC1", shot.semantic),
+            "part": ("8UC1", shot.part),
+            "instance": ("32SC1", instance),
+        }
+        size = lens.height, lens.width
+        straight = np.column_stack([lens.matrix, np.zeros(3)])  # of images whose distortion is removed
+        matrices = np.array(lens.distortion), lens.matrix.ravel(), np.eye(3).ravel(), straight.ravel()
+        whole = 0, 0, 0, 0, False  # region of interest
+        for layer, (encoding, pixels) in layers.items():
+            topic = f"/camera/{layer}/image_raw"
+            header = self._bag.header(shot.t_ns, _CAMERA, topic)
+            data = np.ascontiguousarray(pixels).view(np.uint8).ravel()
+            what = header, *size, encoding, False, len(data) // lens.height, data
+            self._bag.write(topic, shot.t_ns, "sensor_msgs/msg/Image", *what)
+            topic = f"/camera/{layer}/camera_info"
+            header = self._bag.header(shot.t_ns, _CAMERA, topic)
+            info = header, *size, "plumb_bob", *matrices, 0, 0, whole
+            self._bag.write(topic, shot.t_ns, "sensor_msgs/msg/CameraInfo", *info)
 
 
 def _moved_to_base(numbers: Sequence[float], sensor_T_base: NDArray[Any]) -> list[float]:

@@ -4,11 +4,13 @@ import csv
 import hashlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from concurrent.futures import CancelledError
+from contextlib import contextmanager, suppress
 from functools import partial
+from itertools import count
 from pathlib import Path
 from threading import Event
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -31,6 +33,9 @@ from vlp16emu.sensor.settings import RPM_STEP
 from vlp16emu.sinks import PacketSink, PcapResult
 from vlp16emu.types import Packet, PacketKind, PpsState
 from vlp16emu.units import S_NS, US_NS
+
+if TYPE_CHECKING:
+    from vlp16emu.extras.camera.shot import Photographer
 
 _EXPECTED = "a file of a --truth folder"
 _TIME = "t_utc_s"
@@ -143,12 +148,17 @@ def bag_of_run(path: Path, engine: Engine, rate_hz: int, options: BagOptions | N
     options, scenario, units = options or BagOptions(), engine.scenario, engine.parts.units
     rig, tree = rig_of(scenario, engine.parts), scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
     frames = _frames(len(units))
+    photographer = None
+    if scenario.camera is not None:
+        from vlp16emu.extras.camera.shot import Photographer  # here: few scenes have a camera
+
+        photographer = Photographer(engine)
 
     def clock_of(number: int, due_ns: int) -> PacketClock:
         is_locked = units[number].gps.pps_at(due_ns) is PpsState.LOCKED
         return PacketClock(Clock.SENSOR if is_locked else Clock.HOST)
 
-    truth = Truth(rig, tree, partial(_feeds_of_run, engine, rate_hz), -(-S_NS // rate_hz))
+    truth = Truth(rig, tree, partial(_feeds_of_run, engine, rate_hz, photographer), -(-S_NS // rate_hz))
     with (
         written_beside(path, options.slam, lambda: Rig.of(rig, tree, frames[0])),
         BagSink(path, frames, clock_of, options, truth) as sink,
@@ -161,7 +171,9 @@ def _frames(units: int) -> list[str]:
     return ["velodyne"] if units == 1 else [f"unit_{number}/velodyne" for number in range(1, units + 1)]
 
 
-def _feeds_of_run(engine: Engine, rate_hz: int, to: TrueMessages, begin_ns: int) -> Sequence[Feed]:
+def _feeds_of_run(
+    engine: Engine, rate_hz: int, photographer: "Photographer | None", to: TrueMessages, begin_ns: int
+) -> Sequence[Feed]:
     from scipy.spatial.transform import Rotation
 
     parts, start_ns = engine.parts, engine.scenario.start_ns
@@ -185,13 +197,36 @@ def _feeds_of_run(engine: Engine, rate_hz: int, to: TrueMessages, begin_ns: int)
             to.fix(second * S_NS, (said.latitude_deg, said.longitude_deg, said.valid))
 
     poses = partial(true_motion, parts.units[0].motion, start_ns, rate_hz)
-    feeds = [Samples(odometry, poses, start_ns, rate_hz, begin_ns).up_to]
+    feeds: list[Feed] = [Samples(odometry, poses, start_ns, rate_hz, begin_ns).up_to]
     if (imu := engine.scenario.imu) is not None and parts.imu is not None:
         feeds.append(Samples(inertial, parts.imu.read, start_ns, imu.rate_hz, begin_ns).up_to)
     if (named_ns := parts.gps.second_ns(begin_ns)) is not None:
         begin_ns = max(named_ns, begin_ns)
         feeds.append(Samples(fixes, lambda first, count: range(first, first + count), 0, 1, begin_ns).up_to)
+    if photographer is not None:
+        feeds.append(_images_of_run(engine, photographer, to, begin_ns))
     return feeds
+
+
+def _images_of_run(engine: Engine, photographer: "Photographer", to: TrueMessages, begin_ns: int) -> Feed:
+    """Return the feed of the images that the scene's camera takes from an instant on, until the run is stopped."""
+    start_ns, step_ns = engine.scenario.start_ns, photographer.step_ns
+
+    def take(t_ns: int) -> None:
+        with suppress(CancelledError):  # a stopped run goes without its last images
+            to.image(photographer.lens, photographer.take(t_ns))
+
+    first = -(-(begin_ns - start_ns) // step_ns)
+    return _feed(((start_ns + number * step_ns,) for number in count(first)), take)
+
+
+def _images_of_folder(folder: Path, to: TrueMessages, begin_ns: int) -> Feed:
+    """Return the feed of the images of a folder from an instant on."""
+    from vlp16emu.extras.camera.folder import read_images
+
+    _, lens, shots = read_images(folder)
+    rows = ((shot.t_ns, shot) for shot in shots if shot.t_ns >= begin_ns)
+    return _feed(rows, lambda _, shot: to.image(lens, shot))
 
 
 def write_bag(
@@ -199,6 +234,7 @@ def write_bag(
     out: Path,
     truth: Path | None = None,
     *,
+    images: Path | None = None,
     unit: str | None = None,
     clock: str | None = None,
     options: BagOptions | None = None,
@@ -211,6 +247,7 @@ def write_bag(
     capture : file with VLP-16 packets, also of a real sensor
     out : .mcap, .bag or a folder, as `BagFile` takes it
     truth : folder with the truth of the run: true odometry, transforms, inertial unit and receiver
+    images : folder of images of the same run, which needs `truth`
     unit : the sensor to write, as `chosen_unit` takes it; by default all sensors
     clock : clock of all stamps, as `unit_clocks` takes it
     options : transforms, and a configuration beside the bag, which without ground truth has only the capture's speed
@@ -223,12 +260,14 @@ def write_bag(
     options, stop = options or BagOptions(), stop or Event()
     spare([capture], out)
     check_bag(out)
+    if images is not None and truth is None:
+        raise InputError("--images", "found without --truth", "--truth DIR of the same run, whose frames they are in")
     every = units_in(capture, required=True)
     units = every if unit is None else [chosen_unit(capture, unit, where="--unit") or every[0]]
     clocks = unit_clocks(capture, units, clock, where="--clock")
     _check_stamps(capture, clocks)
     made, frames = [one.make() for one in clocks], _frames(len(units))
-    true = None if truth is None else _truth_of(truth, [every.index(one) for one in units], len(every))
+    true = None if truth is None else _truth_of(truth, [every.index(one) for one in units], len(every), images)
 
     with (
         written_beside(out, options.slam, lambda: _rig(true, capture, units[0], frames[0])),
@@ -280,12 +319,17 @@ def _check_stamps(capture: Path, clocks: Sequence[UnitClock]) -> None:
             raise CaptureError(str(capture), found, f"0 to {LATEST_NS // S_NS} s; --clock chooses another")
 
 
-def _truth_of(folder: Path, taken: Sequence[int], units: int) -> Truth:
-    """Return the ground truth of a folder for the units `taken`; the capture has `units` units."""
+def _truth_of(folder: Path, taken: Sequence[int], units: int, images: Path | None) -> Truth:
+    """Return the ground truth of a folder for the units `taken`, with images; the capture has `units` units."""
     rig, scenario = (read_json(folder / name, _EXPECTED) for name in ("rig.json", "scenario.json"))
     if len(rig["units"]) != units:
         raise InputError(str(folder / "rig.json"), f"found {len(rig['units'])} units", f"{units}, as in the capture")
     rig = {**rig, "units": [rig["units"][number] for number in taken]}
+    rig.pop("camera", None)  # of images that are not in the bag
+    if images is not None:
+        from vlp16emu.extras.camera.folder import read_images
+
+        rig["camera"] = read_images(images)[0]["rig"]
 
     def feeds(to: TrueMessages, begin_ns: int) -> list[Feed]:
         imu = scenario.get("imu") or {}
@@ -296,12 +340,14 @@ def _truth_of(folder: Path, taken: Sequence[int], units: int) -> Truth:
             if (folder / name).exists():
                 rows = _table(folder / name, columns, time=time)
                 found.append(_feed((row for row in rows if row[0] >= begin_ns), take))
+        if images is not None:
+            found.append(_images_of_folder(images, to, begin_ns))
         return found
 
     return Truth(rig, scenario, feeds, _EVER_NS)
 
 
-def _feed(rows: Iterator[Row], take: Callable[..., None]) -> Feed:
+def _feed(rows: Iterator[tuple[int, *tuple[Any, ...]]], take: Callable[..., None]) -> Feed:
     """Return a function that passes rows in order, up to and including an instant, to `take`."""
     waiting = next(rows, None)
 

@@ -378,7 +378,15 @@ def _resolved(scenario: Scenario, span_s: tuple[float, float]) -> dict[str, Any]
 
 def rig_of(scenario: Scenario, parts: Parts) -> dict[str, Any]:
     """Return `rig.json`: the frames of the trajectory and the extrinsics of the devices."""
-    gps, imu = scenario.gps, scenario.imu
+    gps, imu, camera = scenario.gps, scenario.imu, scenario.camera
+    devices = dict[str, Any]()
+    if imu:
+        devices["imu"] = _extrinsics("body_T_imu", parts.imu_mount, imu.mount)
+    if camera:
+        from vlp16emu.extras.camera.mount import AXES, camera_mount, optical  # here: few scenes have a camera
+
+        true = camera_mount(scenario)
+        devices["camera"] = {"axes": AXES} | _extrinsics("body_T_camera", true, camera.mount, optical)
     place = {key: getattr(gps, key) for key in ("latitude_deg", "longitude_deg", "height_m")}
     return {
         "world": {"axes": "x east, y north, z up"} | place,
@@ -397,11 +405,12 @@ def rig_of(scenario: Scenario, parts: Parts) -> dict[str, Any]:
             "sensor_T_manual": transform(SENSOR_R_MANUAL, np.zeros(3)),
         },
         "antenna": {"above_sensor_m": gps.antenna_above_m, "towards": "world up"},
-    } | ({"imu": _extrinsics("body_T_imu", parts.imu_mount, imu.mount)} if imu else {})
+    } | devices
 
 
-def _extrinsics(key: str, true: Mount, given: Mount) -> dict[str, Any]:
-    return {key: _mount(true)} | ({f"given_{key}": _mount(given)} if given.has_errors else {})
+def _extrinsics(key: str, true: Mount, given: Mount, axes: Callable[[F8], F8] = lambda R: R) -> dict[str, Any]:
+    """Return the extrinsics of a device, whose own axes `axes` makes of those of its mount."""
+    return {key: _mount(true, axes)} | ({f"given_{key}": _mount(given, axes)} if given.has_errors else {})
 
 
 def given_mount(device: dict[str, Any], key: str, *, true: bool = False) -> F8 | None:
@@ -410,8 +419,8 @@ def given_mount(device: dict[str, Any], key: str, *, true: bool = False) -> F8 |
     return None if "spin_hz" in mount else np.array(mount["matrix"])
 
 
-def _mount(section: Mount) -> dict[str, Any]:
-    R = rotation(section.yaw_deg, section.pitch_deg, section.roll_deg)
+def _mount(section: Mount, axes: Callable[[F8], F8]) -> dict[str, Any]:
+    R = axes(rotation(section.yaw_deg, section.pitch_deg, section.roll_deg))
     spin = {"spin_hz": section.spin_hz, "spin_axis": section.spin_axis} if section.spin_hz else {}
     return transform(R, np.array(section.lever_arm_m)) | spin
 

@@ -1,0 +1,1 @@
+"""A camera on the sensor's carrier: images of colour, depth and labels."""

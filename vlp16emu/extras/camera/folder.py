@@ -1,0 +1,315 @@
+"""Images of a run in a folder, with intrinsics, extrinsics and poses in the forms of other programs."""
+
+import csv
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import CancelledError
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from threading import Event
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.errors import InputError, MissingExtraError, OutputError, RunError, readable
+from vlp16emu.extras.camera.lens import Lens
+from vlp16emu.extras.camera.mount import AXES, camera_of
+from vlp16emu.extras.camera.reconstruction import reconstruction_files
+from vlp16emu.extras.camera.shot import Photographer, Shot
+from vlp16emu.extras.options import ImageOptions
+from vlp16emu.extras.truth.folder import read_json, tum_rows
+from vlp16emu.extras.truth.truth import rig_of
+from vlp16emu.output import final_name, opening, part_beside, write_json
+from vlp16emu.run.emulator import Emulator
+from vlp16emu.types import F4, F8, U2, U4, PlantPart, Poses, Semantic
+from vlp16emu.units import S_NS, seconds_to_ns
+
+LAYERS = ("rgb", "depth", "semantic", "part", "instance")
+MOST_INSTANCES = 65_535  # numbers of 16 bits, without 0
+_MM = 1e-3
+_MOST_MM = 65_535
+_TUM_HEAD = f"# t_utc_s x_m y_m z_m qx qy qz qw: world_T_camera; line n is image n; camera {AXES}\n"
+_EXPECTED = "a folder that `images` has written"
+
+
+@dataclass(frozen=True, slots=True)
+class ImageRun:
+    """Content of a folder of images."""
+
+    folder: str
+    scene: str
+    width_px: int
+    height_px: int
+    images: int
+    instances: int  # different ones
+    bytes: int  # of all files
+    simulated_s: float
+    interrupted: bool
+
+
+class ImageFolder:
+    """A new or empty folder for images; a context manager.
+
+    It is NAME.xxxxxxxx.part until it is complete. After a full disk the images so far stay there.
+
+    Raises OutputError if the folder has content, or cannot be made; MissingExtraError if pillow is not
+    installed.
+    """
+
+    def __init__(self, path: Path, depth: str) -> None:
+        try:
+            from PIL import Image
+        except ImportError:
+            raise MissingExtraError("pillow", "picture", "writing images") from None
+        self._image = Image
+        self._depth = depth
+        self._where = str(path)
+        self._number_of = dict[int, int]()  # numbers of instances, from 1
+        self.taken = list[tuple[int, F8]]()
+        """UTC and world_T_camera (4, 4) of each image."""
+        with opening(self._where, "a folder that can be written"):
+            self._final = final_name(path)
+            if self._final.exists() and (not self._final.is_dir() or any(self._final.iterdir())):
+                raise OutputError(self._where, "is there already", "a new or empty folder")
+            self._final.parent.mkdir(parents=True, exist_ok=True)
+            self.path = part_beside(self._final)
+            self.path.mkdir()
+            for layer in LAYERS:
+                (self.path / layer).mkdir()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if error is None:
+            with self._complete("its name"):
+                self.path.rename(self._final)
+        elif not isinstance(error, RunError):
+            shutil.rmtree(self.path, ignore_errors=True)
+
+    @property
+    def instances(self) -> int:
+        """Number of different instances so far."""
+        return len(self._number_of)
+
+    def add(self, shot: Shot) -> None:
+        """Write one image.
+
+        Raises RunError if it cannot be written, or if there are more instances than numbers of 16 bits.
+        """
+        name = f"{len(self.taken):06d}"
+        instance = self._numbered(shot.instance)
+        with self._complete(f"image {name}"):
+            self._png("rgb", name, shot.rgb)
+            self._png("semantic", name, shot.semantic)
+            self._png("part", name, shot.part)
+            self._png("instance", name, instance)
+            if self._depth == "mm":
+                self._png("depth", name, _in_mm(shot.depth_m))
+            else:
+                np.save(self.path / "depth" / f"{name}.npy", shot.depth_m)
+        self.taken.append((shot.t_ns, shot.world_T_camera))
+
+    def finish(self, cameras: Mapping[str, Any], lens: Lens) -> None:
+        """Write the files that describe all images."""
+        with self._complete("its description"):
+            write_json(self.path / "cameras.json", cameras)
+            (self.path / "poses.tum").write_text(_TUM_HEAD + "".join(_tum_row(*one) for one in self.taken))
+            rows = "".join(f"{number},{instance}\n" for instance, number in self._number_of.items())
+            (self.path / "instances.csv").write_text("number,instance\n" + rows)
+            poses = [pose for _, pose in self.taken]
+            for file, text in reconstruction_files(lens, poses, self.depth_suffix).items():
+                (self.path / file).parent.mkdir(parents=True, exist_ok=True)
+                (self.path / file).write_text(text)
+
+    @property
+    def depth_suffix(self) -> str:
+        """Suffix of the files of depth."""
+        return ".png" if self._depth == "mm" else ".npy"
+
+    def _png(self, layer: str, name: str, pixels: NDArray[Any]) -> None:
+        self._image.fromarray(pixels).save(self.path / layer / f"{name}.png", compress_level=6)
+
+    def _numbered(self, instance: U4) -> U2:
+        """Return instances as numbers of 16 bits, in the order in which images show them; 0 stays 0."""
+        different, which = np.unique(instance, return_inverse=True)
+        for one in different.tolist():
+            if one and one not in self._number_of:
+                self._number_of[one] = len(self._number_of) + 1
+        if len(self._number_of) > MOST_INSTANCES:
+            found = f"more than {MOST_INSTANCES} instances in {len(self.taken)} images"
+            raise RunError(f"{self._where}: {found}; they are left as {self.path}")
+        numbers = np.array([self._number_of.get(one, 0) for one in different.tolist()], np.uint16)
+        return numbers[which.ravel()].reshape(instance.shape)
+
+    @contextmanager
+    def _complete(self, what: str) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            found = error.strerror or error
+            raise RunError(f"{self._where}: {what}: {found}; it is left as {self.path}") from error
+
+
+def write_images(
+    emulator: Emulator,
+    folder: str | Path,
+    *,
+    progress: Callable[[float], None] = lambda _: None,
+    stop: Event | None = None,
+    **options: Any,
+) -> ImageRun:
+    """Write the images of the scene's camera, or of the default one, into a folder.
+
+    Parameters
+    ----------
+    folder : new or empty
+    progress, stop : as in `Emulator.record`
+    options : fields of `ImageOptions`
+
+    Raises InputError for a wrong option or a distortion that cannot be inverted; MissingExtraError if
+    pillow is not installed; OutputError if the folder has content or cannot be written; TrajectoryError if the
+    walk ends before the span; RunError if the disk is full, which leaves the images before; CancelledError, and
+    no folder, if `stop` is set before the first image.
+    """
+    asked = ImageOptions.from_fields(options)
+    stop = stop or Event()
+    scenario = emulator.scenario.model_copy(update={"camera": camera_of(emulator.scenario)})
+    engine = replace(emulator.stopped_by(stop).engine, scenario=scenario)
+    begin_ns, end_ns = engine.span_ns(*scenario.span_s(asked.start_s, asked.duration_s))
+    photographer = Photographer(engine, asked.samples)
+    step_ns = seconds_to_ns(asked.every_s) if asked.every_s else photographer.step_ns
+    with ImageFolder(Path(folder), asked.depth) as images:
+        with suppress(CancelledError):
+            for since_ns in range(begin_ns, end_ns, step_ns):
+                images.add(photographer.take(scenario.start_ns + since_ns))
+                progress((since_ns + step_ns - begin_ns) / S_NS)
+                if stop.is_set():
+                    break
+        if not images.taken:
+            raise CancelledError
+        images.finish(_cameras(photographer, emulator.name, asked.depth, images), photographer.lens)
+        size = sum(path.stat().st_size for path in images.path.rglob("*.*"))
+        last_ns = images.taken[-1][0] - scenario.start_ns + step_ns
+    return ImageRun(
+        str(folder),
+        emulator.name,
+        photographer.lens.width,
+        photographer.lens.height,
+        len(images.taken),
+        images.instances,
+        size,
+        (min(last_ns, end_ns) - begin_ns) / S_NS,
+        stop.is_set(),
+    )
+
+
+def _cameras(photographer: Photographer, scene: str, depth: str, images: ImageFolder) -> dict[str, Any]:
+    """Return `cameras.json`."""
+    lens, scenario = photographer.lens, photographer.engine.scenario
+    names = ("k1", "k2", "p1", "p2", "k3")
+    return {
+        "written_by": f"vlp16emu {version('vlp16emu')}",
+        "scene": scene,
+        "frames": {
+            "world": "x east, y north, z up, in metres",
+            "body": "x forward, y left, z up",
+            "camera": AXES,
+            "a_T_b": "takes coordinates in b to coordinates in a",
+        },
+        "intrinsics": {
+            "model": "pinhole with Brown's distortion, as in OpenCV",
+            "pixels": "column to the right, row down; the middle of the first pixel is (0, 0)",
+            "width": lens.width,
+            "height": lens.height,
+            **{name: getattr(lens, name) for name in ("fx", "fy", "cx", "cy")},
+            "distortion": dict(zip(names, lens.distortion, strict=True)),
+        },
+        "shutter": {
+            "readout_s": photographer.section.readout_s,
+            "time_of_row": "t_ns + ((row - (height - 1) / 2) / (height - 1)) * readout_s",
+            "poses": "those of the middle row",
+        },
+        "rig": rig_of(scenario, photographer.engine.parts)["camera"],
+        "depth": {
+            "along": "the optical axis, not the ray",
+            "unit_m": _MM if depth == "mm" else 1.0,
+            "none": 0,
+            "range_m": photographer.far_m,
+        },
+        "semantic": {int(one): one.name.lower() for one in Semantic},
+        "part": {int(one): one.name.lower() for one in PlantPart},
+        "images": [
+            {
+                "file": f"{number:06d}",
+                "depth_file": f"{number:06d}{images.depth_suffix}",
+                "t_ns": t_ns,
+                "world_T_camera": pose.tolist(),
+            }
+            for number, (t_ns, pose) in enumerate(images.taken)
+        ],
+    }
+
+
+def read_images(folder: Path) -> tuple[dict[str, Any], Lens, Iterator[Shot]]:
+    """Return `cameras.json` of a folder of images, the lens, and its images one after another.
+
+    Raises InputError if a file is missing or is none of `images`; MissingExtraError if pillow is not
+    installed.
+    """
+    try:
+        import PIL.Image
+    except ImportError:
+        raise MissingExtraError("pillow", "picture", "reading images") from None
+    cameras = read_json(folder / "cameras.json", _EXPECTED)
+    try:
+        known = cameras["intrinsics"]
+        size = known["width"], known["height"]
+        distortion = tuple(known["distortion"].values())
+        lens = Lens(*size, known["fx"], known["fy"], known["cx"], known["cy"], distortion)
+        rows, unit_m = cameras["images"], float(cameras["depth"]["unit_m"])
+    except (KeyError, TypeError, AttributeError):
+        raise InputError(str(folder / "cameras.json"), "not all of its members", _EXPECTED) from None
+    table = _instances(folder / "instances.csv")
+
+    def pixels(layer: str, name: str) -> NDArray[Any]:
+        path = folder / layer / name
+        with readable(path, _EXPECTED, InputError):
+            if path.suffix == ".npy":
+                loaded: NDArray[Any] = np.load(path, allow_pickle=False)
+                return loaded
+            with PIL.Image.open(path) as image:
+                return np.array(image)
+
+    def shots() -> Iterator[Shot]:
+        for row in rows:
+            name = f"{row['file']}.png"
+            depth_m = (pixels("depth", row["depth_file"]) * unit_m).astype(np.float32)
+            instance = table[pixels("instance", name)]
+            pose = np.array(row["world_T_camera"])
+            classes = pixels("semantic", name), pixels("part", name)
+            yield Shot(row["t_ns"], pose, pixels("rgb", name), depth_m, *classes, instance)
+
+    return cameras, lens, shots()
+
+
+def _instances(path: Path) -> U4:
+    """Return the instance of each number."""
+    table = np.zeros(MOST_INSTANCES + 1, np.uint32)
+    with readable(path, _EXPECTED, InputError), path.open() as lines:
+        for row in csv.DictReader(lines):
+            table[int(row["number"])] = int(row["instance"])
+    return table
+
+
+def _in_mm(depth_m: F4) -> U2:
+    """Return depth in whole millimetres; 0, as for none, beyond 65.535 m."""
+    mm = np.rint(depth_m.astype(np.float64) / _MM)
+    return np.where(mm <= _MOST_MM, mm, 0.0).astype(np.uint16)
+
+
+def _tum_row(t_ns: int, pose: F8) -> str:
+    return tum_rows(Poses(np.array([t_ns]), pose[None, :3, :3], pose[None, :3, 3]))
