@@ -186,7 +186,7 @@ class LivePage:
             if own.any():
                 poses[own] = unit.world_T_sensor(t_ns[own])
         return Batch(
-            packets=tuple(_with_labels(packet) for packet in packets),
+            packets=tuple(with_labels(packet) for packet in packets),
             world_T_sensor=poses,
             since_s=(packets[-1].due_ns - self._start_ns) / S_NS,
             sent=dict(sink.sent),
@@ -197,7 +197,7 @@ class LivePage:
         )
 
 
-def _with_labels(packet: Packet) -> Packet:
+def with_labels(packet: Packet) -> Packet:
     """Return a packet with only the labels of its ground truth, a sixth of the bytes."""
     if packet.slots is None:
         return packet

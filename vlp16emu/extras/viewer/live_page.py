@@ -99,11 +99,17 @@ class LiveView:
                 before_ns = scan.start_ns
                 self._sweeps.append((number, self._sweep(scan)))
                 number += 1
-            self._sweeps.clear()  # of the sensor that was selected before
-            self._poses.clear()
-            self._latest.clear()
-            self._rpm = None
+            if not self._over.is_set():
+                self._forget()
         drawing.join()
+        self._settings.end()
+
+    def _forget(self) -> None:
+        """Forget the sensor that was selected before."""
+        self._sweeps.clear()
+        self._poses.clear()
+        self._latest.clear()
+        self._rpm = None
 
     @property
     def _number(self) -> int:

@@ -53,6 +53,7 @@ class SettingsPanel:
         self._place: tuple[str, int] | None = None
         self._touched = set[int]()  # controls that somebody moved, by their index
         self._wake = Event()
+        self._over = False
         gui = server.gui
         with gui.add_folder("Sensor settings"):
             rpm = gui.add_dropdown("rpm", _RPM, initial_value="600")
@@ -76,7 +77,14 @@ class SettingsPanel:
             control.handle.disabled = True
             control.handle.on_update(lambda event, index=index: self._touch(event, index))
         self._say("settings are fixed: this stream has no web interface")
-        Thread(target=self._run, name="settings", daemon=True).start()
+        self._thread = Thread(target=self._run, name="settings", daemon=True)
+        self._thread.start()
+
+    def end(self) -> None:
+        """Stop the thread, after a request that is under way."""
+        self._over = True
+        self._wake.set()
+        self._thread.join()
 
     def connect(self, place: tuple[str, int] | None) -> None:
         """Control the sensor whose web interface is at a host and port; None for a stream without one."""
@@ -95,7 +103,7 @@ class SettingsPanel:
             self._wake.set()
 
     def _run(self) -> None:
-        while True:
+        while not self._over:
             self._wake.wait(_POLL_S)
             while self._wake.is_set():
                 self._wake.clear()
