@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
@@ -110,7 +110,8 @@ def stream(
             if page is not None:
                 page.open_units(units)
 
-        hooks = {} if page is None else {"watched": page.watch}
+        ended = partial(progress.say, "the page in the browser has ended; the stream goes on")
+        hooks = {} if page is None else {"watched": partial(page.watch, ended=ended)}
         streamed = emulator.stream(
             **vars(options),
             **hooks,
@@ -178,16 +179,12 @@ def _keep_up(emulator: "Emulator", options: StreamOptions, *, wanted: bool | Non
 
 @contextmanager
 def _page(emulator: "Emulator", port: int | None, *, quiet: bool) -> Iterator["LivePage"]:
-    """Start the page of a stream and print its address; a line says if it ends before the stream."""
+    """Start the page of a stream and print its address."""
     if find_spec("viser") is None:
         raise MissingExtraError("viser", "viewer", "the page in the browser")
     from vlp16emu.extras.viewer.live import PAGE_PORT, live_page
 
-    def ended() -> None:
-        with suppress(OSError):  # the terminal may be gone
-            print("the page in the browser has ended; the stream goes on", file=sys.stderr, flush=True)
-
-    with live_page(emulator, PAGE_PORT if port is None else port, ended=ended) as page:
+    with live_page(emulator, PAGE_PORT if port is None else port) as page:
         print(f"page at {page.url}", file=sys.stderr if quiet else sys.stdout, flush=True)
         yield page
 

@@ -124,14 +124,12 @@ class LivePage:
     url : address of the page
     channel : socket to its process
     start_ns : UTC of the first pulse
-    ended : called once if the page ends before the stream does; from the copying thread
     """
 
-    def __init__(self, url: str, channel: socket.socket, start_ns: int, ended: Callable[[], None]) -> None:
+    def __init__(self, url: str, channel: socket.socket, start_ns: int) -> None:
         self.url = url
         self._channel = channel
         self._start_ns = start_ns
-        self._ended = ended
         self._units: Sequence[Unit] = ()
         self._web: tuple[tuple[str, int], ...] = ()
         self._lateness = LatenessHistogram()
@@ -146,10 +144,17 @@ class LivePage:
         """Note the web interfaces of the sensors."""
         self._web = tuple(places)
 
-    def watch(self, sink: PacketSink, pacer: Pacer) -> PacketSink:
-        """Return a sink for `sink` and its clock, whose packets the page gets."""
+    def watch(self, sink: PacketSink, pacer: Pacer, *, ended: Callable[[], None] = lambda: None) -> PacketSink:
+        """Return a sink whose packets the page gets too.
+
+        Parameters
+        ----------
+        sink : sink of the packets
+        pacer : clock of the stream
+        ended : called once if the page ends before the stream does; from another thread
+        """
         watched = PageSink(sink, pacer)
-        self._thread = Thread(target=self._copy, args=(watched, pacer), name="page", daemon=True)
+        self._thread = Thread(target=self._copy, args=(watched, pacer, ended), name="page", daemon=True)
         self._thread.start()
         return watched
 
@@ -159,7 +164,7 @@ class LivePage:
         if self._thread is not None:
             self._thread.join()
 
-    def _copy(self, sink: PageSink, pacer: Pacer) -> None:
+    def _copy(self, sink: PageSink, pacer: Pacer, ended: Callable[[], None]) -> None:
         """Send what the sink holds, until the stream or the page ends."""
         while not self._over.wait(_EVERY_S):
             for _ in range(math.ceil(len(sink.held) / _MOST)):
@@ -172,7 +177,7 @@ class LivePage:
                 except (Vlp16emuError, CancelledError):  # a live run has just ended, and has no more poses
                     return
                 if batch and not offer(self._channel, batch):
-                    self._ended()
+                    ended()
                     return
 
     def _batch(self, packets: Sequence[Packet], sink: PageSink, pacer: Pacer) -> Batch | None:
@@ -205,14 +210,13 @@ def with_labels(packet: Packet) -> Packet:
 
 
 @contextmanager
-def live_page(emulator: Emulator, port: int, *, ended: Callable[[], None] = lambda: None) -> Iterator[LivePage]:
+def live_page(emulator: Emulator, port: int) -> Iterator[LivePage]:
     """Start the process of a page, and kill it at the end of the context.
 
     Parameters
     ----------
     emulator : scene of the stream
     port : port of the page on this machine; 0 for any that is free
-    ended : called once if the page ends before the stream does
 
     Raises OutputError if the port is in use; RunError if the process ends before it serves the page.
     """
@@ -235,7 +239,7 @@ def live_page(emulator: Emulator, port: int, *, ended: Callable[[], None] = lamb
             )
         page = None
         try:
-            page = LivePage(_url(ours, setup), ours, scenario.start_ns, ended)
+            page = LivePage(_url(ours, setup), ours, scenario.start_ns)
             yield page
         finally:
             if page is not None:

@@ -30,7 +30,7 @@ from vlp16emu.units import S_NS
 _NICE = 10  # added to the niceness of this process: the stream gets nine tenths of a core that both want
 _DRAW_S = 0.1  # time between pictures
 _MOST_SWEEPS = 20
-_AT_FIRST = 3  # sweeps
+_AT_FIRST = 5  # sweeps
 _POSES = 128  # messages whose poses are kept: 2000 packets, more than the slowest revolution has
 _PATH_STEP_M = 0.2  # spacing of the points of the path; doubled each time that there are `_MOST_PATH`
 _MOST_PATH = 4000
@@ -227,13 +227,13 @@ class LiveView:
         data = batch.sent.get(PacketKind.DATA, 0)
         rows = {
             "time": f"{batch.since_s:.1f} s",
-            "sent": f"{data} data packets, {batch.sent.get(PacketKind.POSITION, 0)} position",
-            f"over {TOLERANCE_NS // 1_000_000} ms late": f"{batch.late} packets; delay {batch.delay_s:.2f} s",
-            "lateness": f"99 % within {late.p99_ns / 1e6:.1f} ms, worst {late.max_ns / 1e6:.1f} ms",
+            "packets sent": f"{data} data, {batch.sent.get(PacketKind.POSITION, 0)} position",
+            f"over {TOLERANCE_NS // 1_000_000} ms late": f"{batch.late}, delay {batch.delay_s:.2f} s",
+            "lateness": f"99 % in {late.p99_ns / 1e6:.1f} ms, all in {late.max_ns / 1e6:.1f} ms",
             "GPS": gps_text(self._latest.get(PacketKind.POSITION, b"")),
             "rotor": "no revolution" if self._rpm is None else f"{self._rpm:.1f} rpm",
             "return mode": mode_text(self._latest.get(PacketKind.DATA, b"")),
-            "on this page": f"{self._read / max(data, 1):.0%} of the data packets",
+            "on this page": f"{self._read / max(data, 1):.0%} of data packets",
         }
         cells = (
             f'<tr><td style="{_NAME}">{escape(name)}</td><td>{escape(text)}</td></tr>' for name, text in rows.items()
