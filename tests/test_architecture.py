@@ -81,7 +81,10 @@ LIBRARIES = {
     "embreex": ("raycast/embree",),
     "pytest": ("pytest.py",),
     "serial": ("extras/bench/",),
-    "socket": ("sinks/", "extras/bench/", "extras/free_ports.py", "extras/live/", "extras/doctor.py"),
+    "socket": (
+        *("sinks/", "extras/bench/", "extras/free_ports.py", "extras/live/", "extras/doctor.py"),
+        "extras/viewer/live",  # a pair of sockets between a stream and its page
+    ),
     "typer": ("cli/",),
     "rich": ("cli/",),
 }

@@ -1,10 +1,11 @@
 """`vlp16emu stream` and `vlp16emu replay`: packets over UDP, in real time."""
 
 import sys
-from collections.abc import Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,12 +15,14 @@ from vlp16emu.cli import arguments as args
 from vlp16emu.cli.printer import finish
 from vlp16emu.cli.terminal import Progress, make_emulator, stop_on_ctrl_c
 from vlp16emu.doors import door, has_door
-from vlp16emu.errors import InputError
-from vlp16emu.run.options import Option, ReplayOptions, stream_options
+from vlp16emu.errors import InputError, MissingExtraError
+from vlp16emu.run.options import LAST_PORT, Option, ReplayOptions, TruthTo, stream_options
 
 if TYPE_CHECKING:
+    from vlp16emu.engine import Unit
     from vlp16emu.extras.bench.options import BenchOptions as StreamOptions
     from vlp16emu.extras.replay import Replayed
+    from vlp16emu.extras.viewer.live import LivePage
     from vlp16emu.packets import Link
     from vlp16emu.run.emulator import Emulator
     from vlp16emu.run.report import Streamed
@@ -58,6 +61,16 @@ def stream(
             "too slow. It needs 3.4 GB for an hour of single return."
         ),
     ] = False,
+    view: Annotated[
+        bool,
+        Option(
+            "Show the last sweeps, the state of the stream and the settings of the sensor in the browser. A process of "
+            "lower priority serves this page, and no packet waits for it. Needs the extra 'viewer'."
+        ),
+    ] = False,
+    view_port: Annotated[
+        int | None, Option("Port of this page instead of 8016, 0 for any free one.", "N", ge=0, le=LAST_PORT)
+    ] = None,
     keep_up: KeepUp = None,
     strict: Strict = False,
     as_json: args.AsJson = False,
@@ -72,22 +85,37 @@ def stream(
     emulator = make_emulator(scene, making)
     scenario, is_prepared = emulator.scenario, prepare or options.prepare is not None
     options = _live_options(options, scenario)
-    _keep_up(emulator, options, wanted=keep_up, is_prepared=is_prepared)
+    if view_port is not None and not view:
+        raise InputError("--view-port", "found without --view", "both")
     _, stop_s = scenario.span_s(0.0, options.duration_s)
     with ExitStack() as stack:
+        page = stack.enter_context(_page(emulator, view_port, quiet=as_json)) if view else None
+        _keep_up(emulator, options, wanted=keep_up, is_prepared=is_prepared)
         stop, progress = stack.enter_context(stop_on_ctrl_c()), stack.enter_context(Progress(stop_s))
         if is_prepared and options.prepare is None:
             from tempfile import TemporaryDirectory
 
             folder = stack.enter_context(TemporaryDirectory(prefix="vlp16emu-"))
             options = replace(options, prepare=Path(folder) / "prepared.pcap")
-        if options.http and not as_json:
-            options = replace(options, http=replace(options.http, serving=_say_served))
+        if page is not None:
+            options = _with_settings(options, is_prepared=is_prepared)
+        if options.http:
+            serving = partial(_serve, page, quiet=as_json)
+            options = replace(options, http=replace(options.http, serving=serving))
         if options.poses:
             options = replace(options, poses=replace(options.poses, news=progress.say))
+
+        def opened(units: "Sequence[Unit]") -> None:
+            _announce(f"streaming {title}", [unit.link for unit in units], quiet=as_json)
+            if page is not None:
+                page.open_units(units)
+
+        ended = partial(progress.say, "the page in the browser has ended; the stream goes on")
+        hooks = {} if page is None else {"watched": partial(page.watch, ended=ended)}
         streamed = emulator.stream(
             **vars(options),
-            opened=lambda units: _announce(f"streaming {title}", [unit.link for unit in units], quiet=as_json),
+            **hooks,
+            opened=opened,
             preparing=partial(progress.show, "preparing"),
             progress=partial(progress.show, "streaming"),
             notify=lambda behind: progress.say(behind_line(behind, scenario, options.late, options.speed)),
@@ -149,8 +177,34 @@ def _keep_up(emulator: "Emulator", options: StreamOptions, *, wanted: bool | Non
         print(emulator.keep_up(options.speed).line, file=sys.stderr, flush=True)
 
 
-def _say_served(places: list[tuple[str, int]]) -> None:
-    print("web interface at " + ", ".join(f"http://{host}:{port}/" for host, port in places), flush=True)
+@contextmanager
+def _page(emulator: "Emulator", port: int | None, *, quiet: bool) -> Iterator["LivePage"]:
+    """Start the page of a stream and print its address."""
+    if find_spec("viser") is None:
+        raise MissingExtraError("viser", "viewer", "the page in the browser")
+    from vlp16emu.extras.viewer.live import PAGE_PORT, live_page
+
+    with live_page(emulator, PAGE_PORT if port is None else port) as page:
+        print(f"page at {page.url}", file=sys.stderr if quiet else sys.stdout, flush=True)
+        yield page
+
+
+def _with_settings(options: StreamOptions, *, is_prepared: bool) -> StreamOptions:
+    """Return options with a web interface, by which the page sets the sensor, unless packets must not change any more."""
+    truth = TruthTo.of(options.truth)
+    is_fixed = is_prepared or (truth is not None and (truth.per_packet or truth.per_return))
+    if options.http or is_fixed:
+        return options
+    from vlp16emu.extras.bench.options import Http
+
+    return replace(options, http=Http("127.0.0.1:0"))
+
+
+def _serve(page: "LivePage | None", places: list[tuple[str, int]], *, quiet: bool) -> None:
+    if page is not None:
+        page.serve(places)
+    if not quiet:
+        print("web interface at " + ", ".join(f"http://{host}:{port}/" for host, port in places), flush=True)
 
 
 def _announce(what: str, links: "Sequence[Link]", *, quiet: bool) -> None:

@@ -11,26 +11,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.captures import PacketChunk
 from vlp16emu.doors import door
 from vlp16emu.engine import Unit
 from vlp16emu.errors import InputError, RunError
 from vlp16emu.extras.bench.options import BenchOptions, Http
-from vlp16emu.extras.clouds.scan import Chunk, chunk_of, cut_scans
+from vlp16emu.extras.clouds.scan import Chunk, chunk_of_packets, cut_scans
 from vlp16emu.extras.truth.slots import SLOT
-from vlp16emu.packets import DATA_BYTES, data_fields, decode_data, faults_in
 from vlp16emu.packets.layout import DATA_PAYLOAD
 from vlp16emu.run.emulator import Emulator, Scene
 from vlp16emu.run.report import Streamed
 from vlp16emu.run.stream import stream_run
 from vlp16emu.sinks import LOOK_AHEAD_PACKETS, LOOPBACK, Pacer, PacketSink
 from vlp16emu.types import Packet, PacketKind, Scan
-from vlp16emu.units import HOUR_NS, S_NS, US_NS
+from vlp16emu.units import S_NS
 
 _HELD = 2048
 """Sent packets kept per sensor and kind: 2.7 s of single return, 50 MB with ground truth."""
 _AT_ONCE = 16  # packets that are decoded at once for scans, 21 ms
-_LABELS = ("semantic", "part", "instance", "species", "range_m")
 RECORD_TRUTH = np.dtype([*SLOT.descr, ("world_T_sensor", "<f8", (4, 4))])
 """Ground truth of one record of a data packet, with the pose of its sensor at the instant of the pulse."""
 
@@ -293,24 +290,9 @@ class Live(PacketSink):
                 self._wait(lane, lambda wanted=number + _AT_ONCE: wanted)  # type: ignore[misc]  # of its default
                 is_late = number < lane.count - len(lane.held)
                 packets, number, is_over = [] if is_late else lane.since(number), lane.count, self._over
-            yield from _points([packet for packet in packets if len(packet.payload) == DATA_BYTES])
+            if (chunk := chunk_of_packets(packets)) is not None:
+                yield chunk
         self._raise()
-
-
-def _points(packets: list[Packet]) -> Iterator[Chunk]:
-    """Yield the points of data packets of 1206 bytes; skip packets with other faults."""
-    payloads = np.frombuffer(b"".join(packet.payload for packet in packets), np.uint8).reshape(-1, DATA_BYTES)
-    bad = {fault.packet for fault in faults_in(data_fields(payloads))}
-    if not (good := [i for i in range(len(packets)) if i not in bad]):
-        return
-    points, fields = decode_data(payloads[good], keep_no_returns=False), data_fields(payloads[good])
-    packet_ns = fields["timestamp_us"].astype(np.int64) * US_NS
-    clock_ns = packet_ns[points.packet] + (points.time_ns - packet_ns[points.packet]) % HOUR_NS
-    fired_ns, labels = np.array([packets[i].fired_ns for i in good], np.int64), {}
-    if packets[0].slots is not None:
-        slots = np.array([packets[i].slots for i in good])[points.packet, points.slot]
-        labels = {name: slots[name] for name in _LABELS}
-    yield chunk_of(PacketChunk(points, clock_ns, packet_ns, fired_ns, fields, np.array(good)), labels)
 
 
 def _stamp(payload: bytes) -> bytes:

@@ -17,17 +17,21 @@ from vlp16emu.extras.displace import offset_tangents
 from vlp16emu.packets import (
     BLOCK_PERIOD_NS,
     BLOCKS_PER_PACKET,
+    DATA_BYTES,
     JUMP_NS,
     RETURN_MODE_BYTE,
     SEQUENCES_PER_BLOCK,
     PointFrame,
     Points,
+    data_fields,
+    decode_data,
+    faults_in,
     scan_starts,
 )
 from vlp16emu.sensor.beams import BeamTable
 from vlp16emu.sensor.head import in_sensor
-from vlp16emu.types import F4, F8, I8, SURFACE, Firings, Labels, Poses, ReturnMode, Returns, Scan
-from vlp16emu.units import S_NS, seconds_to_ns
+from vlp16emu.types import F4, F8, I8, SURFACE, Firings, Labels, Packet, Poses, ReturnMode, Returns, Scan
+from vlp16emu.units import HOUR_NS, S_NS, US_NS, seconds_to_ns
 
 _LONGEST_NS = 2 * S_NS
 """Time after which readings without a whole revolution are left out: the rotor stands. The slowest scanner, of a sensor
@@ -157,6 +161,31 @@ def chunk_of(chunk: PacketChunk, labels: Mapping[str, NDArray[Any]]) -> Chunk:
         reading=(first[points.packet] + since_ns // BLOCK_PERIOD_NS)[kept],
         arrays={name: array[kept] for name, array in arrays.items()},
     )
+
+
+def chunk_of_packets(packets: Iterable[Packet]) -> Chunk | None:
+    """Return the points of data packets of one sensor as they are sent; None if no packet is whole and without fault.
+
+    Points have labels if the packets carry ground truth. Packets of a prepared run, which do not know their first pulse,
+    are dated by their sending.
+    """
+    whole = [packet for packet in packets if len(packet.payload) == DATA_BYTES]
+    payloads = np.frombuffer(b"".join(packet.payload for packet in whole), np.uint8).reshape(-1, DATA_BYTES)
+    bad = {fault.packet for fault in faults_in(data_fields(payloads))}
+    good = [row for row in range(len(whole)) if row not in bad]
+    if not good:
+        return None
+    points = decode_data(payloads[good], keep_no_returns=False)
+    fields = data_fields(payloads[good])
+    packet_ns = fields["timestamp_us"].astype(np.int64) * US_NS
+    clock_ns = packet_ns[points.packet] + (points.time_ns - packet_ns[points.packet]) % HOUR_NS
+    fired_ns = [whole[row].due_ns if whole[row].fired_ns is None else whole[row].fired_ns for row in good]
+    labels = dict[str, NDArray[Any]]()
+    if whole[0].slots is not None:
+        slots = np.array([whole[row].slots for row in good])[points.packet, points.slot]
+        labels = {name: slots[name] for name in Labels.__slots__}
+    chunk = PacketChunk(points, clock_ns, packet_ns, np.array(fired_ns, np.int64), fields, np.array(good))
+    return chunk_of(chunk, labels)
 
 
 def twins(points: Points) -> NDArray[np.bool_]:

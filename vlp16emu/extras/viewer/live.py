@@ -1,0 +1,260 @@
+"""The stream's side of its page in the browser: copies of sent packets for a process that no packet waits for.
+
+    sending thread --deque of bounded length--> copying thread --socket that drops--> page, at a lower priority
+
+The sending thread does one `append`; if the copying thread is behind, the oldest packets fall out. The copying thread
+adds poses, and sends without waiting; if the page is slow, stopped or gone, its message is dropped. The page changes
+settings as any other client does: over the web interface of the sensor.
+"""
+
+import math
+import os
+import pickle
+import socket
+import subprocess
+import sys
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from threading import Event, Thread
+from typing import Any
+
+import numpy as np
+from numpy.lib.recfunctions import repack_fields
+
+from vlp16emu.engine import Unit
+from vlp16emu.errors import RunError, Vlp16emuError
+from vlp16emu.run.emulator import Emulator
+from vlp16emu.sinks import TOLERANCE_NS, Lateness, LatenessHistogram, Pacer, PacketSink
+from vlp16emu.types import F8, Labels, Packet, PacketKind
+from vlp16emu.units import S_NS
+
+PAGE_PORT = 8016  # port of the page, as of `vlp16emu view`
+_HELD = 512  # packets that wait for the copying thread: half a second of single return
+_EVERY_S = 0.05  # time between copies: half a revolution at 600 rpm
+_MOST = 16  # packets of a message: 100 kB with labels; a socket holds 208 KiB by default
+_MESSAGE_BYTES = 200_000
+_PAGE_KINDS = (PacketKind.DATA, PacketKind.POSITION)
+
+
+@dataclass(frozen=True, slots=True)
+class PageSetup:
+    """Constants of a page, sent to its process at the start."""
+
+    scene: str  # its name, path or title
+    port: int  # 0 for any that is free
+    units: int  # number of sensors
+    species: Mapping[int, str]  # names by number
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Sent packets, and the state of the stream after the last of them."""
+
+    packets: tuple[
+        Packet, ...
+    ]  # data and position packets of all sensors; data packets with labels if they are at hand
+    world_T_sensor: F8  # (n, 4, 4) pose of the sensor of each packet at its first pulse
+    since_s: float  # time of the last packet since the first pulse
+    sent: Mapping[PacketKind, int]  # packets so far, by kind
+    late: int  # of them, those that were late by more than `TOLERANCE_NS`
+    lateness: Lateness
+    delay_s: float  # shift of all deadlines so far
+    web: tuple[tuple[str, int], ...]  # host and port of the web interface of each sensor; empty without
+
+
+def instant_ns(packet: Packet) -> int:
+    """Return the UTC of a packet's first pulse in ns, or its due time if it has none or is from a prepared run."""
+    return packet.due_ns if packet.fired_ns is None else packet.fired_ns
+
+
+def offer(channel: socket.socket, message: object) -> bool:
+    """Send a message without waiting; return False if the other end is gone. It is lost if there is no room now."""
+    try:
+        channel.send(pickle.dumps(message), socket.MSG_DONTWAIT)
+    except ConnectionError:
+        return False
+    except OSError:  # no room, or no memory for the message
+        pass
+    return True
+
+
+def receive(channel: socket.socket) -> Any:
+    """Wait for the next message and return it. Raises EOFError if the other end is gone."""
+    data = b""
+    with suppress(ConnectionError):
+        data = channel.recv(_MESSAGE_BYTES)
+    if not data:
+        raise EOFError
+    return pickle.loads(data)  # noqa: S301  # the other end is a process of ours
+
+
+class PageSink(PacketSink):
+    """A sink that passes packets on, and keeps the last ones for the copying thread.
+
+    Parameters
+    ----------
+    sink : sink of the packets
+    pacer : clock of the stream
+    """
+
+    def __init__(self, sink: PacketSink, pacer: Pacer) -> None:
+        self._sink = sink
+        self._pacer = pacer
+        self.held = deque[tuple[Packet, int]](maxlen=_HELD)  # packets with their lateness in ns
+        self.sent = Counter[PacketKind]()
+        self.late = 0
+
+    def send(self, packet: Packet) -> None:
+        """Send one packet; errors of the sink."""
+        self._sink.send(packet)
+        late_ns = self._pacer.late_ns
+        self.sent[packet.kind] += 1
+        self.late += late_ns > TOLERANCE_NS
+        self.held.append((packet, late_ns))
+
+
+class LivePage:
+    """The page of one stream; `open_units`, `serve` and `watch` are called by the stream.
+
+    Parameters
+    ----------
+    url : address of the page
+    channel : socket to its process
+    start_ns : UTC of the first pulse
+    """
+
+    def __init__(self, url: str, channel: socket.socket, start_ns: int) -> None:
+        self.url = url
+        self._channel = channel
+        self._start_ns = start_ns
+        self._units: Sequence[Unit] = ()
+        self._web: tuple[tuple[str, int], ...] = ()
+        self._lateness = LatenessHistogram()
+        self._over = Event()
+        self._thread: Thread | None = None
+
+    def open_units(self, units: Sequence[Unit]) -> None:
+        """Note the sensors of the stream, before its first packet."""
+        self._units = units
+
+    def serve(self, places: Sequence[tuple[str, int]]) -> None:
+        """Note the web interfaces of the sensors."""
+        self._web = tuple(places)
+
+    def watch(self, sink: PacketSink, pacer: Pacer, *, ended: Callable[[], None] = lambda: None) -> PacketSink:
+        """Return a sink whose packets the page gets too.
+
+        Parameters
+        ----------
+        sink : sink of the packets
+        pacer : clock of the stream
+        ended : called once if the page ends before the stream does; from another thread
+        """
+        watched = PageSink(sink, pacer)
+        self._thread = Thread(target=self._copy, args=(watched, pacer, ended), name="page", daemon=True)
+        self._thread.start()
+        return watched
+
+    def end(self) -> None:
+        """Stop the copying thread."""
+        self._over.set()
+        if self._thread is not None:
+            self._thread.join()
+
+    def _copy(self, sink: PageSink, pacer: Pacer, ended: Callable[[], None]) -> None:
+        """Send what the sink holds, until the stream or the page ends."""
+        while not self._over.wait(_EVERY_S):
+            for _ in range(math.ceil(len(sink.held) / _MOST)):
+                held = [sink.held.popleft() for _ in range(min(_MOST, len(sink.held)))]
+                for _, late_ns in held:
+                    self._lateness.add(late_ns)
+                packets = [packet for packet, _ in held if packet.kind in _PAGE_KINDS]
+                try:
+                    batch = self._batch(packets, sink, pacer)
+                except (Vlp16emuError, CancelledError):  # a live run has just ended, and has no more poses
+                    return
+                if batch and not offer(self._channel, batch):
+                    ended()
+                    return
+
+    def _batch(self, packets: Sequence[Packet], sink: PageSink, pacer: Pacer) -> Batch | None:
+        if not packets:
+            return None
+        t_ns = np.array([instant_ns(packet) for packet in packets])
+        number = np.array([packet.unit for packet in packets])
+        poses = np.empty((len(packets), 4, 4))
+        for unit in self._units:
+            own = number == unit.number
+            if own.any():
+                poses[own] = unit.world_T_sensor(t_ns[own])
+        return Batch(
+            packets=tuple(with_labels(packet) for packet in packets),
+            world_T_sensor=poses,
+            since_s=(packets[-1].due_ns - self._start_ns) / S_NS,
+            sent=dict(sink.sent),
+            late=sink.late,
+            lateness=self._lateness.summary,
+            delay_s=pacer.delay_ns / S_NS,
+            web=self._web,
+        )
+
+
+def with_labels(packet: Packet) -> Packet:
+    """Return a packet with only the labels of its ground truth, a sixth of the bytes."""
+    if packet.slots is None:
+        return packet
+    return replace(packet, slots=repack_fields(packet.slots[list(Labels.__slots__)]))
+
+
+@contextmanager
+def live_page(emulator: Emulator, port: int) -> Iterator[LivePage]:
+    """Start the process of a page, and kill it at the end of the context.
+
+    Parameters
+    ----------
+    emulator : scene of the stream
+    port : port of the page on this machine; 0 for any that is free
+
+    Raises OutputError if the port is in use; RunError if the process ends before it serves the page.
+    """
+    from vlp16emu.extras.viewer.sweeps import species_of
+
+    scenario = emulator.scenario
+    setup = PageSetup(emulator.name, port, len(emulator.parts.units), species_of(scenario))
+    # Packets of bytes: messages stay apart, and a reader learns that the writer is gone (unix(7)).
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours:
+        with theirs:
+            # -P: no module of the current folder. A session of its own: Ctrl-C is for the stream.
+            process = subprocess.Popen(  # noqa: S603  # a module of ours
+                [sys.executable, "-P", "-m", "vlp16emu.extras.viewer.live_page", str(theirs.fileno())],
+                pass_fds=[theirs.fileno()],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                start_new_session=True,
+                env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+            )
+        page = None
+        try:
+            page = LivePage(_url(ours, setup), ours, scenario.start_ns)
+            yield page
+        finally:
+            if page is not None:
+                page.end()
+            process.kill()  # it has nothing to finish, and may hang
+            process.wait()
+
+
+def _url(channel: socket.socket, setup: PageSetup) -> str:
+    """Send the constants of the page, and return its address when it is served; errors as `live_page`."""
+    offer(channel, setup)
+    try:
+        answer = receive(channel)
+    except EOFError:
+        raise RunError("the page in the browser has ended before it began") from None
+    if isinstance(answer, Vlp16emuError):
+        raise answer
+    return str(answer)

@@ -1,0 +1,146 @@
+"""Controls for the settings of a streaming sensor, on its page: one more client of the sensor's web interface."""
+
+import json
+import time
+from collections.abc import Callable
+from contextlib import closing
+from html import escape
+from http import HTTPStatus
+from http.client import HTTPConnection, HTTPException
+from threading import Event, Thread
+from typing import Any, NamedTuple
+
+import viser
+
+from vlp16emu.extras.viewer.layers import boxed
+
+_POLL_S = 1.0  # time between two looks at the settings, which events and other clients change too
+_CALM_S = 0.25  # a control that is dragged is sent once it rests for so long
+_TIMEOUT_S = 3.0
+_MOST_BYTES = 10_000  # limit of an answer, which has some 400 bytes
+_FORM = "/cgi/setting"
+_RPM = tuple(str(rpm) for rpm in range(300, 1201, 60))  # 63-9243 Rev D, section 8.3
+_MODES = ("Strongest", "Last", "Dual")
+
+
+class _Control(NamedTuple):
+    """A control, and its key in the forms and the document of the web interface (63-9243 Rev D, section 10.2)."""
+
+    handle: Any  # of viser, with `value`
+    table: str  # table of the key in the document, and end of the form's path; empty for the outermost
+    key: str
+    to_form: Callable[[Any], str]  # form's text of a value of the control
+    to_control: Callable[[Any], Any]  # control's value of a value of the document
+
+
+def _switch_text(on: bool) -> str:
+    return "on" if on else "off"
+
+
+def _is_on(text: str) -> bool:
+    return text == "On"
+
+
+class SettingsPanel:
+    """Controls of one sensor, and the thread that sends and reads its settings.
+
+    Parameters
+    ----------
+    server : page
+    """
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._place: tuple[str, int] | None = None
+        self._touched = set[int]()  # controls that somebody moved, by their index
+        self._wake = Event()
+        self._over = False
+        gui = server.gui
+        with gui.add_folder("Sensor settings"):
+            rpm = gui.add_dropdown("rpm", _RPM, initial_value="600")
+            mode = gui.add_dropdown("return mode", _MODES)
+            laser = gui.add_checkbox("laser", initial_value=True)
+            start = gui.add_slider("FOV from, deg", 0, 359, 1, 0)
+            end = gui.add_slider("FOV to, deg", 0, 359, 1, 359)
+            lock = gui.add_checkbox("phase lock", initial_value=False)
+            phase = gui.add_slider("phase, deg", 0.0, 359.0, 1.0, 0.0)
+            self._text = gui.add_html("")
+        self._controls = (
+            _Control(rpm, "", "rpm", str, str),
+            _Control(mode, "", "returns", str, str),
+            _Control(laser, "", "laser", _switch_text, _is_on),
+            _Control(start, "fov", "start", str, int),
+            _Control(end, "fov", "end", str, int),
+            _Control(lock, "phaselock", "enabled", _switch_text, _is_on),
+            _Control(phase, "phaselock", "offset", lambda deg: str(round(100 * deg)), lambda cdeg: int(cdeg) / 100),
+        )
+        for index, control in enumerate(self._controls):
+            control.handle.disabled = True
+            control.handle.on_update(lambda event, index=index: self._touch(event, index))
+        self._say("settings are fixed: this stream has no web interface")
+        self._thread = Thread(target=self._run, name="settings", daemon=True)
+        self._thread.start()
+
+    def end(self) -> None:
+        """Stop the thread, after a request that is under way."""
+        self._over = True
+        self._wake.set()
+        self._thread.join()
+
+    def connect(self, place: tuple[str, int] | None) -> None:
+        """Control the sensor whose web interface is at a host and port; None for a stream without one."""
+        if place == self._place:
+            return
+        self._place = place
+        for control in self._controls:
+            control.handle.disabled = place is None
+        if place is not None:
+            self._say(f"set over http://{place[0]}:{place[1]}/, as any client does")
+        self._wake.set()
+
+    def _touch(self, event: viser.GuiEvent[Any], index: int) -> None:
+        if event.client_id is not None:  # not by `_show`
+            self._touched.add(index)
+            self._wake.set()
+
+    def _run(self) -> None:
+        while not self._over:
+            self._wake.wait(_POLL_S)
+            while self._wake.is_set():
+                self._wake.clear()
+                time.sleep(_CALM_S)
+            try:
+                self._exchange()
+            except (OSError, HTTPException, ValueError, KeyError):  # it restarts, or an event makes it fail
+                self._say("the web interface of the sensor does not answer")
+
+    def _exchange(self) -> None:
+        """Send the controls that were moved, then show the settings in force."""
+        if self._place is None:
+            return
+        while self._touched:
+            control = self._controls[self._touched.pop()]
+            body = f"{control.key}={control.to_form(control.handle.value)}"
+            answer = self._ask("POST", f"{_FORM}/{control.table}".rstrip("/"), body)
+            refusal = answer.get("ignored") or answer.get("error")
+            self._say(str(refusal) if refusal else f"set {control.table} {body}")
+        settings = self._ask("GET", "/cgi/settings.json")
+        if not self._wake.is_set():  # else a control is being moved
+            self._show(settings)
+
+    def _ask(self, method: str, path: str, body: str | None = None) -> dict[str, Any]:
+        assert self._place is not None
+        headers = {"Content-Type": "application/x-www-form-urlencoded"} if body else {}
+        with closing(HTTPConnection(*self._place, timeout=_TIMEOUT_S)) as connection:
+            connection.request(method, path, body, headers)
+            answer = connection.getresponse()
+            content = answer.read(_MOST_BYTES)
+        tree: dict[str, Any] = {} if answer.status == HTTPStatus.NO_CONTENT else json.loads(content)
+        return tree
+
+    def _show(self, settings: dict[str, Any]) -> None:
+        for control in self._controls:
+            table = settings[control.table] if control.table else settings
+            control.handle.value = control.to_control(table[control.key])
+
+    def _say(self, line: str) -> None:
+        self._text.content = boxed([escape(line)])
