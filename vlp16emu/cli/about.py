@@ -69,44 +69,56 @@ _TOO_SLOW = (
 )
 
 
-def plan(scene: SceneName, making: RunOptions, *, as_json: AsJson = False) -> None:
-    """Report what a scene needs and what it leaves out, and measure whether a stream keeps up.
+def plan(scene: SceneName, making: RunOptions, *, plot: PlotFile = None, as_json: AsJson = False) -> None:
+    """Report what a scene needs and what it leaves out, what its stages cost, and measure whether a stream keeps up.
 
     The world is grown, the kernels are loaded, and two seconds are recorded without a file: the speed holds for this
     machine at its present load. It does not include the new window of the world that a walk needs every 7 s.
     """
+    from vlp16emu.extras.plot.sheet import plotting
+
+    with plotting(plot) as draw:
+        report = report_of("plan", _plan(scene, making))
+        draw(report)
+    if as_json:
+        print_json(report)
+        return
+    for title, on in (("has", True), ("leaves out", False)):
+        if features := {need["name"]: need["costs"] for need in report["features"] if need["on"] is on}:
+            print_rows(f"{scene} {title}", features)
+    print_rows("in reach", rows_of(report["world"]))
+    print_rows("libraries", {name: "loaded" if on else "left out" for name, on in report["libraries"].items()})
+    costs = {stage["name"]: f"{stage['cpu_s_per_s']:.3f}" for stage in report["stages"]}
+    print_rows("cost by stage, seconds of one core per simulated second", costs)
+    print_rows(f"measured now, on {report['threads']} threads", rows_of(report["measured"]))
+    print_rows("stream", rows_of(report["stream"]))
+    if not report["stream"]["keeps_up"]:
+        print(_TOO_SLOW)
+    print_file(plot)
+
+
+def _plan(scene: str, making: RunOptions) -> dict[str, Any]:
+    """Measure a scene, and return its plan."""
     began_s = time.perf_counter()
     emulator = make_emulator(scene, making)
-    from vlp16emu.extras.plan import libraries, needs, stream_outlook, surroundings
+    from vlp16emu.extras.plan import libraries, needs, stages, stream_outlook, surroundings
 
     emulator.record(os.devnull, duration_s=min(0.1, emulator.scenario.duration_s))
     started_s = time.perf_counter() - began_s
     measured = emulator.record(os.devnull, duration_s=min(_MEASURED_S, emulator.scenario.duration_s))
     audited, engine = measured.audit is not None and not measured.audit.exact, emulator.engine
-    stream = stream_outlook(emulator.scenario, measured.real_time_factor)
-    tree: dict[str, Any] = {
+    return {
         "scene": scene,
         "seed": emulator.scenario.seed,
         "threads": engine.threads,
         "libraries": libraries(),
         "features": needs(engine, audited=audited),
         "world": surroundings(engine),
+        "stages": stages(engine),
         "measured": {"started_s": started_s}
         | {name: getattr(measured, name) for name in ("simulated_s", "wall_s", "real_time_factor")},
-        "stream": stream,
+        "stream": stream_outlook(emulator.scenario, measured.real_time_factor),
     }
-    if as_json:
-        print_json(tree)
-        return
-    for title, on in (("has", True), ("leaves out", False)):
-        if features := {need.name: need.costs for need in tree["features"] if need.on is on}:
-            print_rows(f"{scene} {title}", features)
-    print_rows("in reach", rows_of(tree["world"]))
-    print_rows("libraries", {name: "loaded" if on else "left out" for name, on in tree["libraries"].items()})
-    print_rows(f"measured now, on {engine.threads} threads", rows_of(tree["measured"]))
-    print_rows("stream", rows_of(stream))
-    if not stream["keeps_up"]:
-        print(_TOO_SLOW)
 
 
 def doctor(*, as_json: AsJson = False) -> None:

@@ -65,7 +65,7 @@ def _draw_plan(axes: "Axes", path: Report | None, trees: Sequence[Report]) -> No
             axes.scatter(*place, s=size, label=label, gid=f"stems-{kind}", zorder=3, **look)
     axes.set(xlabel="east, m", ylabel="north, m", aspect="equal", title="From above; marks of stems grow with DBH")
     axes.set_adjustable("datalim")
-    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    axes.legend(loc="center left")
 
 
 def _draw_over(axes: "Axes", path: Report, name: str, label: str) -> None:

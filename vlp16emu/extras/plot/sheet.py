@@ -8,7 +8,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 from vlp16emu.errors import InputError, MissingExtraError, OutputError, readable
 from vlp16emu.output import OutputFile
@@ -105,7 +105,18 @@ def picture_of(report: Report, suffix: str) -> bytes:
     file = io.BytesIO()
     with matplotlib.style.context(["default", dict(_STYLE)]):
         figure_of(report).savefig(file, **_FORMATS[suffix.lower()])
-    return file.getvalue()
+    return _in_few_colours(file) if suffix.lower() == ".png" else file.getvalue()
+
+
+def _in_few_colours(file: IO[bytes]) -> bytes:
+    """Return a PNG with a palette of 256 colours: a third of the size, and blends of lines and paper lose nothing."""
+    from PIL import Image  # comes with matplotlib
+
+    few = io.BytesIO()
+    with Image.open(file) as image:
+        palette = image.convert("RGB").quantize(256, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+        palette.save(few, format="PNG", optimize=True)
+    return few.getvalue()
 
 
 def figure_of(report: Report) -> "Figure":
