@@ -2,7 +2,6 @@
 
 import os
 import time
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -235,8 +234,8 @@ def forest(
         print_json(report)
         return
     _print_forest(summary)
-    for path in (*wanted.values(), plot):
-        print_file(path)
+    for file in (*wanted.values(), plot):
+        print_file(file)
 
 
 _MAPPED = "stems", "ground", "profile", "hall_m"  # members that only plots and programs use
@@ -260,7 +259,7 @@ def _classes(shares: list[float]) -> dict[str, str]:
     """Return how many shares are in each class, the last of which allows the fit of a circle."""
     counts = {"none": 0, "under a quarter": 0, "under a half": 0, "a half and more": 0}
     for share in shares:
-        counts[list(counts)[(share > 0) + (share >= 0.25) + (share >= 0.5)]] += 1  # noqa: PLR2004
+        counts[list(counts)[(share > 0) + (share >= 0.25) + (share >= 0.5)]] += 1
     return {name: count(number) for name, number in counts.items()}
 
 

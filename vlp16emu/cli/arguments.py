@@ -71,6 +71,7 @@ WhichClock = Annotated[
     ),
 ]
 PlotFile = Annotated[
-    Path | None, Option("Also draw the report into a file, .png, .svg or .pdf; needs the extra 'plot'.", "FILE", "--plot")
+    Path | None,
+    Option("Also draw the report into a file, .png, .svg or .pdf; needs the extra 'plot'.", "FILE", "--plot"),
 ]
 AsJson = Annotated[bool, Option("Print one JSON object and nothing else.", name="--json")]

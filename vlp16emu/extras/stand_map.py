@@ -1,4 +1,4 @@
-"""Map of a surveyed stand: stems, ground and the profile along the path, and what of each stem can be seen from the path."""
+"""Map of a stand: stems, ground and the profile along the path, and how much of each stem the path sees."""
 
 import math
 from collections.abc import Mapping
@@ -20,7 +20,7 @@ _MOST_PLACES = 500  # greatest number of places along the profile
 _DECIMALS = 2  # of metres; of diameters a tenth of a millimetre
 _SECTORS = 24  # bark is looked at in sectors of 15 degrees
 _STATION_M = 1.0  # distance between the places on the path from which stems are looked at
-_SAME_M = 0.15  # bark is seen if a ray ends on its tree this near: sections are neither round nor exactly centred
+_SAME_M = 0.15  # a ray that ends on its tree this near has met the point: sections are not round
 
 
 def map_of(
@@ -82,8 +82,8 @@ def bark_seen(
 ) -> F8:
     """Return the share (k,) of the bark at breast height that a level sensor sees from anywhere on its path.
 
-    Single rays go from places a metre apart to 24 points around each stem. Foliage beyond `world.near_m` of the path is
-    a medium, which stops a ray as often as leaves do.
+    Single rays go from places a metre apart to 24 points around each stem. Foliage beyond `world.near_m` of the path
+    is a medium, which stops a ray as often as leaves do.
 
     Parameters
     ----------
@@ -107,7 +107,9 @@ def bark_seen(
     with ThreadPoolExecutor(usable_cores()) as workers:
         geometry = caster(world, workers).open(window)
         surfaces = geometry.surfaces
-        is_stem = (surfaces["semantic"] == Semantic.TREE) & np.isin(surfaces["part"], (PlantPart.STEM, PlantPart.ROOT_FLARE))
+        is_stem = (surfaces["semantic"] == Semantic.TREE) & np.isin(
+            surfaces["part"], (PlantPart.STEM, PlantPart.ROOT_FLARE)
+        )
         for place_m in stations_m:
             ray_m = bark_m - place_m
             flat_m = np.hypot(*ray_m[:, :2].T)
@@ -119,7 +121,7 @@ def bark_seen(
                 hit = np.isfinite(range_m)
                 hit[hit] &= is_stem[surface[hit]] & (surfaces["instance"][surface[hit]] == owner[rows][hit])
                 seen[rows] = hit & (np.abs(range_m - np.linalg.norm(ray_m[rows], axis=1)) < _SAME_M)
-    return seen.reshape(-1, _SECTORS).mean(axis=1)
+    return np.asarray(seen.reshape(-1, _SECTORS).mean(axis=1))
 
 
 def _cast(geometry: Any, t_ns: int, place_m: F8, ray_m: F8, reach_m: float) -> tuple[F8, I8]:

@@ -1,11 +1,11 @@
 """Confidence intervals of the errors of a sample of pulses.
 
-Pulses of a group see the same trees, so only groups are independent. Squares of errors have a heavy tail: a percentile
-bootstrap over the groups contains the RMSE of all pulses in 88 to 92 % of cases only, because a sample that lacks the
-large errors lacks them in each resample. Student's interval on the logarithm, with half of the effective number of
-groups as degrees of freedom, contains it in 94 to 97 %, and the intervals of the other errors theirs in 92 to 98 %
-(300 samples of 32 and of 64 groups out of 512 groups of `birch_walk` and of `reference_forest`, with the beam of the
-scene and with one ray).
+Pulses of a group see the same trees, so only groups are independent. Squares of errors have a heavy tail: a
+percentile bootstrap over the groups contains the RMSE of all pulses in 88 to 92 % of cases only, because a
+sample that lacks the large errors lacks them in each resample. Student's interval on the logarithm, with
+half of the effective number of groups as degrees of freedom, contains it in 94 to 97 %, and the intervals
+of the other errors theirs in 92 to 98 % (300 samples of 32 and of 64 groups out of 512 groups of
+`birch_walk` and of `reference_forest`, with the beam of the scene and with one ray).
 """
 
 import math
@@ -27,10 +27,10 @@ _TAIL = 0.95  # share of absolute errors below `range_p95_m`
 
 
 def intervals_of(groups: Sequence[Comparison], resolution_m: float) -> dict[str, Interval]:
-    """Return the 95 % interval of each error of `errors_of`, by its name, from the comparisons of independent groups.
+    """Return the 95 % interval of each error of `errors_of`, by name, from comparisons of independent groups.
 
-    A ratio of sums over groups has the variance of the groups about the ratio (Cochran, Sampling Techniques, 3rd ed.
-    1977, section 6.3).
+    A ratio of sums over groups has the variance of the groups about the ratio (Cochran, Sampling Techniques, 3rd
+    ed. 1977, section 6.3).
     """
     matched = np.array([len(group.error_m) for group in groups], np.float64)
     returns = np.array([group.returns for group in groups], np.float64)

@@ -6,4 +6,13 @@ from vlp16emu.extras.compare.sequences import Sequences, read_sequences
 from vlp16emu.extras.compare.statistics import statistics_of
 from vlp16emu.extras.compare.table import Compared, compared
 
-__all__ = ["Compared", "Histogram", "Sequences", "compared", "fitted", "histograms_of", "read_sequences", "statistics_of"]
+__all__ = [
+    "Compared",
+    "Histogram",
+    "Sequences",
+    "compared",
+    "fitted",
+    "histograms_of",
+    "read_sequences",
+    "statistics_of",
+]

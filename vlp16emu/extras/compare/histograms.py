@@ -15,7 +15,7 @@ from vlp16emu.units import US_NS
 
 @dataclass(frozen=True, slots=True)
 class Histogram:
-    """Shares of a quantity of two captures in the same bins; values outside the bins count in no bin, but in the whole."""
+    """Shares of a quantity of two captures in the same bins; values outside count in the whole only."""
 
     name: str
     unit: str  # of the bins, and what is counted
@@ -66,17 +66,15 @@ _QUANTITIES: Mapping[str, tuple[str, Callable[[Sequences], F8], tuple[float, flo
 
 
 def histograms_of(first: Sequences, second: Sequences) -> list[Histogram]:
-    """Return the histograms of two captures; bins of azimuth steps are about the median step, whatever the speed."""
+    """Return the histograms of two captures; bins of azimuth steps lie around the median step."""
     found = list[Histogram]()
     for name, (unit, values_of, (low, high, width)) in _QUANTITIES.items():
-        values = values_of(first), values_of(second)
-        if values_of is _steps_cdeg:
-            middle = round(float(np.median(np.concatenate(values))))
-            low += middle
-            high += middle
+        one, other = values_of(first), values_of(second)
         edges = np.linspace(low, high, round((high - low) / width) + 1)
-        shares = [_shares(of, edges) for of in values]
-        found.append(Histogram(name, unit, edges.tolist(), *shares, *map(len, values)))
+        if values_of is _steps_cdeg:
+            edges += round(float(np.median(np.concatenate([one, other]))))
+        shares = _shares(one, edges), _shares(other, edges)
+        found.append(Histogram(name, unit, edges.tolist(), *shares, len(one), len(other)))
     return found
 
 

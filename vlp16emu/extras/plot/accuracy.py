@@ -1,22 +1,11 @@
-"""Error against run time, by setting of the beam, and differences between worlds with single leaves to some distance."""
+"""Error against run time by setting of the beam, and differences between worlds by `near_m`."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vlp16emu.extras.plot.sheet import (
-    BLUE,
-    GREEN,
-    INK,
-    ORANGE,
-    PURPLE,
-    SKY,
-    SOFT,
-    VERMILION,
-    Report,
-    plain_logarithm,
-)
+from vlp16emu.extras.plot.sheet import BLUE, GREEN, INK, ORANGE, PURPLE, SKY, SOFT, VERMILION, Report, plain_logarithm
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -95,23 +84,28 @@ def _draw_suggestions(axes: "Axes", rows: Sequence[Report], suggestions: Sequenc
     of = {row["name"]: row for row in rows}
     label = "suggested for a mean error of at most"
     for one in suggestions:
+        look: dict[str, Any] = {"ms": 13, "mfc": "none", "mec": GREEN, "mew": 2.2, "ls": "none"}
         row, wanted_mm = of[one["take"]], 1e3 * one["wanted_m"]
         place = row["us_per_pulse"], 1e3 * row["errors"]["mean_error_m"]
-        look = {"ms": 13, "mfc": "none", "mec": GREEN, "mew": 2.2, "ls": "none", "gid": f"suggested-{wanted_mm:g}"}
-        axes.plot(*place, "s", label=label, **look)
+        axes.plot(*place, "s", label=label, gid=f"suggested-{wanted_mm:g}", **look)
         label = "_"
-        axes.annotate(
-            f"{wanted_mm:g} mm", place, (place[0], 0.02), xycoords="data", color=GREEN, fontsize=10, rotation=90,
-            textcoords=axes.get_xaxis_transform(), ha="center", va="bottom", fontweight="bold",
-            arrowprops={"arrowstyle": "-", "color": GREEN, "lw": 0.8, "ls": ":"},
-        )  # fmt: skip
+        style: dict[str, Any] = {"color": GREEN, "fontsize": 10, "fontweight": "bold", "rotation": 90}
+        style |= {"ha": "center", "va": "bottom", "textcoords": axes.get_xaxis_transform()}
+        style["arrowprops"] = {"arrowstyle": "-", "color": GREEN, "lw": 0.8, "ls": ":"}
+        axes.annotate(f"{wanted_mm:g} mm", place, (place[0], 0.02), **style)
 
 
 def _write(axes: "Axes", text: str, place: tuple[float, float], *, beneath: bool, colour: str) -> None:
     from matplotlib.patheffects import withStroke
 
     offset, sides = ((-9, -8), ("right", "top")) if beneath else ((9, 6), ("left", "bottom"))
-    look: dict[str, Any] = {"textcoords": "offset points", "fontsize": 10, "color": colour, "ha": sides[0], "va": sides[1]}
+    look: dict[str, Any] = {
+        "textcoords": "offset points",
+        "fontsize": 10,
+        "color": colour,
+        "ha": sides[0],
+        "va": sides[1],
+    }
     axes.annotate(text, place, offset, path_effects=[withStroke(linewidth=3, foreground="white")], zorder=5, **look)
 
 

@@ -28,7 +28,8 @@ def draw(figure: "Figure", report: Report) -> None:
     figure.set_size_inches(15, 4.0 * rows + 5.5)
     names = [Path(file).name for file in report["files"]]
     figure.suptitle(f"{names[0]} (blue, filled) and {names[1]} (red line)")
-    upper, lower = figure.subfigures(2, 1, height_ratios=(4.0 * rows, 5.0))
+    parts: Any = figure.subfigures(2, 1, height_ratios=(4.0 * rows, 5.0))
+    upper, lower = parts
     for number, histogram in enumerate(histograms):
         _draw_histogram(upper.add_subplot(rows, _COLUMNS, number + 1), histogram, names, number)
     _draw_distances(lower.add_subplot(), report)
@@ -57,7 +58,15 @@ def _draw_distances(axes: "Axes", report: Report) -> None:
     for bar, row in zip(bars, far, strict=True):
         bar.set_gid(f"distance-{row['name']}")
         text = f"{row['first']:.3g} and {row['second']:.3g}"
-        axes.annotate(text, (row["distance"], bar.get_y() + 0.35), (6, 0), textcoords="offset points", va="center", fontsize=10, bbox=_PAPER)
+        axes.annotate(
+            text,
+            (row["distance"], bar.get_y() + 0.35),
+            (6, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=10,
+            bbox=_PAPER,
+        )
     axes.set_yticks(range(len(far)), names, fontsize=10)
     axes.invert_yaxis()
     axes.axvline(1.0, color=INK, lw=1.2, ls="--")

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_PATH = {"color": VERMILION, "lw": 2.4}
+_PATH: dict[str, Any] = {"color": VERMILION, "lw": 2.4}
 _GROUND, _CONTOUR = "#cdbfa3", "#a08a5f"
 _MARKERS = "osD^vPX*hp"
 """Marks of species, the most frequent first: they differ in shape, not only in colour."""
@@ -40,8 +40,8 @@ def draw(figure: "Figure", report: Report) -> None:
     tall = min(max(10.5 * rows / columns, 5.0), 11.0)
     figure.set_size_inches(14, tall + 5.2)
     density = f"{len(stems['id'])} stems within {report['radius_m']:g} m of {report['path']['length_m']:.0f} m of path"
-    title = _wrapped(f"{report['scene']}, seed {report['seed']}: {report['title']}", 90)
-    figure.suptitle(f"{title}\n{density}")
+    title = _wrapped(f"{report['scene']}, seed {report['seed']}: {report['title']}", 100)
+    figure.suptitle(f"{title}\n{density}", fontsize=15)
     looks = _looks(stems["species"])
     plan, side = figure.subplots(2, 1, height_ratios=(tall, 4.2))
     _draw_plan(plan, report, looks)
@@ -68,7 +68,7 @@ def _draw_plan(axes: "Axes", report: Report, looks: Mapping[str, tuple[str, str]
     _draw_relief(axes, report["ground"])
     stems, profile = report["stems"], report["profile"]
     place_m = np.column_stack([stems["x_m"], stems["y_m"]]).reshape(-1, 2)
-    width_m, dbh_m, names = np.array(stems["crown_width_m"]), np.array(stems["dbh_m"]), np.array(stems["species"])
+    width_m, dbh_m, names = (np.array(stems["crown_width_m"]), np.array(stems["dbh_m"]), np.array(stems["species"]))
     look: dict[str, Any] = {"facecolors": "none", "edgecolors": [looks[name][0] for name in names], "linewidths": 0.9}
     at: dict[str, Any] = {"units": "xy", "offsets": place_m, "offset_transform": axes.transData, "alpha": 0.6}
     crowns = EllipseCollection(width_m, width_m, np.zeros(len(names)), zorder=2, **at, **look)
@@ -80,7 +80,9 @@ def _draw_plan(axes: "Axes", report: Report, looks: Mapping[str, tuple[str, str]
         label = f"{name.replace('_', ' ').capitalize()}, {own.sum()}"
         style: dict[str, Any] = {"marker": marker, "edgecolors": INK, "linewidths": 0.7, "zorder": 4}
         faces = colour if seen is None else [colour if share >= _SEEN_SHARE else "white" for share in seen[own]]
-        marks = axes.scatter(*place_m[own].T, s=_areas(dbh_m[own]), c=faces, gid=f"stems-{name}", **style)
+        marks = axes.scatter(
+            place_m[own, 0], place_m[own, 1], s=_areas(dbh_m[own]), c=faces, gid=f"stems-{name}", **style
+        )
         axes.scatter([], [], s=_areas(np.array([0.3])), c=colour, label=label, **style)
         marks.set_label("_")
     if seen is not None:
@@ -138,7 +140,9 @@ def _draw_profile(axes: "Axes", report: Report, looks: Mapping[str, tuple[str, s
         axes.add_patch(crown)
         axes.plot([at_m[i]] * 2, [foot_m[i], foot_m[i] + height_m[i]], color=colour, lw=1.0 + 8.0 * dbh_m[i], zorder=3)
     axes.vlines(at_m, foot_m, foot_m + height_m, color=INK, lw=0.5, zorder=3, gid="profile-stems")
-    axes.fill_between(along_m, low_m - 1.5, ground_m, color=_GROUND, zorder=4, label="ground under the path", gid="profile-ground")
+    axes.fill_between(
+        along_m, low_m - 1.5, ground_m, color=_GROUND, zorder=4, label="ground under the path", gid="profile-ground"
+    )
     sensor_m = np.array(profile["sensor_m"])
     axes.plot(along_m, sensor_m, label="height of the sensor", gid="profile-sensor", zorder=5, **_PATH)
     scale = _exaggeration(axes)
@@ -148,7 +152,7 @@ def _draw_profile(axes: "Axes", report: Report, looks: Mapping[str, tuple[str, s
 
 
 def _exaggeration(axes: "Axes") -> float:
-    """Draw heights and lengths on one scale unless the path is too long for it; return the scale of heights over lengths."""
+    """Draw heights and lengths on one scale unless the path is too long; return the scale of heights over lengths."""
     length_m, tall_m = (float(np.ptp(ends)) for ends in (axes.get_xlim(), axes.get_ylim()))
     natural = 0.42 * length_m / tall_m  # the panel is 0.42 times as tall as wide
     if natural <= _MOST_EXAGGERATED / 3:

@@ -12,8 +12,10 @@ from vlp16emu.output import OutputFile
 
 _STYLE = (
     "body{font:16px/1.5 sans-serif;max-width:64em;margin:2em auto;padding:0 1em;color:#222}"
-    "table{border-collapse:collapse;margin:1em 0}td,th{padding:.2em .8em;border-bottom:1px solid #ccc;text-align:left}"
-    "td.n{text-align:right;font-variant-numeric:tabular-nums}img{max-width:100%}.missed{color:#a32000;font-weight:bold}"
+    "table{border-collapse:collapse;margin:1em 0}"
+    "td,th{padding:.2em .8em;border-bottom:1px solid #ccc;text-align:left}"
+    "td.n{text-align:right;font-variant-numeric:tabular-nums}"
+    "img{max-width:100%}.missed{color:#a32000;font-weight:bold}"
 )
 _MEANING = {
     "ate_m": "RMSE of positions, m",
@@ -64,9 +66,10 @@ _COLUMNS = {
 
 @contextmanager
 def page_writing(path: Path | None, inputs: Iterable[Path]) -> Iterator[Callable[[Report], None]]:
-    """Open a page before the scores are computed, and yield the function that writes a report into it; without a path it does nothing.
+    """Open a page before the scores are computed, and yield the function that writes a report into it.
 
-    Raises OutputError for another ending than .html, or a file that cannot be written; MissingExtraError without matplotlib.
+    Without a path that function does nothing. Raises OutputError for another ending than .html, or a file that cannot
+    be written; MissingExtraError without matplotlib.
     """
     if path is None:
         yield lambda _: None

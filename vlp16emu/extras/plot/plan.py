@@ -33,4 +33,6 @@ def draw(figure: "Figure", report: Report) -> None:
     axes.set(xlabel="processor time, seconds of one core per simulated second")
     speed = f"ran at {measured['real_time_factor']:.2f} x real time on {report['threads']} threads"
     stream = f"a stream keeps up: {report['stream']['verdict']}"
-    figure.suptitle(f"{report['scene']}, seed {report['seed']}: {cost_s.sum():.2f} core seconds per second\n{speed}; {stream}")
+    figure.suptitle(
+        f"{report['scene']}, seed {report['seed']}: {cost_s.sum():.2f} core seconds per second\n{speed}; {stream}"
+    )

@@ -108,7 +108,9 @@ def _draw_shares(axes: "Axes", trees: Sequence[Report], name: str, unit: float, 
     axes.bar(at, missed, width, found, align="edge", label="missed", gid=f"missed-by-{name}", **look)
     for x, own, lost, wide in zip(at, found, missed, width, strict=True):
         if own + lost:
-            axes.text(x + wide / 2, own + lost, f"{100 * own / (own + lost):.0f} %", ha="center", va="bottom", fontsize=9)
+            axes.text(
+                x + wide / 2, own + lost, f"{100 * own / (own + lost):.0f} %", ha="center", va="bottom", fontsize=9
+            )
     axes.legend()
     axes.margins(y=0.15)
 
@@ -121,7 +123,7 @@ def _draw_diameters(axes: "Axes", trees: Sequence[Report]) -> None:
         axes.text(0.5, 0.6, "none was measured", ha="center", transform=axes.transAxes, color=SOFT)
         return
     both_cm = 100 * np.array([(row["true_dbh_m"], row["dbh_error_m"]) for row in measured])
-    axes.scatter(*both_cm.T, s=40, gid="dbh-errors", **_LOOKS["found"])
+    axes.scatter(both_cm[:, 0], both_cm[:, 1], s=40, gid="dbh-errors", **_LOOKS["found"])
     bias_cm = float(both_cm[:, 1].mean())
     axes.axhline(bias_cm, color=BLUE, ls="--", lw=1.2, label=f"mean {bias_cm:+.2f} cm")
     axes.legend()

@@ -23,9 +23,9 @@ Report = Mapping[str, Any]
 INK, SOFT, FAINT = "#222222", "#6b6b6b", "#d9d9d9"
 """Colours of text and the truth, of secondary text, and of grids."""
 BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#cc79a7", "#56b4e9"
-"""Colours that people with colour vision deficiency can distinguish (Okabe and Ito, Color Universal Design, 2008)."""
+"""Colours that readers with colour vision deficiency distinguish (Okabe and Ito, Color Universal Design, 2008)."""
 
-_DRAWN = ("accuracy", "compare", "forest", "plan", "score")  # reports with a picture, each a module of this room
+_DRAWN = ("accuracy", "compare", "forest", "plan", "score")  # reports, each drawn by a module of this room
 _FORMATS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
         ".png": {"format": "png", "metadata": {"Software": "vlp16emu"}},
@@ -66,11 +66,13 @@ _STYLE: Mapping[str, Any] = MappingProxyType(
 
 
 @contextmanager
-def plotting(path: Path | None, inputs: Iterable[Path] = (), where: str = "--plot") -> Iterator[Callable[[Report], None]]:
-    """Open a plot before any long work, and yield the function that draws a report into it; without a path it does nothing.
+def plotting(
+    path: Path | None, inputs: Iterable[Path] = (), where: str = "--plot"
+) -> Iterator[Callable[[Report], None]]:
+    """Open a plot before any long work, and yield the function that draws a report into it.
 
-    Raises OutputError for another ending than .png, .svg and .pdf, or a file that cannot be written; MissingExtraError
-    without matplotlib.
+    Without a path that function does nothing. Raises OutputError for another ending than .png, .svg and .pdf, or a
+    file that cannot be written; MissingExtraError without matplotlib.
 
     Parameters
     ----------
@@ -109,7 +111,7 @@ def picture_of(report: Report, suffix: str) -> bytes:
 
 
 def _in_few_colours(file: IO[bytes]) -> bytes:
-    """Return a PNG with a palette of 256 colours: a third of the size, and blends of lines and paper lose nothing."""
+    """Return a PNG with a palette of 256 colours: a third of the size, and lines on paper have no more."""
     from PIL import Image  # comes with matplotlib
 
     few = io.BytesIO()

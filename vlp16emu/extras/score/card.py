@@ -178,9 +178,7 @@ def _score_stems(card: ScoreCard, found: tuple[Stem, ...], trees: tuple[Stem, ..
     card.notes["stems"] = f"{which}; pairs within {card.inputs.radius_m:g} m"
 
 
-def _row(
-    found: Stem | None, tree: Stem | None, hits: int | None, range_m: Callable[[float, float], float]
-) -> TreeRow:
+def _row(found: Stem | None, tree: Stem | None, hits: int | None, range_m: Callable[[float, float], float]) -> TreeRow:
     nowhere = Stem("", math.nan, math.nan, math.nan, math.nan, "")
     one, true, place = found or nowhere, tree or nowhere, tree or found or nowhere
     return TreeRow(

@@ -94,13 +94,18 @@ def _path_errors(pair: Any, error_m: F8, drift: Any) -> PathErrors:
     ends = np.array(getattr(drift, "delta_ids", []), np.int64)
     drift_percent = 100.0 * np.asarray(drift.error if len(ends) else [], np.float64) / DRIFT_M[0]
     return PathErrors(
-        _some(reference.timestamps - reference.timestamps[0]),
-        _some(distance_m),
-        *(_some(column) for column in (*true_m.T, *found_m.T)),
-        _some(error_m),
-        DRIFT_M[0],
-        _some(distance_m[ends]),
-        _some(drift_percent),
+        time_s=_some(reference.timestamps - reference.timestamps[0]),
+        distance_m=_some(distance_m),
+        true_x_m=_some(true_m[:, 0]),
+        true_y_m=_some(true_m[:, 1]),
+        true_z_m=_some(true_m[:, 2]),
+        found_x_m=_some(found_m[:, 0]),
+        found_y_m=_some(found_m[:, 1]),
+        found_z_m=_some(found_m[:, 2]),
+        error_m=_some(error_m),
+        drift_over_m=DRIFT_M[0],
+        drift_at_m=_some(distance_m[ends]),
+        drift_percent=_some(drift_percent),
     )
 
 

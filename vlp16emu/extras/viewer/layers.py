@@ -8,14 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.extras.colours import (
-    PART_RGB,
-    Rgb,
-    colour_of_kind,
-    colour_of_species,
-    colours_of_plant,
-    surface_colours,
-)
+from vlp16emu.extras.colours import PART_RGB, Rgb, colour_of_kind, colour_of_species, colours_of_plant, surface_colours
 from vlp16emu.types import F8, SURFACE, U1, Labels, PlantPart, Scan, Semantic
 from vlp16emu.units import S_NS
 
