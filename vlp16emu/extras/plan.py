@@ -168,7 +168,7 @@ def _stages_at(engine: Engine, unit: Unit, geometry: Geometry, first: int, count
     timed("texture", lambda: add_texture(firings, hits, geometry.surfaces, world.seed))
     if unit.optics is not None:
         optics = unit.optics
-        hits = timed("weather and window", lambda: optics.dimmed(firings, hits))
+        hits = timed("window", lambda: optics.dimmed(firings, hits))
     returns = timed("detect", lambda: detect(firings, hits, geometry.surfaces, unit.detector, truth=False))
     if sensor.model in {model.value for model in SensorModel}:
         mode = ReturnMode(sensor.return_mode)
