@@ -40,7 +40,7 @@ def test_a_long_path_has_a_map_of_bounded_size():
 
 @pytest.mark.usefixtures("kept_woods")
 def test_one_place_sees_half_of_a_stem_and_a_walk_more():
-    """From where a sensor stands at most half of the bark is seen, and of the nearest stem nearly that; a walk past sees no less of any stem."""
+    """From where a sensor stands at most half of the bark is seen, and of some stem nearly that; a walk past sees no less of any stem, and more in all."""
     walk = load("birch_walk", {**THIN, "duration_s": 6.0})
     seen = survey(walk, 12.0)
     trees = seen.inventory(seen.near)
@@ -50,9 +50,8 @@ def test_one_place_sees_half_of_a_stem_and_a_walk_more():
     assert len(trees) > 5
     assert (first <= 0.5).all()
     assert (every >= first).all()
-    assert every.max() > 0.6
-    nearest = np.hypot(trees["x_m"] - seen.path_m[0, 0], trees["y_m"] - seen.path_m[0, 1]).argmin()
-    assert first[nearest] > 0.35
+    assert every.sum() > 1.1 * first.sum()
+    assert first.max() > 0.4
 
 
 @pytest.mark.usefixtures("kept_woods")

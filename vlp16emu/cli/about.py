@@ -256,7 +256,7 @@ def _print_forest(summary: dict[str, Any]) -> None:
 
 
 def _classes(shares: list[float]) -> dict[str, str]:
-    """Return how many shares are in each class, the last of which allows the fit of a circle."""
+    """Return the number of shares in each class; half of the bark allows the fit of a circle."""
     counts = {"none": 0, "under a quarter": 0, "under a half": 0, "a half and more": 0}
     for share in shares:
         counts[list(counts)[(share > 0) + (share >= 0.25) + (share >= 0.5)]] += 1
