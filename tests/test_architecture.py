@@ -58,14 +58,15 @@ EXTRAS_TAKE = {
     "dataset": {"clouds", "options"},
     "handle": {"bench", "clouds", "truth"},
     "plan": {"keep_up", "meshes", "walk"},
+    "plot": {"colours"},
     "recorded": {"splines"},
     "replay": {"bench", "free_ports"},
     "live": {"bench", "recorded"},
     "score": {"clouds", "options", "recorded"},
     "slam": {"truth"},
-    "survey": {"colours", "meshes"},
-    "viewer": {"clouds", "colours", "options", "survey", "verify", "walk"},
+    "survey": {"colours", "meshes", "stand_map"},
     "truth": {"bench", "camera", "imu"},
+    "viewer": {"clouds", "colours", "options", "survey", "verify", "walk"},
     "walk": {"splines"},
 }
 """Which extras each extra may import beside the core: options, trajectories, colours, ground truth, clouds, and the stand that the page shows."""

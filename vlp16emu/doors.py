@@ -68,6 +68,7 @@ DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its obje
         "fit": "vlp16emu.cli.check:fit",
         "forest": "vlp16emu.cli.about:forest",
         "accuracy": "vlp16emu.cli.about:accuracy",
+        "plot": "vlp16emu.cli.check:plot",
     },
     "parts": {
         "audit": "vlp16emu.extras.accuracy.audit:Audit",

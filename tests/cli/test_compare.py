@@ -40,3 +40,25 @@ def test_a_fitted_unit_goes_into_a_scene(cli, captures, tmp_path):
     tables = tomllib.loads(printed)
     settings = {f"{table}.{key}": value for table, keys in tables.items() for key, value in keys.items()}
     assert load("birch_walk", settings).noise.range_beat_m == tables["noise"]["range_beat_m"]
+
+
+def test_what_both_captures_lack_of_real_units_is_said_once(cli, captures):
+    """Statistics that are like no real unit in both have a star and one line below; JSON has both verdicts of each."""
+    pair = captures / "ideal.pcap", captures / "ideal.pcap"
+    text, tree = cli("compare", *pair).out, cli("compare", *pair, "--json").tree
+    unlike = sum(all(one["unlike"]) for one in tree["statistics"])
+    assert unlike > 3
+    assert text.count("like no real unit") == 1
+    assert f"\n{unlike} are like no real unit in both captures (*)" in text
+    assert sum(line.endswith("*") for line in text.splitlines()) == unlike
+
+
+def test_histograms_are_shares_of_both_captures(cli, captures):
+    """Shares of azimuth steps add up to one, those of an ideal sensor are in one or two bins, and the bins of both are the same."""
+    tree = cli("compare", captures / "a.pcap", captures / "ideal.pcap", "--json").tree
+    by_name = {one["name"]: one for one in tree["histograms"]}
+    steps = by_name["azimuth step"]
+    assert [sum(steps[which]) for which in ("first", "second")] == pytest.approx([1.0, 1.0], abs=1e-4)
+    assert sum(share > 0 for share in steps["second"]) <= 2 < sum(share > 0 for share in steps["first"])
+    assert len(steps["edges"]) == len(steps["first"]) + 1
+    assert by_name["reflectivity"]["first_values"] > 0

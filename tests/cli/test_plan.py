@@ -91,6 +91,7 @@ def test_people_get_a_page(cli):
     outcome = cli("plan", "static_bench", "--set", "noise.preset=typical", "--set", "duration_s=0.1")
     assert outcome.out.startswith("static_bench has\n  range and reflectivity noise  ")
     assert "\nstatic_bench leaves out\n  beam width" in outcome.out
+    assert "\ncost by stage, seconds of one core per simulated second\n  poses of pulses  0." in outcome.out
     assert "\nmeasured now, on " in outcome.out
     assert "\n  verdict" in outcome.out
     assert outcome.err == ""

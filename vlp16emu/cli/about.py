@@ -2,14 +2,25 @@
 
 import os
 import time
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from vlp16emu.cli.arguments import AsJson, RunOptions, SceneName, Settings
-from vlp16emu.cli.printer import count, print_json, print_rows, print_table, rows_of, size, table_of, text_of, tree_of
+from vlp16emu.cli.arguments import AsJson, PlotFile, RunOptions, SceneName, Settings
+from vlp16emu.cli.printer import (
+    count,
+    print_file,
+    print_json,
+    print_rows,
+    print_table,
+    report_of,
+    rows_of,
+    size,
+    table_of,
+    text_of,
+    tree_of,
+)
 from vlp16emu.cli.terminal import Progress, compile_first, make_emulator
 from vlp16emu.errors import InputError
 from vlp16emu.run.options import Duration, Option
@@ -17,6 +28,7 @@ from vlp16emu.run.options import Duration, Option
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from vlp16emu.extras.accuracy.intervals import Interval
     from vlp16emu.extras.accuracy.sweep import Accuracy, LevelOfDetail
 
 
@@ -56,49 +68,68 @@ _TOO_SLOW = (
 )
 
 
-def plan(scene: SceneName, making: RunOptions, *, duration_s: Duration = None, as_json: AsJson = False) -> None:
-    """Report what a scene needs and what it leaves out, what a recording takes, and whether a stream keeps up.
+def plan(
+    scene: SceneName,
+    making: RunOptions,
+    *,
+    duration_s: Duration = None,
+    plot: PlotFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Report what a scene needs and leaves out, what its stages and a recording cost, and whether a stream keeps up.
 
     The world is grown, the kernels are loaded, and two seconds are recorded without a file: the speed holds for this
     machine at its present load. It does not include the new window of the world that a walk needs every 7 s; the time of a
     recording does.
     """
+    from vlp16emu.extras.plot.sheet import plotting
+
+    with plotting(plot) as draw:
+        report = report_of("plan", _plan(scene, making, duration_s))
+        draw(report)
+    if as_json:
+        print_json(report)
+        return
+    for title, on in (("has", True), ("leaves out", False)):
+        if features := {need["name"]: need["costs"] for need in report["features"] if need["on"] is on}:
+            print_rows(f"{scene} {title}", features)
+    print_rows("in reach", rows_of(report["world"]))
+    print_rows("libraries", {name: "loaded" if on else "left out" for name, on in report["libraries"].items()})
+    costs = {stage["name"]: f"{stage['cpu_s_per_s']:.3f}" for stage in report["stages"]}
+    print_rows("cost by stage, seconds of one core per simulated second", costs)
+    print_rows(f"measured now, on {report['threads']} threads", rows_of(report["measured"]))
+    print_rows("recording, estimated", rows_of(report["recording"]))
+    print_rows("stream", rows_of(report["stream"]))
+    if not report["stream"]["keeps_up"]:
+        print(_TOO_SLOW)
+    print_file(plot)
+
+
+def _plan(scene: str, making: RunOptions, duration_s: float | None) -> dict[str, Any]:
+    """Measure a scene, and return its plan."""
     began_s = time.perf_counter()
     emulator = make_emulator(scene, making)
     _, stop_s = emulator.scenario.span_s(0.0, duration_s)
     emulator.packets(0.0, stop_s)  # not taken: it refuses a walk that ends before
-    from vlp16emu.extras.plan import libraries, needs, recording_outlook, stream_outlook, surroundings
+    from vlp16emu.extras.plan import libraries, needs, recording_outlook, stages, stream_outlook, surroundings
 
     emulator.record(os.devnull, duration_s=min(0.1, emulator.scenario.duration_s))
     started_s = time.perf_counter() - began_s
     measured = emulator.record(os.devnull, duration_s=min(_MEASURED_S, emulator.scenario.duration_s))
     audited, engine = measured.audit is not None and not measured.audit.exact, emulator.engine
-    stream = stream_outlook(emulator.scenario, measured.real_time_factor)
-    tree: dict[str, Any] = {
+    return {
         "scene": scene,
         "seed": emulator.scenario.seed,
         "threads": engine.threads,
         "libraries": libraries(),
         "features": needs(engine, audited=audited),
         "world": surroundings(engine),
+        "stages": stages(engine),
         "measured": {"started_s": started_s}
         | {name: getattr(measured, name) for name in ("simulated_s", "wall_s", "real_time_factor")},
         "recording": recording_outlook(engine, measured, started_s, stop_s),
-        "stream": stream,
+        "stream": stream_outlook(emulator.scenario, measured.real_time_factor),
     }
-    if as_json:
-        print_json(tree)
-        return
-    for title, on in (("has", True), ("leaves out", False)):
-        if features := {need.name: need.costs for need in tree["features"] if need.on is on}:
-            print_rows(f"{scene} {title}", features)
-    print_rows("in reach", rows_of(tree["world"]))
-    print_rows("libraries", {name: "loaded" if on else "left out" for name, on in tree["libraries"].items()})
-    print_rows(f"measured now, on {engine.threads} threads", rows_of(tree["measured"]))
-    print_rows("recording, estimated", rows_of(tree["recording"]))
-    print_rows("stream", rows_of(stream))
-    if not stream["keeps_up"]:
-        print(_TOO_SLOW)
 
 
 def doctor(*, as_json: AsJson = False) -> None:
@@ -178,6 +209,11 @@ def forest(
         Path | None, Option("Write the true height of the ground as an ESRI ASCII grid of 0.25 m cells.", "OUT.asc")
     ] = None,
     glb: Annotated[Path | None, Option("Write a digital twin as glTF, its nodes named by labels.", "OUT.glb")] = None,
+    bark: Annotated[
+        bool,
+        Option("Also find the share of each stem's bark at 1.3 m that the sensor sees from its path.", name="--seen"),
+    ] = False,
+    plot: PlotFile = None,
     as_json: AsJson = False,
 ) -> None:
     """Report what stands along the path of the sensor.
@@ -185,42 +221,61 @@ def forest(
     The report lists trees by species, their spatial pattern, the relief, and objects on the ground, all within the
     radius of the path; for a hall, its objects.
     """
+    from vlp16emu.extras.plot.sheet import plotting
     from vlp16emu.output import spare
     from vlp16emu.scenario import find, load, named_files
 
     given = zip(_SUFFIXES, (inventory, stems, ground, glb), strict=True)
     wanted = {name: path for name, path in given if path is not None}
     scenario = load(scene, settings or ())
+    inputs = [find(scene), *named_files(scenario)]
     for name, path in wanted.items():  # before anything heavy
-        spare([find(scene), *named_files(scenario)], path)
+        spare(inputs, path)
         if path.suffix != (suffix := _SUFFIXES[name]):
             raise InputError(f"{name} {path}", f"found suffix '{path.suffix}'", suffix)
-    compile_first(scenario.world.kind)
-    from vlp16emu.extras.survey import write_survey
+    with plotting(plot, inputs) as draw:
+        compile_first(scenario.world.kind)
+        from vlp16emu.extras.survey import write_survey
 
-    with Progress(0.0):
-        summary = write_survey(scene, scenario, radius_m, wanted)
-    if as_json:
+        with Progress(0.0):
+            summary = write_survey(scene, scenario, radius_m, wanted, bark=bark)
         written = {name.removeprefix("--"): str(path) for name, path in wanted.items()}
-        print_json({**tree_of(summary), "files": written})
+        report = report_of("forest", {**summary, "files": written})
+        draw(report)
+    if as_json:
+        print_json(report)
         return
     _print_forest(summary)
-    for path in wanted.values():
-        print(f"wrote {path}, {size(path.stat().st_size)}")
+    for file in (*wanted.values(), plot):
+        print_file(file)
+
+
+_MAPPED = "stems", "ground", "profile", "hall_m"  # members that only plots and programs use
 
 
 def _print_forest(summary: dict[str, Any]) -> None:
     figures = dict(summary)
-    tables = {name: figures.pop(name, ()) for name in ("scene", "title", "trees", "things", "named")}
+    tables = {name: figures.pop(name, ()) for name in ("scene", "title", "trees", "things", "named", *_MAPPED)}
     print_rows(f"{summary['scene']}: {summary['title']}", rows_of(figures))
     if tables["trees"]:
         print_table(table_of(tables["trees"]))
+    if seen := dict(tables["stems"] or {}).get("bark_seen"):
+        print_rows("stems within the radius, by the share of their bark at 1.3 m that the path sees", _classes(seen))
     if tables["things"]:
         print_rows("on the ground", {kind: text_of(things) for kind, things in tables["things"].items()})
     if tables["named"]:
         print_rows("things", {one["name"]: text_of(one) for one in tables["named"]})
 
 
+def _classes(shares: list[float]) -> dict[str, str]:
+    """Return the number of shares in each class; half of the bark allows the fit of a circle."""
+    counts = {"none": 0, "under a quarter": 0, "under a half": 0, "a half and more": 0}
+    for share in shares:
+        counts[list(counts)[(share > 0) + (share >= 0.25) + (share >= 0.5)]] += 1
+    return {name: count(number) for name, number in counts.items()}
+
+
+_MOST_PULSES = 1_000_000
 _TIMES = 8  # factor on the pulses for means of worlds, whose single pulses cannot be compared
 
 
@@ -228,7 +283,8 @@ def accuracy(
     scene: SceneName,
     *,
     settings: Settings = None,
-    pulses: Annotated[int, Option("Number of pulses to evaluate.", "N", ge=128, le=1_000_000)] = 8192,
+    pulses: Annotated[int, Option("Number of pulses to evaluate.", "N", ge=128, le=_MOST_PULSES)] = 8192,
+    plot: PlotFile = None,
     as_json: AsJson = False,
 ) -> None:
     """Measure the error and the cost of settings of the beam and of foliage.
@@ -238,48 +294,86 @@ def accuracy(
     explicit one by means over 8 times as many pulses.
     In a rig, the first sensor is evaluated.
     """
-    from vlp16emu.scenario import load
+    from vlp16emu.extras.plot.sheet import plotting
+    from vlp16emu.scenario import find, load, named_files
 
     scenario = load(scene, settings or [])
-    compile_first(scenario.world.kind)
-    from vlp16emu.extras.accuracy.sweep import choices, measure_accuracy, measure_foliage
+    with plotting(plot, [find(scene), *named_files(scenario)]) as draw:
+        compile_first(scenario.world.kind)
+        from vlp16emu.extras.accuracy.sweep import choices, measure_accuracy, measure_foliage
 
-    with Progress(whole_s := scenario.duration_s) as bar:
-        show = lambda share: bar.show("measuring", share * whole_s)  # noqa: E731
-        measured = measure_accuracy(scenario, Path(scene).stem, pulses=pulses, done=show)
-        show = lambda share: bar.show("comparing worlds", share * whole_s)  # noqa: E731
-        foliage = measure_foliage(scenario, pulses=_TIMES * pulses, done=show)
-    best = choices(measured.rows)
-    if as_json:
+        with Progress(whole_s := scenario.duration_s) as bar:
+            show = lambda share: bar.show("measuring", share * whole_s)  # noqa: E731
+            measured = measure_accuracy(scenario, Path(scene).stem, pulses=pulses, done=show)
+            show = lambda share: bar.show("comparing worlds", share * whole_s)  # noqa: E731
+            foliage = measure_foliage(scenario, pulses=_TIMES * pulses, done=show)
+        best = choices(measured.rows)
         taken = [{"wanted_m": wanted_m, "take": name} for name, wanted_m in best.items()]
-        found = {**tree_of(measured), "foliage": foliage, "choices": taken}
-        print_json({"written_by": f"vlp16emu {version('vlp16emu')}", **found})
+        report = report_of("accuracy", {**tree_of(measured), "foliage": foliage, "choices": taken})
+        draw(report)
+    if as_json:
+        print_json(report)
         return
     _print_accuracy(measured)
     if foliage:
         _print_foliage(foliage)
     words = "; ".join(f"{wanted_m:g} m: {name}" for name, wanted_m in best.items())
     print(f"For a mean error of {words}" if words else "No setting has a mean error below 0.5 m")
+    print_file(plot)
 
 
 def _print_accuracy(measured: "Accuracy") -> None:
-    """Print settings of the beam as a table; a star marks the one in use."""
+    """Print settings of the beam as a table, with intervals; a star marks the one in use."""
     errors = measured.rows[0].errors
     print(f"{measured.scene}, seed {measured.seed}: error against run time")
     print(
         f"  {count(errors.pulses)} pulses, {count(errors.returns)} with a return; answer of "
         f"{count(measured.answer_rays)} sub-rays, itself wrong by {1e3 * measured.answer_rmse_m:.2f} mm\n"
     )
-    heads = "us/pulse", "+-", "rays", "mean mm", "RMSE", "bias", "p95", "lost %", "invented", "wrong", "last", "refl."
+    heads = "us/pulse", "rays", *(head for head, _ in _COLUMNS.values())
     lines = [["setting of the beam", *heads]]
     for row in measured.rows:
-        e = row.errors
-        lengths_m = e.mean_error_m, e.range_rmse_m, e.range_bias_m, e.range_p95_m
-        cells = [f"{row.us_per_pulse:.2f}", f"{row.us_spread / 2:.2f}", f"{row.rays_per_pulse:.1f}"]
-        cells += [f"{1e3 * length_m:.{1 if length_m >= 1e-3 else 2}f}" for length_m in lengths_m]
-        cells += [f"{100 * share:.2f}" for share in (e.lost, e.invented, e.wrong_strongest, e.wrong_last)]
-        lines.append([_starred(row.name, in_use=row.in_use), *cells, f"{e.reflectivity_rmse:.2f}"])
+        cells = [f"{row.us_per_pulse:.2f}", f"{row.rays_per_pulse:.1f}"]
+        for name, (_, unit) in _COLUMNS.items():
+            value = unit * getattr(row.errors, name)
+            cells.append(f"{value:.{max(_digits(value), 1)}f}")
+        lines.append([_starred(row.name, in_use=row.in_use), *cells])
+        ends = [_interval(name, row.intervals[name]) for name in _COLUMNS]
+        lines.append(["  95 %", f"+-{row.us_spread / 2:.2f}", "", *ends])
     print_table(lines)
+    more = 4 * errors.pulses  # an interval shrinks with the root of the number of pulses
+    halve = f"--pulses {more} halves them" if more <= _MOST_PULSES else "no more pulses can be evaluated"
+    print(
+        f"  95 %: interval of an error for all pulses of the scene; {halve}. ? is an interval wider than a factor of ten.\n"
+        "  +-: half of the range of repeated run times."
+    )
+
+
+_COLUMNS: dict[str, tuple[str, float]] = {
+    "mean_error_m": ("mean mm", 1e3),
+    "range_rmse_m": ("RMSE", 1e3),
+    "range_bias_m": ("bias", 1e3),
+    "range_p95_m": ("p95", 1e3),
+    "lost": ("lost %", 100.0),
+    "invented": ("invented", 100.0),
+    "wrong_strongest": ("wrong", 100.0),
+    "wrong_last": ("last", 100.0),
+    "reflectivity_rmse": ("refl.", 1.0),
+}
+"""Head and unit of the columns of errors."""
+
+
+def _interval(name: str, ends: "Interval") -> str:
+    """Format an interval in the unit of its column."""
+    if ends is None:
+        return "?"
+    values = [_COLUMNS[name][1] * end for end in ends]
+    return "..".join(f"{value:.{_digits(value)}f}" for value in values)
+
+
+def _digits(value: float) -> int:
+    """Return the decimals of a number with about two significant digits."""
+    return next((digits for least, digits in ((10.0, 0), (1.0, 1)) if abs(value) >= least), 2)
 
 
 def _print_foliage(levels: "Sequence[LevelOfDetail]") -> None:

@@ -70,4 +70,8 @@ WhichClock = Annotated[
         shown=False,
     ),
 ]
+PlotFile = Annotated[
+    Path | None,
+    Option("Also draw the report into a file, .png, .svg or .pdf; needs the extra 'plot'.", "FILE", "--plot"),
+]
 AsJson = Annotated[bool, Option("Print one JSON object and nothing else.", name="--json")]

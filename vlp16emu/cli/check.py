@@ -1,14 +1,13 @@
 """Verbs that check and compare: verify, compare, fit and score."""
 
 import json
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from vlp16emu.cli.arguments import AsJson, CaptureFile, UnitName
-from vlp16emu.cli.printer import print_json, print_rows, rows_of, tree_of
+from vlp16emu.cli.arguments import AsJson, CaptureFile, PlotFile, UnitName
+from vlp16emu.cli.printer import print_file, print_json, print_rows, report_of, rows_of, tree_of
 from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.extras.options import ScoreInputs
 from vlp16emu.run.options import Option
@@ -122,6 +121,7 @@ def compare(
     file: CaptureFile,
     other: Annotated[Path, Option("The capture to compare it with.", name="OTHER.pcap")],
     *,
+    plot: PlotFile = None,
     as_json: AsJson = False,
 ) -> None:
     """Compare two captures, emulated or real, by the statistics that distinguish units.
@@ -130,23 +130,34 @@ def compare(
     each capture is read. Scatter of ranges and of reflectivity also depends on the scene: compare walls with walls,
     foliage with foliage.
     """
-    from vlp16emu.extras.compare import compared, read_sequences
+    from vlp16emu.extras.compare import compared, histograms_of, read_sequences
+    from vlp16emu.extras.plot.sheet import plotting
 
-    rows = compared(read_sequences(file), read_sequences(other))
-    apart = [row.name for row in rows if row.apart]
+    with plotting(plot, [file, other]) as draw:
+        sequences = read_sequences(file), read_sequences(other)
+        rows = compared(*sequences)
+        apart = [row.name for row in rows if row.apart]
+        found = {"files": [file, other], "apart": apart, "statistics": [row._asdict() for row in rows]}
+        report = report_of("compare", {**found, "histograms": histograms_of(*sequences)})
+        draw(report)
     if as_json:
-        found = [row._asdict() for row in rows]
-        print_json({"files": [str(file), str(other)], "apart": apart, "statistics": found})
+        print_json(report)
         return
     head = {"": "     first     second   distance"}
     print_rows(f"{file} and {other}", head | {row.text: _line(row) for row in rows})
     print(f"{len(apart)} of {len(rows)} statistics differ by more than real units do")
+    if both := sum(all(row.unlike) for row in rows):
+        print(f"{both} are like no real unit in both captures (*): the real ones show rooms and streets, not foliage")
+    print_file(plot)
 
 
 def _line(row: "Compared") -> str:
-    unlike = [name for name, is_unlike in zip(("first", "second"), row.unlike, strict=True) if is_unlike]
-    notes = (["differs"] if row.apart else []) + [f"{name} like no real unit" for name in unlike]
-    return f"{row.first:10.4g} {row.second:10.4g} {row.distance:10.2f}  {', '.join(notes)}".rstrip()
+    """Format a statistic, with a note if the captures differ, or if only one of them is like real units."""
+    notes = ["differs"] if row.apart else []
+    if row.unlike[0] != row.unlike[1]:
+        notes.append(f"{'first' if row.unlike[0] else 'second'} like no real unit")
+    mark = "*" if all(row.unlike) else " "
+    return f"{row.first:10.4g} {row.second:10.4g} {row.distance:10.2f}{mark} {', '.join(notes)}".rstrip()
 
 
 def fit(
@@ -180,23 +191,54 @@ def score(
     require: Annotated[
         list[str] | None, Option("A threshold; exit code 1 if it is missed. Repeatable.", "SCORE<NUMBER")
     ] = None,
+    out: Annotated[
+        Path | None,
+        Option("Also write the scores as a page with pictures, to hand on; needs the extra 'plot'.", "FILE.html"),
+    ] = None,
+    plot: PlotFile = None,
     as_json: AsJson = False,
 ) -> None:
     """Score a pipeline's trajectory, map, labels and stems against the truth of a run.
 
     Scores each result that is given, from files of any tool. The exit code is 1 if a threshold is missed.
     """
+    from vlp16emu.extras.plot.page import page_writing
+    from vlp16emu.extras.plot.sheet import plotting
     from vlp16emu.extras.score.card import limits_of, make_card
 
     limits = limits_of(require or ())
-    card = make_card(inputs)
-    missed = card.missed(limits)
+    files = [path for path in vars(inputs).values() if isinstance(path, Path)]
+    if plot is not None and not (inputs.trajectory or inputs.stems):
+        raise InputError(f"--plot {plot}", "found nothing to draw", "--trajectory or --stems")
+    with plotting(plot, files) as draw, page_writing(out, files) as write:
+        card = make_card(inputs)
+        missed = card.missed(limits)
+        report = report_of("score", {**tree_of(card), "missed": missed})
+        draw(report)
+        write(report)
     if as_json:
-        print_json({"written_by": f"vlp16emu {version('vlp16emu')}", **tree_of(card), "missed": missed})
+        print_json(report)
     else:
         print_rows("scores", {name: f"{value:.6g}" for name, value in card.scores.items()})
         print_rows("measured", card.notes)
         for line in missed:
             print(f"missed: {line}")
+        print_file(plot)
+        print_file(out)
     if missed:
         raise typer.Exit(1)
+
+
+def plot(
+    report: Annotated[Path, Option("Report that a command has printed with --json.", name="REPORT.json")],
+    out: Annotated[Path, Option("File to write: .png, .svg or .pdf.", name="OUT")],
+) -> None:
+    """Draw a report of accuracy, compare, forest, plan or score that was printed with --json.
+
+    The picture equals that of their option --plot. Needs the extra 'plot'.
+    """
+    from vlp16emu.extras.plot.sheet import plotting, read_report
+
+    with plotting(out, [report], where="OUT") as draw:
+        draw(read_report(report))
+    print_file(out)

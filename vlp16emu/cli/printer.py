@@ -1,9 +1,11 @@
 """Results on standard output: as JSON, or as rows for people."""
 
 import json
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +33,7 @@ _LABELS = {
     "wall_s": "run time",
     "walk_share": "of the walk",
 }
+_NUMBERS = re.compile(r"\[\n([^][{}\"]*)\]")  # a list of numbers as `json` indents it; text never holds a line feed
 _WIDEST = 10.0  # ratio of the ends of an interval; beyond it not even the order of magnitude is known
 
 
@@ -52,8 +55,19 @@ def finish(result: Any, title: str | None = None, *, as_json: bool) -> None:
 
 
 def print_json(result: Any) -> None:
-    """Print one JSON object."""
-    print(json.dumps(tree_of(result), indent=2))
+    """Print one JSON object, each list of numbers on one line."""
+    print(_NUMBERS.sub(lambda found: f"[{' '.join(found[1].split())}]", json.dumps(tree_of(result), indent=2)))
+
+
+def report_of(verb: str, tree: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the report of a verb in JSON types; `vlp16emu plot` draws it by its member `report`."""
+    return {"report": verb, "written_by": f"vlp16emu {version('vlp16emu')}", **tree_of(tree)}
+
+
+def print_file(path: Path | None) -> None:
+    """Print that a file was written, with its size, unless none was wanted or it is standard output."""
+    if path is not None and path.is_file():
+        print(f"wrote {path}, {size(path.stat().st_size)}")
 
 
 def print_rows(title: str, rows: Mapping[str, str]) -> None:

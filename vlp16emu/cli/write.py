@@ -259,7 +259,8 @@ def picture(
         if is_capture:
             source = source_of_capture(Path(scene), trajectory, span)
         else:
-            source = source_of_scene(make_emulator(scene, changes).stopped_by(stop), span)
+            emulator = make_emulator(scene, changes).stopped_by(stop)
+            source = source_of_scene(emulator, span, Path(scene).stem)
         made = draw_picture(source, out, look, stop)
     finish(made, as_json=as_json)
 

@@ -1,6 +1,6 @@
 """Colours of species, parts and kinds of objects, for pictures, the page and twins.
 
-They are the colours that people expect of a species, not its look at 903 nm.
+They are colours that people expect of a species as far as all readers can distinguish them, not its look at 903 nm.
 """
 
 from collections.abc import Mapping
@@ -24,7 +24,12 @@ PART_RGB: dict[str, Rgb] = {name: tuple(rgb) for name, rgb in _TABLES["parts"].i
 
 def colour_of_species(name: str) -> Rgb:
     """Return the colour of a species' foliage; plain green for a user's species."""
-    return _PLANTS.get(name, _PLANTS[""])[0]
+    return colours_of_plant(name)[0]
+
+
+def colours_of_plant(name: str) -> tuple[Rgb, Rgb]:
+    """Return the colours of a species' foliage and of its bark."""
+    return _PLANTS.get(name, _PLANTS[""])
 
 
 def colour_of_kind(kind: str) -> Rgb:
@@ -40,7 +45,7 @@ def surface_colours(surfaces: NDArray[np.void], species: Mapping[int, str]) -> U
     def colour(kind: Semantic, part: int, plant: str) -> Rgb:
         if kind not in (Semantic.TREE, Semantic.SHRUB):
             return colour_of_kind(kind.name.lower())
-        return _PLANTS.get(plant, _PLANTS[""])[part != PlantPart.LEAF]
+        return colours_of_plant(plant)[part != PlantPart.LEAF]
 
     colours = [colour(Semantic(s), p, species.get(n, "")) for s, p, n in different.tolist()]
     return np.array(colours, np.uint8).reshape(-1, 3)[which.ravel()]

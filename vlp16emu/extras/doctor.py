@@ -57,6 +57,7 @@ _EXTRAS = {
     "data": (("pyarrow",), "--truth-returns, labels of captures"),
     "dem": (("rasterio",), "heights from GeoTIFF files (world.dem)"),
     "picture": (("PIL",), "picture"),
+    "plot": (("matplotlib",), "plot, --plot, score --out"),
     "ros": (("rosbags",), "bag, record into bags"),
     "score": (("evo",), "score"),
     "viewer": (("tomlkit", "viser", "websockets"), "view"),

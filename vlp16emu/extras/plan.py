@@ -4,10 +4,11 @@ import math
 import sys
 import time
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
-from vlp16emu.engine import Engine
+from vlp16emu.engine import Engine, Job, Unit
 from vlp16emu.engine.windows import window_of
 from vlp16emu.extras.keep_up import choose, settings_that_keep_up
 from vlp16emu.extras.meshes.furnished import MeshKey
@@ -18,9 +19,16 @@ from vlp16emu.forest.plants.stem import StemKey
 from vlp16emu.forest.stand.floor_shapes import FloorKey
 from vlp16emu.forest.stand.tree_models import ModelKey
 from vlp16emu.forest.tiles import TileKey
+from vlp16emu.packets import pack_data
+from vlp16emu.raycast.caster import Geometry
+from vlp16emu.raycast.texture import add_texture
+from vlp16emu.returns.detect import detect
 from vlp16emu.run.report import Recording
 from vlp16emu.scenario import Scenario
+from vlp16emu.types import ReturnMode, SensorModel
 from vlp16emu.units import S_NS
+
+T = TypeVar("T")
 
 _KINDS = {
     CrownKey: "trees",
@@ -33,6 +41,9 @@ _KINDS = {
     MeshKey: "meshes",
 }
 _LIBRARIES = ("numpy", "numba", "scipy", "embreex", "dpkt", "trimesh", "rasterio", "PIL", "rich", "serial")
+_RUNS = 4  # over the first window
+_REPEATS = 3
+_RAYS = 8  # firing sequences that casters take together
 _SCARCE = 1.2  # speed below which other programs, for instance a driver on the same machine, may make a stream late
 
 
@@ -96,6 +107,74 @@ def surroundings(engine: Engine) -> dict[str, Any]:
     species = tuple(sorted({name for name in named if name is not None}))
     kind = engine.scenario.world.kind
     return {"kind": kind, "species": species, "placed": dict(placed), "surfaces": len(window.surfaces)}
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """Cost of a stage of the chain."""
+
+    name: str
+    cpu_s_per_s: float  # processor seconds of one core per simulated second
+
+
+def stages(engine: Engine) -> list[Stage]:
+    """Measure the stages of the chain with the first sensor, in the order of the chain: the best of some repeats.
+
+    Each works on the same pulses, spread over the first window, as many at once as in a run. Rays that end at
+    `world.near_m` give the first stage of casting, and the further cost of the full range the second one. Opening a
+    window is the processor time of all threads for the second one, as the sensor moves.
+    """
+    unit, parts = engine.parts.units[0], engine.parts
+    count = unit.beam.together * engine.batching.block * engine.batching.parts
+    segment = engine.batching.segment * engine.batching.block
+    geometry = engine.windows.at_block(0).result()
+    spent_s = dict[str, float]()
+    for first in range(0, segment, segment // _RUNS):
+        for name, own_s in _stages_at(engine, unit, geometry, first // _RAYS * _RAYS, count).items():
+            spent_s[name] = spent_s.get(name, 0.0) + own_s
+    simulated_s = _RUNS * count * engine.batching.sequence_ns / S_NS
+    found = [Stage(name, own_s / simulated_s) for name, own_s in spent_s.items()]
+    if parts.moves:
+        began_s = time.process_time()
+        engine.windows.at_block(engine.batching.segment).result()
+        opened_s = (time.process_time() - began_s) * S_NS / (segment * engine.batching.sequence_ns)
+        found.insert(0, Stage("open windows of the world", opened_s))
+    return found
+
+
+def _stages_at(engine: Engine, unit: Unit, geometry: Geometry, first: int, count: int) -> dict[str, float]:
+    """Return the processor time of the stages over `count` firing sequences from number `first`, in seconds."""
+    head, sensor, world = unit.head, engine.scenario.sensor, engine.parts.world
+    job = Job(unit, unit.detector, range(first // engine.batching.block, 1), engine.batching.block, world.seed)
+    spent_s = dict[str, float]()
+
+    def timed(name: str, work: Callable[[], T]) -> T:
+        times_s = []
+        for _ in range(_REPEATS):
+            began_s = time.thread_time()
+            result = work()
+            times_s.append(time.thread_time() - began_s)
+        spent_s[name] = min(times_s)
+        return result
+
+    t_ns = head.times_ns(first, count).reshape(-1)
+    poses = timed("poses of pulses", lambda: unit.motion.poses_at(t_ns))
+    firings = timed("aim", lambda: head.aim(first, count, lambda _: poses, beam_axis=unit.beam.has_width))
+    far_m, near_m = sensor.max_range_m, min(sensor.max_range_m, 0.999 * world.near_m)  # no ray goes on into the medium
+    timed("cast, near", lambda: geometry.cast(firings, head.beams.near_m, near_m, unit.beam))
+    hits = timed("cast, far", lambda: geometry.cast(firings, head.beams.near_m, far_m, unit.beam))
+    spent_s["cast, far"] = max(spent_s["cast, far"] - spent_s["cast, near"], 0.0)
+    for tap in engine.taps:
+        timed("audit", lambda tap=tap: tap(job, firings, hits, geometry))  # type: ignore[misc]
+    timed("texture", lambda: add_texture(firings, hits, geometry.surfaces, world.seed))
+    if unit.optics is not None:
+        optics = unit.optics
+        hits = timed("window", lambda: optics.dimmed(firings, hits))
+    returns = timed("detect", lambda: detect(firings, hits, geometry.surfaces, unit.detector, truth=False))
+    if sensor.model in {model.value for model in SensorModel}:
+        mode = ReturnMode(sensor.return_mode)
+        timed("pack", lambda: pack_data(returns, mode, SensorModel(sensor.model), unit.number))
+    return spent_s
 
 
 def libraries() -> dict[str, bool]:

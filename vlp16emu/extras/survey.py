@@ -15,6 +15,7 @@ from vlp16emu.engine import Parts, assemble
 from vlp16emu.errors import InputError
 from vlp16emu.extras.colours import surface_colours
 from vlp16emu.extras.meshes.furnished import Furnished
+from vlp16emu.extras.stand_map import bark_seen, map_of
 from vlp16emu.foliage.polyline import Polyline
 from vlp16emu.forest.ground.dem import write_ascii
 from vlp16emu.forest.plants.prototypes import CrownKey
@@ -250,17 +251,19 @@ def summary_of(scene: str, scenario: Scenario, seen: Survey, rows: NDArray[np.vo
         ],
     }
     if seen.hall is not None:
-        return summary
+        return summary | {"hall_m": list(seen.hall.size_m)}
     cells = cells_near(path_xy_m, seen.radius_m)
     ground_m2 = len(cells) * CELL_M**2
     xy_m, all_xy_m = (places_m(trees, "xy") for trees in (seen.near, seen.trees))
+    near = rows[np.isin(rows["id"], seen.near["id"])]
     return summary | {
         "area_ha": ground_m2 / 10_000,
         "relief": relief(cells, seen.bare.height_m),
-        "trees": stand_rows(rows[np.isin(rows["id"], seen.near["id"])], seen.species, ground_m2),
+        "trees": stand_rows(near, seen.species, ground_m2),
         "clark_evans": clark_evans(xy_m, all_xy_m, ground_m2) if len(xy_m) > 1 else None,
         "things": _things(seen, ground_m2),
         "trees_in_reach": len(seen.trees),  # within the sensor's range
+        **map_of(seen.path_m, near, seen.species, seen.bounds_m, seen.bare.height_m),
     }
 
 
@@ -278,17 +281,30 @@ def _things(seen: Survey, ground_m2: float) -> dict[str, dict[str, Any]]:
     return kinds
 
 
-def write_survey(scene: str, scenario: Scenario, radius_m: float, wanted: Mapping[str, Path]) -> dict[str, Any]:
+def write_survey(
+    scene: str, scenario: Scenario, radius_m: float, wanted: Mapping[str, Path], *, bark: bool = False
+) -> dict[str, Any]:
     """Survey a scene, write the files of the options in `wanted`, and return the summary.
+
+    With `bark` its stems have the share of their bark that is seen from the path.
 
     The files are opened before any long computation, and get their names together at the end. Raises InputError as
     `survey`; OutputError if a file cannot be created.
     """
     with ExitStack() as stack:
         outputs = {name: stack.enter_context(OutputFile(path, where=f"{name} {path}")) for name, path in wanted.items()}
-        seen = survey(scenario, radius_m)
+        seen = survey(scenario, radius_m, parts := assemble(scenario))
         rows = seen.inventory(seen.trees if "--inventory" in wanted else seen.near)
         summary = summary_of(scene, scenario, seen, rows)
+        if bark and "stems" in summary:
+            near = rows[np.isin(rows["id"], seen.near["id"])]
+            elevation_deg = parts.head.beams.elevation_deg
+            field_deg = float(elevation_deg.min()), float(elevation_deg.max())
+            reach_m = scenario.sensor.max_range_m
+            share = bark_seen(
+                seen.path_m, near, seen.world, seen.window, scenario.start_ns, reach_m=reach_m, field_deg=field_deg
+            )
+            summary["stems"]["bark_seen"] = np.round(share, 3).tolist()
         for name, output in outputs.items():
             file = stack.enter_context(output.writing())
             _write(name, file, seen, rows)

@@ -343,3 +343,51 @@ def test_an_inventory_without_trees_has_none_to_find(tmp_path):
     np.savez(true, xyz=np.zeros((2, 3)), instance=[1, 2], part=[0, 0])
     card = make_card(ScoreInputs(tmp_path, stems=stems, inventory=trees, truth_points=true))
     assert [row.kind for row in card.trees] == ["false"]
+
+
+def test_a_report_has_the_errors_along_the_path(truth, capsys):
+    """An estimate that stays behind has its error at each pose over time and distance, thinned to a thousand poses, and the drift of each ten metres."""
+    rows = np.loadtxt(truth / "trajectory.tum")
+    fine = np.column_stack([np.interp(np.linspace(1000, 1009, 3001), rows[:, 0], column) for column in rows.T])
+    fine[:, 6:] /= np.linalg.norm(fine[:, 6:], axis=1, keepdims=True)
+    fine[:, 1] *= 0.99
+    np.savetxt(truth / "slow.tum", fine, fmt="%.9f")
+    _, card = scored(capsys, truth, "--trajectory", truth / "slow.tum", "--align", "none")
+    path = card["path"]
+    assert len(path["time_s"]) == len(path["error_m"]) == 1000
+    assert (path["time_s"][0], path["time_s"][-1]) == (0.0, 9.0)
+    assert path["distance_m"][-1] == pytest.approx(9 * 0.9, abs=0.1)
+    assert path["error_m"] == pytest.approx(0.01 * np.abs(path["true_x_m"]), abs=2e-3)
+    assert path["drift_percent"] == []  # the path is shorter than 10 m
+    assert card["reference"] is None  # this truth has no scenario
+
+
+def test_trees_have_their_distance_from_the_path(truth, capsys):
+    """The range of a tree, found or missed, is its distance from the nearest point of the true path; without a path it is unknown."""
+    _, card = scored(capsys, truth, "--stems", truth / "trees.csv", "--inventory", truth / "trees.csv")
+    ranges = {row["true_id"]: row["range_m"] for row in card["trees"]}
+    assert ranges["3"] == pytest.approx(math.hypot(80 - 9 * math.sin(0.99), 3 - 9 * (1 - math.cos(0.99))), abs=0.1)
+    assert ranges["1"] == pytest.approx(9 - math.hypot(4, 9 - 3), abs=0.1)  # from the arc about (0, 9)
+    (truth / "rig.json").unlink()
+    _, card = scored(capsys, truth, "--stems", truth / "trees.csv", "--inventory", truth / "trees.csv")
+    assert {row["range_m"] for row in card["trees"]} == {None}
+
+
+def test_scores_are_written_as_a_page(truth, tmp_path):
+    """`--out` writes a page and `--plot` a picture, a missed threshold is on the page, and the exit code is that of the threshold."""
+    pytest.importorskip("matplotlib", reason="the extra plot is not installed")
+    page, picture = tmp_path / "a.html", tmp_path / "a.svg"
+    inputs = [
+        "--trajectory",
+        truth / "trajectory.tum",
+        "--stems",
+        truth / "trees.csv",
+        "--inventory",
+        truth / "trees.csv",
+    ]
+    words = [*inputs, "--require", "stem_f1>2", "--out", page, "--plot", picture]
+    assert app.run(["score", *map(str, [truth, *words])]) == 1
+    assert "missed: stem_f1 is 1, required &gt; 2" in page.read_text()
+    assert "<td>trees.csv</td>" not in page.read_text()
+    assert f"<td>{truth / 'trees.csv'}</td>" in page.read_text()
+    assert 'id="found-path"' in picture.read_text()

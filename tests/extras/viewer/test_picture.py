@@ -91,6 +91,51 @@ def test_a_bar_of_ten_metres_and_a_scale_stand_beside_the_points(tmp_path):
     assert (scale[0].tolist(), scale[-1].tolist()) == ([253, 231, 37], [68, 1, 84])
 
 
+def test_title_and_legend_name_what_is_drawn(tmp_path, monkeypatch):
+    """The title has scene and time, the scale its quantity and unit, a capture its file and UTC; a long title is cut before the legend."""
+    from PIL import ImageDraw
+
+    written, write = [], ImageDraw.ImageDraw.text
+    monkeypatch.setattr(
+        ImageDraw.ImageDraw,
+        "text",
+        lambda draw, place, words, *more: (written.append(words), write(draw, place, words, *more)),
+    )
+    assert run(["picture", "static_bench", str(tmp_path / "a.png"), *SMALL, "--colour", "range"]) == 0
+    assert {"range, m", "10 m"} <= set(written)
+    assert any(words.startswith("static_bench: A static sensor") for words in written)
+    assert any(words.startswith("0 to 0.4 s; ") for words in written)
+    written.clear()
+    assert run(["picture", "static_bench", str(tmp_path / "a.png"), *SMALL, "--colour", "class"]) == 0
+    assert {"Ground", "Other"} & set(written)
+    assert any(words.endswith("...") for words in written)
+    Emulator("static_bench").record(tmp_path / "a.pcap", duration_s=0.3)
+    written.clear()
+    assert run(["picture", str(tmp_path / "a.pcap"), str(tmp_path / "a.png")]) == 0
+    assert "a.pcap" in written
+    assert "reflectivity, code" in written
+    assert any(" UTC; " in words for words in written)
+
+
+def test_natural_colours_are_named_by_leaf_and_stem():
+    """The legend of natural colours has two colours for each species of trees that is seen, and one for shrubs and ground, whatever their species."""
+    from vlp16emu.extras.colours import colour_of_kind, colours_of_plant
+    from vlp16emu.extras.viewer.layers import _natural_legend
+    from vlp16emu.types import Labels
+
+    fields = {
+        name: np.zeros(4, kind) for name, kind in (("instance", np.uint32), ("part", np.uint8), ("range_m", np.float32))
+    }
+    semantic, species = np.array([2, 2, 3, 1], np.uint8), np.array([1, 1, 5, 0], np.uint16)
+    labels = Labels(semantic=semantic, species=species, **fields)
+    legend = _natural_legend(labels, {1: "silver_birch", 5: "hazel"})
+    assert legend == {
+        "Silver birch": colours_of_plant("silver_birch"),
+        "Shrubs": (colour_of_kind("shrub"),),
+        "Ground": (colour_of_kind("ground"),),
+    }
+
+
 def test_a_missing_pillow_is_named_before_anything_is_simulated(tmp_path, monkeypatch, refused):
     """Without pillow one line names it and the extra, and no emulator has been made."""
     monkeypatch.setitem(sys.modules, "PIL", None)

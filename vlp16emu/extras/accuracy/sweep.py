@@ -21,6 +21,7 @@ from vlp16emu.engine import Parts, Unit, assemble, beam_of, window_of
 from vlp16emu.engine.windows import Batching, workers
 from vlp16emu.errors import RunError
 from vlp16emu.extras.accuracy.audit import Detections, Errors, answer_beam, apart_m, compare, detections_of, errors_of
+from vlp16emu.extras.accuracy.intervals import Interval, intervals_of
 from vlp16emu.forest.settings import Woods
 from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.beam import Footprint
@@ -42,6 +43,7 @@ class Row:
     name: str  # setting in the form of `--set`
     in_use: bool  # True for the scene's own setting
     errors: Errors
+    intervals: Mapping[str, Interval]  # 95 % interval of each of `errors`, by name
     us_per_pulse: float  # run time of casting and detecting on one core
     us_spread: float  # difference between the slowest and the fastest repetition
     rays_per_pulse: float
@@ -258,8 +260,18 @@ class _SettingsBench:
 
     def _row(self, setting: BeamSetting) -> Row:
         name, us = setting.name, np.array(self._us[setting.name]).reshape(-1, _REPEATS).mean(axis=0)
-        errors, rays = self._errors(name, "answer"), float(np.mean(self._rays[name]))
-        return Row(setting.model, name, setting.in_use, errors, float(np.median(us)), float(np.ptp(us)), rays)
+        pairs = zip(self._detections["answer"], self._detections[name], strict=True)
+        groups = [compare(answer, detected, self._apart_m) for answer, detected in pairs]
+        return Row(
+            model=setting.model,
+            name=name,
+            in_use=setting.in_use,
+            errors=self._errors(name, "answer"),
+            intervals=intervals_of(groups, self._apart_m),
+            us_per_pulse=float(np.median(us)),
+            us_spread=float(np.ptp(us)),
+            rays_per_pulse=float(np.mean(self._rays[name])),
+        )
 
     def _errors(self, name: str, answer: str) -> Errors:
         compared = compare(joined(self._detections[answer]), joined(self._detections[name]), self._apart_m)

@@ -3,8 +3,9 @@
 import math
 import operator
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -16,9 +17,11 @@ from vlp16emu.extras.clouds.deskew import Trajectory
 from vlp16emu.extras.options import ScoreInputs
 from vlp16emu.extras.score import measures
 from vlp16emu.extras.score.files import Stem, read_cloud, read_stems
-from vlp16emu.extras.score.paths import RPE_DELTA_M, score_path
+from vlp16emu.extras.score.paths import RPE_DELTA_M, PathErrors, score_path
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M
+from vlp16emu.scenario import load
 from vlp16emu.types import PlantPart, Semantic
+from vlp16emu.units import MS_NS, S_NS
 
 Cloud = Mapping[str, NDArray[Any]]
 
@@ -27,6 +30,7 @@ SAME_POINT_M = 0.02
 """A labelled point represents the nearest true point within this distance: half a beam's width near the sensor."""
 LEAST_POINTS = 10  # least number of points of a visible tree: fewer give neither a stem nor a box
 REGION_M = 20.0  # radius around the first true position in which density and uniformity of a map are measured
+_STEP_NS = 100 * MS_NS  # between points of the path for the range of trees: a decimetre at walking speed
 _BREAST_M = 0.1  # half the height of the stem's slice whose points count as hits for the DBH: 1.2 to 1.4 m
 _SIGNS = MappingProxyType({"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge})
 _LIMIT = re.compile(r"\s*(\w+)\s*(<=|>=|<|>)\s*([-+.\deE]+)\s*")
@@ -46,6 +50,7 @@ class TreeRow:
     true_dbh_m: float
     dbh_error_m: float  # found value minus true value
     hits: int | None  # true points on the stem from 1.2 to 1.4 m over the foot; None without labelled true points
+    range_m: float  # horizontal distance from the true path of the sensor; NaN without a path
 
     @property
     def kind(self) -> str:
@@ -61,6 +66,8 @@ class ScoreCard:
     scores: dict[str, float] = field(default_factory=dict)
     notes: dict[str, str] = field(default_factory=dict)  # description of the measure by group of scores
     trees: list[TreeRow] = field(default_factory=list)
+    path: PathErrors | None = None
+    reference: Mapping[str, Any] | None = None  # title and seed of the walk; None if the truth has no scenario
 
     def missed(self, limits: Sequence[Limit]) -> list[str]:
         """Return the failed thresholds, with the values, as text; InputError if there is no score of that name."""
@@ -96,24 +103,23 @@ def make_card(inputs: ScoreInputs) -> ScoreCard:
         raise InputError("--points", "found no true points", "--truth-points, of `vlp16emu points --truth`")
     if inputs.stems and not inputs.inventory:
         raise InputError("--stems", "found no true trees", "--inventory, of `vlp16emu forest --inventory`")
-    card = ScoreCard(inputs)
+    card = ScoreCard(inputs, reference=_reference(inputs.truth))
     true = read_cloud(inputs.truth_points) if inputs.truth_points else None
     if inputs.trajectory:
-        card.scores, poses, left_out = score_path(
-            inputs.trajectory, inputs.times, inputs.truth, inputs.unit, inputs.alignment
-        )
+        found = score_path(inputs.trajectory, inputs.times, inputs.truth, inputs.unit, inputs.alignment)
+        card.scores, card.path = found.scores, found.errors
         card.notes["trajectory"] = (
-            f"alignment {inputs.alignment}; RPE over {RPE_DELTA_M:g} m of path, drift the mean over longer ones; {poses} "
-            f"poses, {left_out} beyond the truth left out; RMSE by evo; the offset is to be added to the estimate's stamps"
+            f"alignment {inputs.alignment}; RPE over {RPE_DELTA_M:g} m of path, drift the mean over longer ones; "
+            f"{found.poses} poses, {found.left_out} beyond the truth left out; RMSE by evo; the offset is to be added to the estimate's stamps"
         )
     if inputs.map:
-        found = read_cloud(inputs.map)["xyz"]
+        points_m = read_cloud(inputs.map)["xyz"]
         centre_m = Trajectory(inputs.truth, inputs.unit).first_m[:2]
-        card.scores["infra_d_per_m2"] = measures.density_per_m2(found[:, :2], centre_m, REGION_M)
-        card.scores["infra_nuc"] = measures.uniformity(found[:, :2], centre_m, REGION_M)
+        card.scores["infra_d_per_m2"] = measures.density_per_m2(points_m[:, :2], centre_m, REGION_M)
+        card.scores["infra_nuc"] = measures.uniformity(points_m[:, :2], centre_m, REGION_M)
         card.notes["map"] = f"InfraD and InfraNUC in plan, {REGION_M:g} m around the first true position; no alignment"
         if true is not None:
-            card.scores |= measures.cloud_distances(found, true["xyz"], WITHIN_M)
+            card.scores |= measures.cloud_distances(points_m, true["xyz"], WITHIN_M)
     if inputs.points and true is not None:
         _score_labels(card, read_cloud(inputs.points), true)
     if inputs.stems and inputs.inventory:
@@ -164,18 +170,50 @@ def _score_stems(card: ScoreCard, found: tuple[Stem, ...], trees: tuple[Stem, ..
     pairs = measures.match_stems(found, seen, card.inputs.radius_m)
     card.scores |= measures.stem_scores(found, seen, pairs)
     of_true = {j: found[i] for i, j in pairs}
-    card.trees += [_row(of_true.get(j), tree, hits[j]) for j, tree in enumerate(seen)]
+    range_m = _range_from_path(card.inputs)
+    card.trees += [_row(of_true.get(j), tree, hits[j], range_m) for j, tree in enumerate(seen)]
     paired = {i for i, _ in pairs}
-    card.trees += [_row(stem, None, None) for i, stem in enumerate(found) if i not in paired]
+    card.trees += [_row(stem, None, None, range_m) for i, stem in enumerate(found) if i not in paired]
     which = f"trees with {LEAST_POINTS} true points or more" if true is not None else "all trees of the inventory"
     card.notes["stems"] = f"{which}; pairs within {card.inputs.radius_m:g} m"
 
 
-def _row(found: Stem | None, tree: Stem | None, hits: int | None) -> TreeRow:
+def _row(found: Stem | None, tree: Stem | None, hits: int | None, range_m: Callable[[float, float], float]) -> TreeRow:
     nowhere = Stem("", math.nan, math.nan, math.nan, math.nan, "")
     one, true, place = found or nowhere, tree or nowhere, tree or found or nowhere
-    off_m, names = math.hypot(one.x_m - true.x_m, one.y_m - true.y_m), (true.number, true.list_line, one.number)
-    return TreeRow(*names, place.x_m, place.y_m, off_m, true.dbh_m, one.dbh_m - true.dbh_m, hits)
+    return TreeRow(
+        true_id=true.number,
+        list_line=true.list_line,
+        found_number=one.number,
+        x_m=place.x_m,
+        y_m=place.y_m,
+        position_error_m=math.hypot(one.x_m - true.x_m, one.y_m - true.y_m),
+        true_dbh_m=true.dbh_m,
+        dbh_error_m=one.dbh_m - true.dbh_m,
+        hits=hits,
+        range_m=range_m(place.x_m, place.y_m),
+    )
+
+
+def _reference(truth: Path) -> dict[str, Any] | None:
+    """Return title and seed of the walk whose truth is in a folder."""
+    if not (scene := truth / "scenario.json").is_file():
+        return None
+    scenario = load(str(scene))
+    return {"title": scenario.title, "seed": scenario.seed, "world": scenario.world.kind}
+
+
+def _range_from_path(inputs: ScoreInputs) -> Callable[[float, float], float]:
+    """Return the function that gives the distance of a place from the true path, NaN if the truth has none."""
+    from scipy.spatial import KDTree
+
+    if not (inputs.truth / "rig.json").is_file():
+        return lambda _x_m, _y_m: math.nan
+    path = Trajectory(inputs.truth, inputs.unit)
+    begin_ns, end_ns = (int(at_s * S_NS) for at_s in path.span_s)
+    _, place_m = path.poses_at(np.arange(begin_ns, end_ns + 1, _STEP_NS))
+    tree = KDTree(place_m[:, :2])
+    return lambda x_m, y_m: round(float(tree.query([x_m, y_m])[0]), 3)
 
 
 def _point_counts(trees: tuple[Stem, ...], true: Cloud) -> tuple[list[int], list[int]]:

@@ -1,6 +1,7 @@
 """Errors of a trajectory, computed by evo."""
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,24 +17,47 @@ from vlp16emu.units import MS_NS, S_NS
 RPE_DELTA_M = 1.0  # length of path for relative errors, short enough for short walks
 DRIFT_M = (10.0, 100.0)  # lengths of path for drift; KITTI's are 100 to 800 m (Geiger et al., CVPR 2012, section 3.2)
 _MOST_OFFSET_NS, _OFFSET_STEP_NS = 300 * MS_NS, 10 * MS_NS  # three sweeps, and the step of the search
+_MOST_SHOWN = 1000  # greatest number of poses, and of drifts, in a report
 _LEAST_POSES, _FLAT_M = 10, 1e-4  # fewer poses, or a motion this uniform, do not determine the offset of stamps
 
 
-def score_path(
-    file: Path, times: Path | None, truth: Path, unit: int, alignment: str
-) -> tuple[dict[str, float], int, int]:
+@dataclass(frozen=True, slots=True)
+class PathErrors:
+    """Errors along a path, at most `_MOST_SHOWN` values spread evenly over all poses; times from the first pose."""
+
+    time_s: list[float]
+    distance_m: list[float]  # along the true path
+    true_x_m: list[float]
+    true_y_m: list[float]
+    true_z_m: list[float]
+    found_x_m: list[float]  # of the aligned estimate
+    found_y_m: list[float]
+    found_z_m: list[float]
+    error_m: list[float]  # of the position
+    drift_over_m: float  # length of path of the drifts below
+    drift_at_m: list[float]  # distance along the true path at the end of such a length
+    drift_percent: list[float]  # relative error of the position over it
+
+
+@dataclass(frozen=True, slots=True)
+class PathScores:
+    """Scores of a trajectory, and the errors behind them."""
+
+    scores: dict[str, float]
+    poses: int
+    left_out: int  # poses outside the time of the ground truth
+    errors: PathErrors
+
+
+def score_path(file: Path, times: Path | None, truth: Path, unit: int, alignment: str) -> PathScores:
     """Compare a trajectory with the ground truth, which is interpolated to the trajectory's stamps.
 
     TrajectoryError, InputError if one of them is no trajectory, or they have fewer than three instants in common.
 
-    The file is TUM, or KITTI if `times` has a time in seconds for each pose; truth and unit are as in `Trajectory`.
-
-    Returns
-    -------
-    scores: `ate_m` RMSE of positions, `ate_max_m`, `rpe_m` and `rpe_deg` RMSE over `RPE_DELTA_M` of path; `drift_10m_percent`
-    and `drift_100m_percent`, the mean relative error of positions over such lengths, NaN on a shorter path; `stamp_offset_s`
-    to add to the estimate's stamps, NaN if the motion is too uniform to determine it; the number of poses; and the number
-    of poses outside the time of the ground truth
+    The file is TUM, or KITTI if `times` has a time in seconds for each pose; truth and unit are as in `Trajectory`. Scores
+    are `ate_m` RMSE of positions, `ate_max_m`, `rpe_m` and `rpe_deg` RMSE over `RPE_DELTA_M` of path;
+    `drift_10m_percent` and `drift_100m_percent`, the mean relative error of positions over such lengths, NaN on a shorter
+    path; `stamp_offset_s` to add to the estimate's stamps, NaN if the motion is too uniform to determine it.
     """
     try:
         from evo.core import metrics
@@ -55,11 +79,40 @@ def score_path(
         "rpe_m": _errors(metrics.RPE(places, **over), pair)[0],
         "rpe_deg": _errors(metrics.RPE(turns, **over), pair)[0],
     }
-    for length_m in DRIFT_M:
-        _, errors_m = _errors(metrics.RPE(places, **over | {"delta": length_m}), pair)
-        scores[f"drift_{length_m:g}m_percent"] = 100.0 * float(np.mean(errors_m)) / length_m
+    drifts = [metrics.RPE(places, **over | {"delta": length_m}) for length_m in DRIFT_M]
+    for drift, length_m in zip(drifts, DRIFT_M, strict=True):
+        scores[f"drift_{length_m:g}m_percent"] = 100.0 * float(np.mean(_errors(drift, pair)[1])) / length_m
     scores["stamp_offset_s"] = stamp_offset_s(found, true)
-    return scores, int(inside.sum()), int((~inside).sum())
+    return PathScores(scores, int(inside.sum()), int((~inside).sum()), _path_errors(pair, errors_m, drifts[0]))
+
+
+def _path_errors(pair: Any, error_m: F8, drift: Any) -> PathErrors:
+    """Return the errors along the path of a pair of evo's trajectories; `drift` is a processed RPE over `DRIFT_M[0]`."""
+    reference, estimate = pair
+    true_m, found_m = reference.positions_xyz, estimate.positions_xyz
+    distance_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(true_m, axis=0), axis=1))])
+    ends = np.array(getattr(drift, "delta_ids", []), np.int64)
+    drift_percent = 100.0 * np.asarray(drift.error if len(ends) else [], np.float64) / DRIFT_M[0]
+    return PathErrors(
+        time_s=_some(reference.timestamps - reference.timestamps[0]),
+        distance_m=_some(distance_m),
+        true_x_m=_some(true_m[:, 0]),
+        true_y_m=_some(true_m[:, 1]),
+        true_z_m=_some(true_m[:, 2]),
+        found_x_m=_some(found_m[:, 0]),
+        found_y_m=_some(found_m[:, 1]),
+        found_z_m=_some(found_m[:, 2]),
+        error_m=_some(error_m),
+        drift_over_m=DRIFT_M[0],
+        drift_at_m=_some(distance_m[ends]),
+        drift_percent=_some(drift_percent),
+    )
+
+
+def _some(values: F8) -> list[float]:
+    """Return at most `_MOST_SHOWN` of some values (n,), evenly, to a tenth of a millimetre."""
+    rows = np.unique(np.linspace(0, len(values) - 1, min(len(values), _MOST_SHOWN)).astype(np.int64))
+    return np.round(values[rows], 4).tolist() if len(values) else []
 
 
 def _errors(metric: Any, pair: Any) -> tuple[float, F8]:

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.extras.colours import PART_RGB, Rgb, colour_of_kind, colour_of_species, surface_colours
-from vlp16emu.types import F8, SURFACE, U1, PlantPart, Scan, Semantic
+from vlp16emu.extras.colours import PART_RGB, Rgb, colour_of_kind, colour_of_species, colours_of_plant, surface_colours
+from vlp16emu.types import F8, SURFACE, U1, Labels, PlantPart, Scan, Semantic
 from vlp16emu.units import S_NS
 
-Entries = Mapping[str, Rgb] | tuple[float, float, str] | None
-"""Legend of a layer: colours by name, or limits of a scale with their unit; None for instances, which have no names."""
+Entries = Mapping[str, tuple[Rgb, ...]] | tuple[float, float, str] | None
+"""Legend of a layer: colours by name, or limits of a scale with its name and unit; None for instances, which have no names."""
 
 _LABELLED = ("natural", "class", "part", "species", "instance")
 MEASURED = ("range", "reflectivity", "ring", "time")
@@ -24,6 +24,15 @@ _SCALE = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (2
 _EITHER_WAY = np.array([(59, 76, 192), (150, 150, 150), (180, 4, 38)], np.float64)
 """Scale of values about 0: ends of coolwarm (K. Moreland, "Diverging color maps", ISVC 2009) about a grey that is visible on white."""
 _ERROR_CM = 6.0  # end of the scale of range errors: twice the +-3 cm of the data sheet
+_KINDS = {
+    Semantic.SHRUB: "Shrubs",
+    Semantic.GROUND: "Ground",
+    Semantic.GRASS: "Grass and herbs",
+    Semantic.STONE: "Stones",
+    Semantic.DEADWOOD: "Deadwood",
+    Semantic.OTHER: "Other things",
+}
+"""Names of classes in natural colours; trees are named by species."""
 _GOLDEN = 0.618034  # step of the hue between instances: consecutive numbers differ most
 _STOPS = 9  # colours of a gradient
 _DOT = "display:inline-block;width:0.8em;height:0.8em;margin-right:0.5em;border-radius:2px"
@@ -39,20 +48,33 @@ def coloured(scan: Scan, layer: str, species: Mapping[int, str]) -> tuple[U1, En
     if scan.labels is None or layer not in _LABELLED:
         values, scale = _measured(scan, layer)
         return colours_of_scale(values, *scale[:2]), scale
-    labels: NDArray[Any] = getattr(scan.labels, {"class": "semantic", "natural": "species"}.get(layer, layer))
+    labels: NDArray[Any] = getattr(scan.labels, {"class": "semantic", "natural": "semantic"}.get(layer, layer))
     different, which = np.unique(labels, return_inverse=True)
     if layer == "instance":
         return np.array([_instance_rgb(n) for n in different.tolist()], np.uint8).reshape(-1, 3)[which.ravel()], None
-    named, other = _named(layer, species), ("", colour_of_kind("ground"))
-    shown = (named[n] for n in different.tolist() if n in named)
-    legend = {name.replace("_", " ").capitalize(): colour for name, colour in shown}
     if layer == "natural":
         surfaces = np.zeros(len(scan.labels.semantic), SURFACE)
         for name in ("semantic", "part", "species"):
             surfaces[name] = getattr(scan.labels, name)
-        return surface_colours(surfaces, species), legend
+        return surface_colours(surfaces, species), _natural_legend(scan.labels, species)
+    named, other = _named(layer, species), ("", colour_of_kind("ground"))
+    shown = (named[n] for n in different.tolist() if n in named)
     colours = [named.get(n, other)[1] for n in different.tolist()]
+    legend = {_title(name): (colour,) for name, colour in shown}
     return np.array(colours, np.uint8).reshape(-1, 3)[which.ravel()], legend
+
+
+def _title(name: str) -> str:
+    return name.replace("_", " ").capitalize()
+
+
+def _natural_legend(labels: Labels, species: Mapping[int, str]) -> dict[str, tuple[Rgb, ...]]:
+    """Return the colours of leaves and of stems by species of trees, then those of the other classes that are seen."""
+    is_tree = labels.semantic == Semantic.TREE
+    names = [species.get(n, "") for n in np.unique(labels.species[is_tree]).tolist()]
+    kinds = [kind for kind in _KINDS if (labels.semantic == kind).any()]
+    legend = {_title(name) or "Tree": colours_of_plant(name) for name in names}
+    return legend | {_KINDS[kind]: (colour_of_kind(kind.name.lower()),) for kind in kinds}
 
 
 def _instance_rgb(instance: int) -> Rgb:
@@ -80,20 +102,20 @@ def _named(layer: str, species: Mapping[int, str]) -> dict[int, tuple[str, Rgb]]
 
 
 def _measured(scan: Scan, layer: str) -> tuple[F8, tuple[float, float, str]]:
-    """Return values (n,) of a layer, and the limits of its scale with their unit."""
+    """Return values (n,) of a layer, and the limits of its scale with its name and unit."""
     if layer == "range error" and scan.labels is not None:
         error_cm = 100.0 * (scan.distance_m.astype(np.float64) - scan.labels.range_m)
-        return error_cm, (-_ERROR_CM, _ERROR_CM, "cm")
+        return error_cm, (-_ERROR_CM, _ERROR_CM, "range error, cm")
     since_s = (scan.t_ns - scan.start_ns) / S_NS
     # Few ranges exceed 40 m in a forest; reflectivities above 100 come from retroreflectors.
     values: dict[str, tuple[NDArray[Any], float, str]] = {
-        "range": (scan.distance_m, 40.0, "m"),
-        "reflectivity": (scan.reflectivity, 100.0, ""),
-        "ring": (scan.ring, float(scan.ring.max(initial=1)), ""),
-        "time": (since_s, float(since_s.max(initial=1e-3)), "s"),
+        "range": (scan.distance_m, 40.0, "range, m"),
+        "reflectivity": (scan.reflectivity, 100.0, "reflectivity, code"),
+        "ring": (scan.ring, float(scan.ring.max(initial=1)), "ring, 0 lowest"),
+        "time": (since_s, float(since_s.max(initial=1e-3)), "time in the sweep, s"),
     }
-    value, most, unit = values[layer]
-    return np.asarray(value, np.float64), (0.0, most, unit)
+    value, most, label = values[layer]
+    return np.asarray(value, np.float64), (0.0, most, label)
 
 
 def legend_of(entries: Entries) -> str:
@@ -101,13 +123,16 @@ def legend_of(entries: Entries) -> str:
     if entries is None:
         return boxed(["each plant or thing in its own colour, the rest in grey"])
     if isinstance(entries, Mapping):
-        rows = (f'<span style="{_DOT};background:rgb{rgb}"></span>{escape(name)}' for name, rgb in entries.items())
-        return boxed(rows)
-    least, most, unit = entries
+        dots = {
+            name: "".join(f'<span style="{_DOT};background:rgb{rgb}"></span>' for rgb in colours)
+            for name, colours in entries.items()
+        }
+        return boxed(f"{dot}{escape(name)}" for name, dot in dots.items())
+    least, most, label = entries
     colours = colours_of_scale(np.linspace(least, most, _STOPS), least, most).tolist()
     stops = ",".join(f"rgb{tuple(rgb)}" for rgb in colours)
     bar = f'<div style="height:0.8em;border-radius:2px;background:linear-gradient(to right,{stops})"></div>'
-    ends = f"<span>{least:g}</span><span>{most:.3g} {escape(unit)}</span>"
+    ends = f"<span>{least:g}</span><span>{escape(label)}</span><span>{most:.3g}</span>"
     return boxed([f'{bar}<div style="display:flex;justify-content:space-between">{ends}</div>'])
 
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping
+from datetime import UTC, datetime
 from importlib.util import find_spec
 from itertools import chain, islice, product
 from pathlib import Path
@@ -20,6 +21,7 @@ from vlp16emu.output import OutputFile, spare
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.run.options import Span
 from vlp16emu.types import F8, I8, U1
+from vlp16emu.units import S_NS
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
 _BACKGROUND, _INK, _FRAME = (14, 18, 24), (215, 219, 224), (58, 68, 82)
 _RELIEF = 0.35
 """Darkening of a pixel per metre by which its neighbours are nearer: eye-dome lighting (Boucheny, thesis, Grenoble 2009)."""
-_DARKEST = 0.3
+_DARKEST, _SHADES = 0.3, 6  # few shades make small files: noise is costly
 _NEIGHBOUR_PX, _DOT_PX = 2, 2
 
 _ELEVATION_DEG = 32.0
@@ -35,11 +37,12 @@ _AROUND_M, _BELOW_M, _ABOVE_M = 22.0, 4.0, 22.0  # extent of the picture around,
 _SHARE = 0.93  # share of a sweep's points inside the box, for a capture without trajectory
 _CIRCLES_M, _MOST_CIRCLES = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0), 6
 _DEEP_M = -1e3  # circles of range about the sensor are behind all points
-_MOST_ENTRIES = 12
+_MOST_ENTRIES = 16
+_PALETTE = 256
 _MILLIONS = 100_000  # number of points from which captions use millions
 _FROM_DEG = 205.0  # default bearing of the eye: light falls from the south
 _STATIONS = 200  # number of places along a path
-_LEAST_EM_PX, _LINES = 11, 45  # least height of letters, or the number of text lines in the height of a picture
+_LEAST_EM_PX, _LINES = 11, 38  # least height of letters, or the number of text lines in the height of a picture
 
 
 class Canvas:
@@ -99,7 +102,7 @@ class Canvas:
         for axis in (0, 1):
             for step in (-_NEIGHBOUR_PX, _NEIGHBOUR_PX):
                 behind += np.clip(np.roll(flat, step, axis) - flat, 0.0, 2.0)
-        light = np.maximum(np.exp(-_RELIEF * behind), _DARKEST)
+        light = np.maximum(np.rint(_SHADES * np.exp(-_RELIEF * behind)) / _SHADES, _DARKEST)
         rgb = np.where(drawn[..., None], self._rgb.reshape(height, width, 3) * light[..., None], _BACKGROUND)
         return np.rint(rgb).astype(np.uint8)
 
@@ -119,6 +122,8 @@ class Source(NamedTuple):
     way_m: F8 | None  # (k, 3) path of the sensor; None to look around the origin
     species: Mapping[int, str]  # names by number
     inputs: Collection[Path]  # files that are read, which the picture may not replace
+    title: str
+    time: str  # of the revolutions; empty for the time of the first one, as UTC
 
 
 def source_of_capture(capture: Path, trajectory: Path | None, span: Span) -> Source:
@@ -131,7 +136,8 @@ def source_of_capture(capture: Path, trajectory: Path | None, span: Span) -> Sou
         way, inputs = Trajectory(trajectory, 1), [capture, trajectory]
         begin_s, end_s = way.span_s
         way_m = way.poses_at((1e9 * np.linspace(begin_s + 1e-3, end_s - 1e-3, _STATIONS)).astype(np.int64))[1]
-    return Source(islice(_sweeps_of_capture(capture, way, span), 1 if way is None else None), way_m, {}, inputs)
+    sweeps = islice(_sweeps_of_capture(capture, way, span), 1 if way is None else None)
+    return Source(sweeps, way_m, {}, inputs, capture.name, "")
 
 
 def _sweeps_of_capture(capture: Path, way: Trajectory | None, span: Span) -> Iterator[Sweep]:
@@ -146,13 +152,15 @@ def _sweeps_of_capture(capture: Path, way: Trajectory | None, span: Span) -> Ite
             yield by_trajectory(scan, way)
 
 
-def source_of_scene(emulator: Emulator, span: Span) -> Source:
-    """Return the revolutions of a scene's first sensor, with labels."""
+def source_of_scene(emulator: Emulator, span: Span, name: str) -> Source:
+    """Return the revolutions of the first sensor of a scene named `name`, with labels."""
     scenario, parts = emulator.scenario, emulator.parts
     ends_s = scenario.span_s(span.start_s, span.duration_s, where="--start")
     t_ns = scenario.start_ns + (np.linspace(*ends_s, _STATIONS) * 1e9).astype(np.int64)
     sweeps = sweeps_of_scene(emulator, span.start_s, span.duration_s)
-    return Source(sweeps, parts.motion.poses_at(t_ns).world_p_body_m, species_of(scenario), emulator.files)
+    title, time = f"{name}: {scenario.title}", f"{ends_s[0]:g} to {ends_s[1]:g} s"
+    way_m = parts.motion.poses_at(t_ns).world_p_body_m
+    return Source(sweeps, way_m, species_of(scenario), emulator.files, title, time)
 
 
 def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> dict[str, Any]:
@@ -165,7 +173,7 @@ def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> 
     path : a path that passes `check_suffix`
     stop : ends the picture between two revolutions; before the first one with a `KeyboardInterrupt`
     """
-    sweeps, way_m, species, inputs = source
+    sweeps, way_m, species, inputs, title, time = source
     spare(inputs, path)
     first = next(sweeps, None)
     if first is None:
@@ -192,10 +200,11 @@ def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> 
             if stop.is_set():
                 break
         number = f"{points / 1e6:.2f} million" if points >= _MILLIONS else f"{points:,}".replace(",", " ")
-        shown_by = "in natural colours" if colour == "natural" else f"by {colour}"
-        caption = f"{number} points{' of a revolution' if from_above else ''}, {shown_by}"
+        shown_by = "leaf and stem by species" if colour == "natural" else f"by {colour}"
+        time = time or f"{datetime.fromtimestamp(first.scan.start_ns / S_NS, UTC):%Y-%m-%d %H:%M:%S} UTC"
+        caption = f"{time}; {number} points{' of a revolution' if from_above else ''}, {shown_by}"
         bar_px = None if from_above else 10 * canvas.px_per_m
-        _annotated(canvas.image(), caption, entries, labels, bar_px).save(file, "PNG")
+        _small(_annotated(canvas.image(), (title, caption), entries, labels, bar_px)).save(file, "PNG", optimize=True)
     made = {"file": str(path), "revolutions": revolutions, "points": points, "colour": colour}
     return made | {"bytes": path.stat().st_size, "interrupted": stop.is_set()}
 
@@ -240,9 +249,9 @@ def _circles(canvas: Canvas) -> list[tuple[int, int, str]]:
 
 
 def _annotated(
-    drawn: U1, caption: str, entries: Entries, labels: list[tuple[int, int, str]], bar_px: float | None
+    drawn: U1, captions: tuple[str, str], entries: Entries, labels: list[tuple[int, int, str]], bar_px: float | None
 ) -> "Image":
-    """Return a picture with its caption, labels, legend or scale of colours, and a bar of ten metres `bar_px` long."""
+    """Return a picture with its two lines of captions, labels, legend or scale of colours, and a bar of ten metres `bar_px` long."""
     from PIL import Image, ImageDraw, ImageFont
 
     image, height, width = Image.fromarray(drawn), *drawn.shape[:2]
@@ -256,37 +265,53 @@ def _annotated(
         draw.text((x, y), words, _INK, font, anchor)
 
     edge = 2 * em
+    room: float = width - 2 * edge
     for column, row, words in labels:
         write(column + 4, row - 4, words, "ls")
     if bar_px is not None:
         draw.rectangle((edge, height - edge - 2, edge + bar_px, height - edge), _INK)
         write(edge, height - edge - 2 - em // 2, "10 m", "ls")
-    write(edge, edge, caption, "ls")
     if isinstance(entries, Mapping) and entries:
         rows = list(islice(entries.items(), _MOST_ENTRIES))
-        left = width - edge - 3 * em - max(draw.textlength(name, font) for name, _ in rows)
+        left = width - edge - 2.5 * em - max(draw.textlength(name, font) for name, _ in rows)
         box = left - em, em, width - em, 1.5 * em * (len(rows) + 1)
         draw.rounded_rectangle(box, em // 3, _BACKGROUND, _FRAME)
-        for number, (name, rgb) in enumerate(rows):
+        for number, (name, colours) in enumerate(rows):
             y = 1.5 * em * number + 2 * em
-            draw.rectangle((left, y - em // 3, left + 2 * em, y + em // 3), rgb)
-            draw.text((left + 3 * em, y), name, _INK, font, "lm")
+            wide = 2 * em / len(colours)
+            for part, rgb in enumerate(colours):
+                draw.rectangle((left + part * wide, y - em // 3, left + (part + 1) * wide - 1, y + em // 3), rgb)
+            draw.text((left + 2.5 * em, y), name, _INK, font, "lm")
+        room = left - 2 * edge
     elif isinstance(entries, tuple):
         _draw_scale(image, entries, em, write)
+    for line, words in enumerate(captions):
+        while draw.textlength(words, font) > room:
+            words = f"{words.removesuffix('...')[:-1]}..."  # noqa: PLW2901
+        write(edge, edge + 1.6 * em * line, words, "ls")
     return image
+
+
+def _small(image: "Image") -> "Image":
+    """Return a picture with a palette, a third of the size, if it has little more colours: letters alone lose some."""
+    from PIL import Image
+
+    if image.getcolors(2 * _PALETTE) is None:
+        return image
+    return image.quantize(_PALETTE, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
 
 
 def _draw_scale(
     image: "Image", scale: tuple[float, float, str], em: int, write: Callable[[float, float, str, str], None]
 ) -> None:
-    """Draw a scale of colours at the right edge, with numbers beside it and the unit above."""
+    """Draw a scale of colours at the right edge, with numbers beside it, and its name and unit above."""
     from PIL import Image
 
-    least, most, unit = scale
+    least, most, label = scale
     left, top, tall = image.width - 4 * em, image.height // 4, image.height // 2
     colours = colours_of_scale(np.linspace(most, least, tall), least, most)
     image.paste(Image.fromarray(np.repeat(colours[:, None], em, axis=1)), (left, top))
-    write(left + em / 2, top - em // 2, unit, "ms")
+    write(left + em, top - em, label, "rs")
     rough = (most - least) * 2 * em / tall  # numbers are at least two letters' heights apart
     power = 10.0 ** math.floor(math.log10(rough))
     step = next(times * power for times in (1, 2, 5, 10) if times * power >= rough)

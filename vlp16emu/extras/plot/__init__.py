@@ -1,0 +1,1 @@
+"""Pictures of reports, drawn with matplotlib from the trees that `--json` prints."""
