@@ -1,11 +1,12 @@
 """Small worlds, single pulses and perfect units for the cases."""
 
+import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
-from raycast.lab import world
 
 from vlp16emu.engine import Unit, assemble
 from vlp16emu.packets import LASERS
@@ -63,7 +64,10 @@ def opened(meshes: Sequence[Mesh], *, reflectance: float = 0.5, times: int = 1) 
         first_surface=np.zeros(times, np.uint32),
         surfaces=surfaces,
     )
-    return caster(world(lambda _key: tuple(meshes)), _WORKERS).open(window)
+    world = SimpleNamespace(
+        shape=lambda _key: tuple(meshes), shape_name=lambda _key: "", near_m=math.inf, far_tile=None, seed=0
+    )
+    return caster(world, _WORKERS).open(window)
 
 
 def pulses(origin_m: F8, direction: F8, *, lasers: int = LASERS) -> Firings:
