@@ -57,15 +57,6 @@ class Result:
     rows: list[Row]
     cpu_s: float
 
-    @property
-    def share(self) -> float:
-        """Error over bound; infinite for NaN, and for any error where the bound is 0."""
-        if math.isnan(self.error):
-            return math.inf
-        if self.bound == 0:
-            return math.inf if self.error else 0.0
-        return self.error / self.bound
-
     def holds(self, tighten: float = 1.0) -> bool:
         """Return True if there are rows and all of them hold."""
         return bool(self.rows) and all(row.holds(tighten) for row in self.rows)
@@ -112,9 +103,10 @@ def refused(what: str, act: Callable[[], object], says: str) -> Row:
     act : what must raise an error of vlp16emu
     says : part of the message that it must have
     """
+    quantity = f"{what} is refused"
     try:
         act()
     except Vlp16emuError as error:
         message = str(error)
-        return Row(f"{what}: not refused", 0.0 if says in message else math.inf, 0.0, message)
-    return Row(f"{what}: not refused", math.inf, 0.0)
+        return Row(quantity, 0.0 if says in message else math.inf, 0.0, message)
+    return Row(quantity, math.inf, 0.0)

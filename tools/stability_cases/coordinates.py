@@ -84,7 +84,8 @@ def _write_plot(folder: Path, files_m: tuple[int, ...], scene_m: tuple[int, ...]
     # Patches of texture, and leaves beyond `near_m`, are drawn by their place in the world: a world that
     # stands elsewhere has others. So the moved one has no texture, and is of faces as far as the
     # sensor reaches.
-    texture, near_m = (0.1, 12.0) if walk else (0.0, 20.0)
+    texture = 0.1 if walk else 0.0
+    near_m = 12.0 if walk else 20.0
     place = {"x": f"{x + 4}.0", "y": f"{y - 3}.0"}
     scene.write_text(_SCENE.format(motion=motion, origin=origin, texture=texture, near_m=near_m, **place))
     return scene
@@ -154,7 +155,7 @@ def far_walks() -> Iterator[Row]:
         far_rad = _followed(way_m + away_m, along_m)[1]
         yield Row(f"{away_m / 1000:g} km: moved, m", path_moved_m(away_m), 2 * float(np.spacing(away_m)))
         yield Row(f"{away_m / 1000:g} km: turned, rad", float(np.abs(far_rad - heading_rad).max()), 1e-9)
-    yield refused("10 000 km", partial(WalkedPath, way_m + 1e7, _flat), "within 1e+06 m")
+    yield refused("a path 10 000 km away", partial(WalkedPath, way_m + 1e7, _flat), "within 1e+06 m")
 
 
 _PLACES = {  # latitude, longitude, height of the origin; east, north, up of a point
@@ -168,7 +169,9 @@ _PLACES = {  # latitude, longitude, height of the origin; east, north, up of a p
 
 def _earth_m(geodetic: list[mpf]) -> list[mpf]:
     """Earth-centred coordinates of a WGS 84 place, with 50 digits (NGA.STND.0036, section 4)."""
-    latitude, longitude, height = mp.radians(geodetic[0]), mp.radians(geodetic[1]), geodetic[2]
+    latitude = mp.radians(geodetic[0])
+    longitude = mp.radians(geodetic[1])
+    height = geodetic[2]
     flattening = 1 / mpf("298.257223563")
     e2 = flattening * (2 - flattening)
     normal = 6378137 / mp.sqrt(1 - e2 * mp.sin(latitude) ** 2)
@@ -178,7 +181,8 @@ def _earth_m(geodetic: list[mpf]) -> list[mpf]:
 
 
 def _enu_m(geodetic: list[mpf], origin: list[mpf]) -> list[mpf]:
-    latitude, longitude = mp.radians(origin[0]), mp.radians(origin[1])
+    latitude = mp.radians(origin[0])
+    longitude = mp.radians(origin[1])
     x, y, z = (a - b for a, b in zip(_earth_m(geodetic), _earth_m(origin), strict=True))
     outward = mp.cos(longitude) * x + mp.sin(longitude) * y
     east = mp.cos(longitude) * y - mp.sin(longitude) * x

@@ -110,4 +110,4 @@ def too_many_meshes() -> Iterator[Row]:
     section = MeshFile(file="stone.obj", unit="m", up="z", semantic="stone", places=places)
     hall = HallWorld(Hall(kind="hall", length_m=9.0, width_m=9.0, height_m=9.0))
     furnish = partial(Furnished, hall, meshes=[(section, stone)], reach_m=100.0)
-    yield refused("65 537", furnish, "at most 65536")
+    yield refused("a scene of 65 537", furnish, "at most 65536")

@@ -102,10 +102,10 @@ def numbers_that_are_none() -> Iterator[Row]:
     ]
     missed = sum(not _is_found(tree) for _, tree in tried)
     keys = len({path for path, _ in tried})
-    yield Row(f"{keys} keys: not refused", missed, 0, "found nan, inf or -inf in each")
+    yield Row(f"keys that take it, of {keys}", missed, 0, "found nan, inf or -inf in each")
     emulator = Emulator(load("static_bench"))
     for span_s in ((math.nan, 1.0), (0.0, math.nan), (0.0, math.inf)):
-        name = f"packets from {span_s[0]:g} to {span_s[1]:g} s"
+        name = f"a span from {span_s[0]:g} to {span_s[1]:g} s"
         yield refused(name, partial(emulator.packets, *span_s), "a finite number")
 
 
@@ -119,7 +119,7 @@ def options_that_are_none() -> Iterator[Row]:
             for word in _WORDS  # in each place
         ]
         left = len(list(Path(folder).iterdir()))
-    yield Row(f"{len(lines)} command lines: not refused", lines.count(""), 0, lines[-1])
+    yield Row(f"command lines that take it, of {len(lines)}", lines.count(""), 0, lines[-1])
     yield Row("files left", left, 0)
 
 

@@ -33,8 +33,10 @@ def slivers() -> Iterator[Row]:
         low = np.full(4000, -10.0)
         high = np.full(4000, 10.0)
         x = np.full(4000, 10.0)
-        a, b = np.column_stack([x, edge_m[:-1], low]), np.column_stack([x, edge_m[1:], low])
-        c, d = np.column_stack([x, edge_m[1:], high]), np.column_stack([x, edge_m[:-1], high])
+        a = np.column_stack([x, edge_m[:-1], low])
+        b = np.column_stack([x, edge_m[1:], low])
+        c = np.column_stack([x, edge_m[1:], high])
+        d = np.column_stack([x, edge_m[:-1], high])
         corners = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
         count = 16 * PULSES
         rng = np.random.default_rng(2)
@@ -72,37 +74,44 @@ def _plane_range_m(corners: F8, direction: F8) -> float:
     """Range along a direction (3,) from the origin to the plane through three corners, with 40 digits."""
     with mp.workdps(40):
         a, b, c = (mp.matrix([mpf(float(x)) for x in corner]) for corner in corners)
-        u, v = b - a, c - a
+        u = b - a
+        v = c - a
         normal = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]
         along = sum(n * mpf(float(d)) for n, d in zip(normal, direction, strict=True))
         return float(sum(n * x for n, x in zip(normal, a, strict=True)) / along)
 
 
 def _triangle_error_m(size_m: float, plane_m: float) -> tuple[F8, F8]:
-    """Cast at a tilted triangle, `plane_m` away, and return errors and true ranges (n,), in metres."""
+    """Cast at a tilted triangle; return errors (n,) in metres, and over those of a direction in float32."""
     rng = np.random.default_rng(4)
     ahead = np.ones(3) / np.sqrt(3)
     corners = size_m / np.sqrt(2) * (np.eye(3) - 1 / 3) + plane_m * ahead
     corners = corners.astype(np.float32).astype(np.float64)
-    share = rng.dirichlet(np.ones(3), 4 * PULSES)
-    share = share[(share > 0.01).all(axis=1)]
-    origin_m = rng.uniform(-0.5, 0.5, (len(share), 3))
-    aim = share @ corners - origin_m
-    near = np.flatnonzero(np.linalg.norm(aim, axis=1) < 130.0)[:PULSES]
-    near = np.resize(near, PULSES)
-    direction = aim[near] / np.linalg.norm(aim[near], axis=1)[:, None]
-    hits = cast(opened([faces(corners[None])]), pulses(origin_m[near], direction))
-    true_m = [_plane_range_m(corners - o, d) for o, d in zip(origin_m[near], direction, strict=True)]
-    return np.abs(hits.range_m - np.array(true_m)), np.array(true_m)
+    # Targets fill the circle inside the triangle, as far as it is in reach.
+    away_m = min(0.28 * size_m, 100.0) * np.sqrt(rng.uniform(size=PULSES))
+    turn = rng.uniform(0, 2 * np.pi, PULSES)
+    across = np.array([1.0, -1.0, 0.0]) / np.sqrt(2)
+    target_m = plane_m * ahead + np.outer(away_m * np.cos(turn), across)
+    target_m += np.outer(away_m * np.sin(turn), np.cross(ahead, across))
+    origin_m = rng.uniform(-0.5, 0.5, (PULSES, 3))
+    direction = target_m - origin_m
+    direction /= np.linalg.norm(direction, axis=1)[:, None]
+    hits = cast(opened([faces(corners[None])]), pulses(origin_m, direction))
+    true_m = [_plane_range_m(corners - o, d) for o, d in zip(origin_m, direction, strict=True)]
+    error_m = np.abs(hits.range_m - np.array(true_m))
+    # A direction in float32 moves the spot aside, on a grazed face by that over the cosine.
+    share = error_m / (1e-6 + _FLOAT32 * np.array(true_m) / (direction @ ahead))
+    return error_m, share
 
 
 @case("mpmath, 40 digits")
 def tilted_triangle() -> Iterator[Row]:
-    """A tilted triangle with edges of 173 m, 10 km and 1 mm: corners are float32, ranges must be exact."""
+    """A tilted triangle with edges of 173 m, 10 km and 1 mm, hit at up to 84 degrees from its normal."""
     for name, size_m, plane_m in (("173 m", 173.0, 57.7), ("10 km", 10_000.0, 10.0), ("1 mm", 1e-3, 10.0)):
-        error_m, true_m = _triangle_error_m(size_m, plane_m)
+        error_m, share = _triangle_error_m(size_m, plane_m)
         yield Row(f"{name}: pulses through, of {len(error_m)}", int((~np.isfinite(error_m)).sum()), 0)
-        yield Row(f"{name}, ranges to {true_m.max():.0f} m: range, m", float(error_m.max()), 2e-5)
+        yield Row(f"{name}: range, m", float(error_m.max()), 1e-4)
+        yield Row(f"{name}: error over that of a direction in float32", float(share.max()), 1)
 
 
 @case("a second run of the same cast; closed form in float64")

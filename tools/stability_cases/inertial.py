@@ -11,7 +11,7 @@ from vlp16emu.extras.imu.sampler import GRAVITY_M_S2, ImuSampler
 from vlp16emu.extras.imu.settings import Imu
 from vlp16emu.motion.pose import Kinematics, Motion, rotations
 from vlp16emu.scenario import load
-from vlp16emu.types import F8, I8
+from vlp16emu.types import F8, I8, Poses
 from vlp16emu.units import S_NS
 
 _CHUNK = 20_000  # samples that are read together
@@ -25,6 +25,10 @@ class Circle:
 
     def __init__(self, start_ns: int) -> None:
         self._start_ns = start_ns
+
+    def poses_at(self, t_ns: I8) -> Poses:
+        """Return poses at UTC instants (n,)."""
+        return self.kinematics_at(t_ns)
 
     def kinematics_at(self, t_ns: I8) -> Kinematics:
         """Return poses at UTC instants (n,) with their derivatives."""
@@ -42,7 +46,9 @@ def _turns(rates: F8, step_s: float) -> Rotation:
 
     Source: Iserles et al., "Lie-group methods", Acta Numerica 9 (2000), section 5; Simpson for integrals.
     """
-    begin, middle, end = rates[:-2:2], rates[1:-1:2], rates[2::2]
+    begin = rates[:-2:2]
+    middle = rates[1:-1:2]
+    end = rates[2::2]
     mean = step_s / 3 * (begin + 4 * middle + end)
     return Rotation.from_rotvec(mean + (2 * step_s) ** 2 / 12 * np.cross(begin, end))
 

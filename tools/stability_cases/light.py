@@ -107,11 +107,15 @@ def _perfect(detector: Detector, weather: Weather | None = None, noise: Noise | 
 def _mode_m(step_m: float, sigma_m: float) -> float:
     """Return the highest mode of two Gaussian echoes, at 40 m and a step behind, by Newton's method."""
     with mp.workdps(30):
-        s, d, first = mpf(sigma_m), mpf(step_m), mpf(_FIRST_M)
-        near, far = 1 / first**2, 1 / (first + d) ** 2
+        s = mpf(sigma_m)
+        d = mpf(step_m)
+        first = mpf(_FIRST_M)
+        near = 1 / first**2
+        far = 1 / (first + d) ** 2
         x = mp.mpf(0) if step_m > 2 * sigma_m else d * far / (near + far)
         for _ in range(60):
-            a, b = near * exp(-((x / s) ** 2) / 2), far * exp(-(((x - d) / s) ** 2) / 2)
+            a = near * exp(-((x / s) ** 2) / 2)
+            b = far * exp(-(((x - d) / s) ** 2) / 2)
             slope = a * x + b * (x - d)
             bend = a * (1 - (x / s) ** 2) + b * (1 - ((x - d) / s) ** 2)
             x -= slope / bend if bend > 0 else slope / (a + b)

@@ -133,7 +133,7 @@ def impossible_recordings() -> Iterator[Row]:
     """Steps whose sense of turning is in doubt, and a gap."""
     for step_deg in (180.0, 91.0):
         follow = partial(recorded, np.arange(4) / 20, _about_z(np.radians(step_deg) * np.arange(4)))
-        yield refused(f"steps of {step_deg:g} degrees", follow, f"turns by {step_deg:.1f} degrees")
+        yield refused(f"a step of {step_deg:g} degrees", follow, f"turns by {step_deg:.1f} degrees")
     gap = partial(recorded, np.array([0, 2.0]), _about_z(np.zeros(2)))
     yield refused("a gap of 2 s", gap, "a gap of 2 s")
 

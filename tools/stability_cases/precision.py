@@ -84,8 +84,10 @@ def angles_of_poses() -> Iterator[Row]:
 def _exact_swing(lines: Lines, speed_m_s: float, trees: Trees, tree: int, t_s: float) -> float:
     """Return the response of one tree at one time, a sum of steady-state responses with 40 digits."""
     total = mpf(0)
-    w, z = mpf(float(trees.omega_rad_s[tree])), mpf(trees.damping_ratio)
-    downwind, aside = mpf(float(trees.downwind_m[tree])), mpf(float(trees.aside_m[tree]))
+    w = mpf(float(trees.omega_rad_s[tree]))
+    z = mpf(trees.damping_ratio)
+    downwind = mpf(float(trees.downwind_m[tree]))
+    aside = mpf(float(trees.aside_m[tree]))
     for omega, speed, phase, across in zip(*(of.tolist() for of in lines), strict=True):
         s = mp.mpc(0, omega)
         answer = w * w / (s * s + 2 * z * w * s + w * w)

@@ -64,7 +64,8 @@ def stiff_straps() -> Iterator[Row]:
     """Straps of 0.5 Hz to 1 GHz, whose stiffness spans 18 decades, with 0.001 to 10 of critical damping."""
     yield from _sway_rows(4)
     for hz, damping, says in ((0.5, 0.001, "more damping"), (2.0, 0.0, "swings for ever")):
-        yield refused(f"{hz:g} Hz, damping {damping:g}", partial(Pack, _sway, harness(hz, damping)), says)
+        name = f"a harness of {hz:g} Hz with damping {damping:g}"
+        yield refused(name, partial(Pack, _sway, harness(hz, damping)), says)
 
 
 @case("closed form: the transfer function", is_slow=True)

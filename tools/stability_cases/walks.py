@@ -43,8 +43,8 @@ def _hairpin(width_m: float, away_m: float = 0.0) -> Points:
 def impossible_paths() -> Iterator[Row]:
     """Paths that no person takes."""
     for name, points_m, says in (
-        ("waypoints that coincide", [(0, 0), (5, 0), (5, 0), (9, 1)], "coincides with the one before it"),
-        ("one waypoint", [(1, 2)], "a list of at least 2"),
+        ("a waypoint twice", [(0, 0), (5, 0), (5, 0), (9, 1)], "coincides with the one before it"),
+        ("a path of one waypoint", [(1, 2)], "a list of at least 2"),
         ("a path back on itself", [(0, 0), (9, 0), (0, 0)], "at least 0.1 m"),
         ("a hairpin of 0.2 m", _hairpin(0.2), "at least 0.1 m"),
         ("a path of a million kilometres", [(0, 0), (1e9, 0)], "within 1e+06 m"),
