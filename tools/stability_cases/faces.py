@@ -70,6 +70,23 @@ def fan() -> Iterator[Row]:
     yield Row("range, m", float(np.abs(hits.range_m - range_m)[met].max()), 1e-5)
 
 
+@case(_CLOSED)
+def degenerate_faces() -> Iterator[Row]:
+    """A wall among 4000 triangles without area: points, needles, and slivers of the last bit of float32."""
+    rng = np.random.default_rng(9)
+    corner = rng.uniform([4.0, -3.0, -3.0], [9.0, 3.0, 3.0], (4000, 3))[:, None]
+    along = 0.3 * rng.normal(size=(4000, 1, 3))
+    step = np.array([0.0, 1.0, 2.0])[None, :, None] * (np.arange(4000) % 3 > 0)[:, None, None]
+    none = corner + step * along
+    none[::3, 2] = np.nextafter(none[::3, 0].astype(np.float32), np.float32(np.inf))
+    firings = _cone(8 * PULSES, 20.0)
+    hits = cast(opened([faces(none), wall(25.0)]), firings)
+    met = hits.surface == 1
+    yield Row(f"pulses that a face without area stops, of {len(met)}", int((~met).sum()), 0)
+    true_m = 25.0 / firings.direction[..., 0].ravel()
+    yield Row("range, m", float(np.abs(hits.range_m - true_m)[met].max()), 1e-5)
+
+
 def _plane_range_m(corners: F8, direction: F8) -> float:
     """Range along a direction (3,) from the origin to the plane through three corners, with 40 digits."""
     with mp.workdps(40):

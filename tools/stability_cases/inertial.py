@@ -14,6 +14,10 @@ from vlp16emu.scenario import load
 from vlp16emu.types import F8, I8, Poses
 from vlp16emu.units import S_NS
 
+_LIMITS = (
+    "step_hz=5.0,vertical_m=1.0,second_harmonic_m=1.0,heel_strike_m=1.0,sideways_m=1.0,fore_aft_m=1.0,"
+    "roll_deg=45.0,pitch_deg=45.0,yaw_deg=45.0,variation=1.0"
+)
 _CHUNK = 20_000  # samples that are read together
 
 
@@ -122,8 +126,21 @@ def imu_over_an_hour() -> Iterator[Row]:
     yield from _rows("walk", integrated(motion, start_ns, 1000, 3600), (1e-7, 1e-8, 1e-5))
 
 
+@case("the pose of the walk at the end")
+def imu_of_violent_walks() -> Iterator[Row]:
+    """Four seconds of a run at 10 m/s, and of a gait with all amplitudes at their limits, 1 m and 45 degrees."""
+    still = "stand_s=0.0,harness={}"
+    for name, keys, bounds in (
+        ("running at 10 m/s", f"speed_m_s=10.0,acceleration_m_s2=10.0,{still}", (1e-10, 1e-9, 1e-9)),
+        ("every amplitude at its limit", f"gait={{{_LIMITS}}}", (1e-6, 1e-4, 1e-3)),
+    ):
+        motion, start_ns = _walk(keys)
+        yield from _rows(name, integrated(motion, start_ns, 5000, 4), bounds)
+
+
 def _walk(keys: str) -> tuple[Motion, int]:
     way = "[[0, 0], [8, 8], [0, 16], [-8, 8], [0, 0]]"
-    motion = f'motion={{kind="walk",way_points_m={way},laps=1000,{keys}}}'
-    scenario = load("static_bench", [motion])
+    motion = f'motion={{kind="walk",way_points_m={way},laps=1000,sensor_height_m=9.0,{keys}}}'
+    room = "world.length_m=60.0", "world.width_m=60.0", "world.height_m=20.0"
+    scenario = load("static_bench", [motion, *room])
     return assemble(scenario).motion, scenario.start_ns
