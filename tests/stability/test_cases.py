@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from stability_cases import CASES, Row, carry_out
-from stability_cases.case import refused, worst
+from stability_cases.case import refusal, worst
 
 from vlp16emu.errors import InputError
 
@@ -74,9 +74,9 @@ def test_a_refusal_must_come_and_say_why():
     def refuse():
         raise InputError("time", "found nan s", "a finite number")
 
-    assert refused("NaN", refuse, "a finite number").holds()
-    assert not refused("NaN", refuse, "at most 5").holds()
-    assert not refused("NaN", lambda: None, "a finite number").holds()
+    assert refusal("NaN", refuse, "a finite number").holds()
+    assert not refusal("NaN", refuse, "at most 5").holds()
+    assert not refusal("NaN", lambda: None, "a finite number").holds()
 
 
 def test_the_page_has_every_case():

@@ -94,7 +94,7 @@ def worst(rows: Iterable[Row]) -> list[Row]:
     return list(found.values())
 
 
-def refused(what: str, act: Callable[[], object], says: str) -> Row:
+def refusal(what: str, act: Callable[[], object], says: str) -> Row:
     """Return the row of input that must be refused.
 
     Parameters

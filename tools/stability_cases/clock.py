@@ -10,7 +10,7 @@ from pathlib import Path
 import dpkt
 import numpy as np
 
-from stability_cases.case import Row, case, refused
+from stability_cases.case import Row, case, refusal
 from vlp16emu import Emulator
 from vlp16emu.extras.recorded.files import read_tum
 from vlp16emu.packets import STAMP_LEAD_NS, data_fields, decode_position
@@ -105,7 +105,7 @@ def rare_instants() -> Iterator[Row]:
     for instant in _INSTANTS:
         yield from _looks(f"{instant}Z", [0])
     for late in ("2106-01-01T00:00:00Z", "1969-12-31T23:59:59Z"):
-        yield refused(f"a start at {late}", partial(_emulator, late), "from 1970 to 2105")
+        yield refusal(f"a start at {late}", partial(_emulator, late), "from 1970 to 2105")
 
 
 @case("exact integers")
@@ -129,7 +129,7 @@ def stamps_of_captures() -> Iterator[Row]:
             yield Row("pcap: stamp, us", off, 1)
         late = _emulator("2038-01-19T03:14:07.9Z")
         bag = Path("late.mcap")
-        yield refused("a bag over 2^31 s", partial(late.record, bag, duration_s=0.3), "fits no bag")
+        yield refusal("a bag over 2^31 s", partial(late.record, bag, duration_s=0.3), "fits no bag")
         yield Row("files left of the refused bag", int(bag.exists()), 0)
 
 
@@ -139,13 +139,13 @@ def ends_of_int64() -> Iterator[Row]:
     emulator = Emulator("static_bench")
     for span_s in ((9.2e9, 9.2e9 + 0.01), (0.0, 1e10), (1e300, 1.7e308), (-1e300, 0.0), (0.0, 2e6)):
         name = f"a span from {span_s[0]:g} to {span_s[1]:g} s"
-        yield refused(name, partial(emulator.packets, *span_s), "at most")
+        yield refusal(name, partial(emulator.packets, *span_s), "at most")
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
         path = Path("poses.tum")
         rest = "0 0 0 0 0 0 1\n"
         for stamp in ("9.2e9", "-9.3e9", "1.78e18", "1e300"):
             path.write_text(f"{stamp} {rest}" * 2, encoding="utf-8")
-            yield refused(f"a pose at {stamp} s", partial(read_tum, path), "expected at most")
+            yield refusal(f"a pose at {stamp} s", partial(read_tum, path), "expected at most")
         path.write_text(f"4294967295.999999998 {rest}4294967295.999999999 {rest}", encoding="utf-8")
         step_ns = np.diff(read_tum(path).t_ns) - 1
         yield Row("two stamps of 2106, 1 ns apart: their gap, ns", abs(int(step_ns[0])), 0)

@@ -10,7 +10,7 @@ import numpy as np
 from mpmath import mp, mpf
 from numpy.typing import NDArray
 
-from stability_cases.case import Row, case, refused
+from stability_cases.case import Row, case, refusal
 from vlp16emu import Emulator
 from vlp16emu.extras.walk.path import Path as WalkedPath
 from vlp16emu.motion.gnss import to_geodetic, to_local
@@ -98,7 +98,7 @@ def _packets(files_m: tuple[int, ...], scene_m: tuple[int, ...], *, walk: bool) 
         return [p.payload for p in emulator.packets(*_SPAN_S) if p.kind is PacketKind.DATA]
 
 
-def _differ(near: list[bytes], far: list[bytes]) -> int:
+def _count_differences(near: list[bytes], far: list[bytes]) -> int:
     return sum(a != b for a, b in zip(near, far, strict=True))
 
 
@@ -113,7 +113,8 @@ def far_files() -> Iterator[Row]:
     """Stem list and terrain in UTM coordinates, and 1e7 m from their zero, where float32 has steps of 1 m."""
     near = _packets((0, 0, 0), (0, 0, 0), walk=True)
     for name, at_m in (("UTM", _UTM_M), ("1e7 m", _FAR_M)):
-        yield Row(f"{name}: packets that differ", _differ(near, _packets(at_m, (0, 0, 0), walk=True)), 0)
+        differ = _count_differences(near, _packets(at_m, (0, 0, 0), walk=True))
+        yield Row(f"{name}: packets that differ", differ, 0)
 
 
 @case("the same world at 0")
@@ -122,7 +123,8 @@ def far_worlds() -> Iterator[Row]:
     near = _packets((0, 0, 0), (0, 0, 0), walk=False)
     for name, (x_m, y_m, _) in (("UTM", _UTM_M), ("1e7 m", _FAR_M)):
         place = x_m, y_m, 0
-        yield Row(f"{name}: packets that differ", _differ(near, _packets(place, place, walk=False)), 0)
+        differ = _count_differences(near, _packets(place, place, walk=False))
+        yield Row(f"{name}: packets that differ", differ, 0)
     moved = np.abs(_codes(_packets(_ODD_M, _ODD_M, walk=False)) - _codes(near))
     yield Row("(432 117, 6 901 233) m: distances moved, steps of 2 mm", int(moved.max()), 1)
 
@@ -132,16 +134,16 @@ def _flat(x_m: NDArray[np.float64], _y_m: NDArray[np.float64]) -> NDArray[np.flo
     return np.zeros_like(x_m)
 
 
-def _followed(way_m: NDArray[np.float64], along_m: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+def _path_at(way_m: NDArray[np.float64], along_m: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     """Return points (n, 3) and headings (n,) at arc lengths (n,) of a path."""
     return [derivatives[:, 0] for derivatives in WalkedPath(way_m, _flat).derivatives_at(along_m)]
 
 
-def path_moved_m(away_m: float) -> float:
+def path_shift_m(away_m: float) -> float:
     """Return how far, in metres, a path at (`away_m`, `away_m`) is off the same path at 0 at most."""
     along_m = np.linspace(0.0, 2.6, 10_001)
-    near_m = _followed(np.array(_WAY_M), along_m)[0]
-    far_m = _followed(np.array(_WAY_M) + away_m, along_m)[0]
+    near_m = _path_at(np.array(_WAY_M), along_m)[0]
+    far_m = _path_at(np.array(_WAY_M) + away_m, along_m)[0]
     return float(np.abs(far_m[:, :2] - away_m - near_m[:, :2]).max())
 
 
@@ -150,12 +152,12 @@ def far_walks() -> Iterator[Row]:
     """A path 100 and 900 km from the origin; its bound is two steps of float64 at that distance."""
     along_m = np.linspace(0.0, 2.6, 10_001)
     way_m = np.array(_WAY_M)
-    heading_rad = _followed(way_m, along_m)[1]
+    heading_rad = _path_at(way_m, along_m)[1]
     for away_m in (1e5, 9e5):
-        far_rad = _followed(way_m + away_m, along_m)[1]
-        yield Row(f"{away_m / 1000:g} km: moved, m", path_moved_m(away_m), 2 * float(np.spacing(away_m)))
+        far_rad = _path_at(way_m + away_m, along_m)[1]
+        yield Row(f"{away_m / 1000:g} km: moved, m", path_shift_m(away_m), 2 * float(np.spacing(away_m)))
         yield Row(f"{away_m / 1000:g} km: turned, rad", float(np.abs(far_rad - heading_rad).max()), 1e-9)
-    yield refused("a path 10 000 km away", partial(WalkedPath, way_m + 1e7, _flat), "within 1e+06 m")
+    yield refusal("a path 10 000 km away", partial(WalkedPath, way_m + 1e7, _flat), "within 1e+06 m")
 
 
 _PLACES = {  # latitude, longitude, height of the origin; east, north, up of a point

@@ -9,8 +9,8 @@ from pathlib import Path as FilePath
 import numpy as np
 from scipy.stats import norm
 
-from stability_cases.case import Row, case, refused
-from stability_cases.lab import PULSES, beam, cast, faces, opened, pulses, wall
+from stability_cases.case import Row, case, refusal
+from stability_cases.lab import PULSES, beam, cast, faces, open_scene, pulses, wall
 from vlp16emu.extras.meshes.files import UserMesh
 from vlp16emu.extras.meshes.furnished import Furnished
 from vlp16emu.extras.meshes.settings import MeshFile, MeshPlace
@@ -31,7 +31,7 @@ def thin_twig() -> Iterator[Row]:
     half_m = _TWIG_M / 2
     corners = (-half_m, -5), (half_m, -5), (half_m, 5), (-half_m, 5)
     twig = faces(np.array([[(_AWAY_M, y, z) for y, z in corners]]))
-    scene = opened([twig, wall(110.0)])
+    scene = open_scene([twig, wall(110.0)])
 
     def beside(y_m: F8) -> Firings:
         return pulses(np.column_stack([0 * y_m, y_m, 0 * y_m]), np.tile([1.0, 0.0, 0.0], (len(y_m), 1)))
@@ -80,9 +80,9 @@ def _crowd(count: int) -> Iterator[Row]:
     length = np.linalg.norm(direction, axis=1)
     firings = pulses(np.zeros((8, 3)), direction / length[:, None], lasers=1)
     pane = _pane()
-    _, tenth_s = _cast_s(opened([pane], times=count // 10), firings)
+    _, tenth_s = _cast_s(open_scene([pane], times=count // 10), firings)
     before_kb = _resident_kb()
-    scene = opened([pane], times=count)
+    scene = open_scene([pane], times=count)
     grown_kb = _resident_kb() - before_kb
     range_m, whole_s = _cast_s(scene, firings)
     yield Row(f"{count}: range, m", float(np.abs(range_m - 10.0 * length).max()), 1e-5)
@@ -110,4 +110,4 @@ def too_many_meshes() -> Iterator[Row]:
     section = MeshFile(file="stone.obj", unit="m", up="z", semantic="stone", places=places)
     hall = HallWorld(Hall(kind="hall", length_m=9.0, width_m=9.0, height_m=9.0))
     furnish = partial(Furnished, hall, meshes=[(section, stone)], reach_m=100.0)
-    yield refused("a scene of 65 537", furnish, "at most 65536")
+    yield refusal("a scene of 65 537", furnish, "at most 65536")

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from stability_cases.case import Row, case, refused
+from stability_cases.case import Row, case, refusal
 from vlp16emu import Emulator
 from vlp16emu.cli.app import run
 from vlp16emu.packets import data_fields
@@ -52,13 +52,13 @@ def _error_line(*words: str) -> str:
     return line if is_one else ""
 
 
-def _resolved(node: Any) -> Any:
+def _resolve(node: Any) -> Any:
     return schema()["$defs"][node["$ref"].rpartition("/")[2]] if "$ref" in node else node
 
 
 def _trees(node: Any, value: float) -> Iterator[tuple[str, Any]]:
     """Yield the path of each number below a node of the schema, and the smallest tree with a value there."""
-    node = _resolved(node)
+    node = _resolve(node)
     if "anyOf" in node:
         for choice in node["anyOf"]:
             yield from _trees(choice, value)
@@ -106,7 +106,7 @@ def numbers_that_are_none() -> Iterator[Row]:
     emulator = Emulator(load("static_bench"))
     for span_s in ((math.nan, 1.0), (0.0, math.nan), (0.0, math.inf)):
         name = f"a span from {span_s[0]:g} to {span_s[1]:g} s"
-        yield refused(name, partial(emulator.packets, *span_s), "a finite number")
+        yield refusal(name, partial(emulator.packets, *span_s), "a finite number")
 
 
 @case("refusal")
@@ -137,7 +137,7 @@ def _limits(node: Any) -> tuple[float, float] | None:
     return float(low), float(high)
 
 
-def _drawn(rng: np.random.Generator, low: float, high: float) -> float:
+def _draw(rng: np.random.Generator, low: float, high: float) -> float:
     """Draw a number at one of its ends, close to it, or in between, uniform or by decades."""
     span = high - low
     kind = rng.integers(5)
@@ -152,7 +152,7 @@ def _random_settings(rng: np.random.Generator) -> dict[str, object]:
             limits = _limits(node)
             if limits is None or key.endswith("port") or key == "seed" or rng.uniform() < 0.5:
                 continue
-            value = _drawn(rng, *limits)
+            value = _draw(rng, *limits)
             if key == "rpm":
                 settings[f"{section}.{key}"] = 60 * round(value / 60)
             elif key == "rays":
@@ -171,7 +171,9 @@ def _random_settings(rng: np.random.Generator) -> dict[str, object]:
 def _random_scenes(count: int) -> Iterator[Row]:
     rng = np.random.default_rng(8)
     ran = keys = 0
-    while ran < count:
+    for _ in range(4 * count):
+        if ran == count:
+            break
         settings = _random_settings(rng)
         try:
             scenario = load("static_bench", settings)

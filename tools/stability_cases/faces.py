@@ -6,7 +6,7 @@ import numpy as np
 from mpmath import mp, mpf
 
 from stability_cases.case import Row, case
-from stability_cases.lab import PULSES, beam, cast, detected, faces, opened, pulses, unit_of, wall
+from stability_cases.lab import PULSES, beam, cast, detect_pulses, faces, open_scene, pulses, unit_of, wall
 from vlp16emu import Emulator
 from vlp16emu.engine import Engine
 from vlp16emu.scenario import load
@@ -43,7 +43,7 @@ def slivers() -> Iterator[Row]:
         y_m = edge_m[-1] * rng.uniform(-0.99, 0.99, count)
         target = np.column_stack([np.full(count, 10.0), y_m, rng.uniform(-9, 9, count)])
         range_m = np.linalg.norm(target, axis=1)
-        hits = cast(opened([faces(corners)]), pulses(np.zeros((count, 3)), target / range_m[:, None]))
+        hits = cast(open_scene([faces(corners)]), pulses(np.zeros((count, 3)), target / range_m[:, None]))
         met = np.isfinite(hits.range_m)
         yield Row(f"{width_m:g} m wide: pulses through, of {count}", int((~met).sum()), 0)
         yield Row(f"{width_m:g} m wide: range, m", float(np.abs(hits.range_m - range_m)[met].max()), 1e-5)
@@ -64,7 +64,8 @@ def fan() -> Iterator[Row]:
     away_m = np.geomspace(1e-3, 11.9, shots)
     target = np.column_stack([np.full(shots, 10.0), away_m * np.cos(turn), away_m * np.sin(turn)])
     range_m = np.linalg.norm(target, axis=1)
-    hits = cast(opened([Mesh(vertices, triangles)]), pulses(np.zeros((shots, 3)), target / range_m[:, None]))
+    scene = open_scene([Mesh(vertices, triangles)])
+    hits = cast(scene, pulses(np.zeros((shots, 3)), target / range_m[:, None]))
     met = np.isfinite(hits.range_m)
     yield Row(f"pulses through, of {shots}", int((~met).sum()), 0)
     yield Row("range, m", float(np.abs(hits.range_m - range_m)[met].max()), 1e-5)
@@ -80,7 +81,7 @@ def degenerate_faces() -> Iterator[Row]:
     none = corner + step * along
     none[::3, 2] = np.nextafter(none[::3, 0].astype(np.float32), np.float32(np.inf))
     firings = _cone(8 * PULSES, 20.0)
-    hits = cast(opened([faces(none), wall(25.0)]), firings)
+    hits = cast(open_scene([faces(none), wall(25.0)]), firings)
     met = hits.surface == 1
     yield Row(f"pulses that a face without area stops, of {len(met)}", int((~met).sum()), 0)
     true_m = 25.0 / firings.direction[..., 0].ravel()
@@ -113,7 +114,7 @@ def _triangle_error_m(size_m: float, plane_m: float) -> tuple[F8, F8]:
     origin_m = rng.uniform(-0.5, 0.5, (PULSES, 3))
     direction = target_m - origin_m
     direction /= np.linalg.norm(direction, axis=1)[:, None]
-    hits = cast(opened([faces(corners[None])]), pulses(origin_m, direction))
+    hits = cast(open_scene([faces(corners[None])]), pulses(origin_m, direction))
     true_m = [_plane_range_m(corners - o, d) for o, d in zip(origin_m, direction, strict=True)]
     error_m = np.abs(hits.range_m - np.array(true_m))
     # A direction in float32 moves the spot aside, on a grazed face by that over the cosine.
@@ -137,7 +138,7 @@ def coincident_faces() -> Iterator[Row]:
     firings = _cone(8 * PULSES, 20.0)
     cosine = firings.direction[..., 0].ravel()
     for name, meshes, times in (("two faces", [wall(10.0)] * 2, 1), ("two instances", [wall(10.0)], 2)):
-        first, again = (cast(opened(meshes, times=times), firings) for _ in range(2))
+        first, again = (cast(open_scene(meshes, times=times), firings) for _ in range(2))
         yield Row(f"{name}: pulses that change", int((first.surface != again.surface).sum()), 0)
         yield Row(f"{name}: range, m", float(np.abs(first.range_m - 10.0 / cosine).max()), 1e-5)
     crate = "centre_m=[-6.0,-5.0,0.5],size_m=[2.0,1.0,1.0]"
@@ -163,7 +164,7 @@ def crossed_boxes() -> Iterator[Row]:
     spans = [((8, -2, -2), (12, 2, 2)), ((7, -1, -1), (13, 1, 1))]
     spans += [((8, 0, -3), (10, 3, 0)), ((9, -3, -3), (11, 3, 3))]
     firings = _cone(4 * PULSES, 16.0)
-    got_m = cast(opened([_box(*span) for span in spans]), firings).range_m
+    got_m = cast(open_scene([_box(*span) for span in spans]), firings).range_m
     to_m = []
     with np.errstate(divide="ignore"):
         for span in spans:
@@ -192,7 +193,7 @@ def sensor_inside() -> Iterator[Row]:
     head = unit_of("static_bench").head
     aimed = head.aim(0, 1920, unit_of("static_bench", "motion.height_m=1.5").motion.poses_at)
     direction = aimed.direction.reshape(-1, 3)
-    hits = cast(opened([plate, wall(5.0, 500.0)]), pulses(np.zeros_like(direction), direction))
+    hits = cast(open_scene([plate, wall(5.0, 500.0)]), pulses(np.zeros_like(direction), direction))
     ahead = direction[:, 0] > 0.1
     yield Row("on a surface: pulses stopped by it", int((hits.surface[ahead] != 1).sum()), 0)
     error_m = np.abs(hits.range_m - 5.0 / np.where(ahead, direction[:, 0], np.inf))[ahead]
@@ -208,13 +209,13 @@ def edge_on() -> Iterator[Row]:
     corners = np.array([(9.97, 0, -0.02), (10.03, 0, -0.02), (10.03, 0, 0.02), (9.97, 0, 0.02)])
     leaves = np.tile(corners, (count, 1, 1))
     leaves[:, :, 1] = y_m[:, None] + (leaves[:, :, 0] - 10.0) * tilt_rad[:, None]
-    scene = opened([faces(leaves), wall(15.0, 2 * y_m[-1])])
+    scene = open_scene([faces(leaves), wall(15.0, 2 * y_m[-1])])
     firings = pulses(np.column_stack([0 * y_m, y_m, 0 * y_m]), np.tile([1.0, 0.0, 0.0], (count, 1)))
     for name, light in (("one ray", None), ("64 rays", beam("fixed"))):
         hits = cast(scene, firings) if light is None else cast(scene, firings, light)
         sound = np.isfinite(hits.range_m) & (hits.cos_incidence >= 0) & (hits.cos_incidence <= 1)
         yield Row(f"{name}: rays lost or without a cosine", int((~sound).sum()), 0)
-    error_m = np.abs(detected(scene, firings, beam("fixed")).distance_m[..., 0] - 15.0)
+    error_m = np.abs(detect_pulses(scene, firings, beam("fixed")).distance_m[..., 0] - 15.0)
     yield Row("64 rays: range of the wall behind, m", float(error_m.max()), 1e-4)
 
 
@@ -224,7 +225,7 @@ def grazing_error_m(incidence_deg: float, light: str = "none") -> F8:
     With `light` "adaptive" the beam has its width, and the errors are 0 for ranges that a code can hold.
     """
     signs = np.array([[(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]])
-    scene = opened([faces(_FLOOR_M * signs)])
+    scene = open_scene([faces(_FLOOR_M * signs)])
     cosine = np.cos(np.radians(incidence_deg))
     level = np.sqrt(1 - cosine**2)
     range_m = np.linspace(10.0, 100.0, PULSES)
@@ -235,7 +236,7 @@ def grazing_error_m(incidence_deg: float, light: str = "none") -> F8:
     if light == "none":
         found_m = cast(scene, firings).range_m.astype(np.float64)
         return np.where(np.isfinite(found_m), np.abs(found_m - range_m), np.nan)
-    found_m = detected(scene, firings, beam(light)).distance_m.astype(np.float64)
+    found_m = detect_pulses(scene, firings, beam(light)).distance_m.astype(np.float64)
     return np.where((found_m >= 0) & (found_m <= 131.07), 0.0, np.nan)
 
 

@@ -63,7 +63,7 @@ def _simpson(values: F8, step_s: float) -> F8:
     return np.concatenate([np.zeros((1, 3)), np.cumsum(pieces, axis=0)])
 
 
-def integrated(motion: Motion, start_ns: int, rate_hz: int, seconds: int) -> tuple[float, float, float]:
+def integrate(motion: Motion, start_ns: int, rate_hz: int, seconds: int) -> tuple[float, float, float]:
     """Integrate ideal samples, and return the errors at the end: attitude, rad, velocity, m/s, position, m.
 
     The attitude is that of the integrated rates; velocity and position are of the integrated force, turned by
@@ -112,30 +112,30 @@ def _rows(name: str, errors: tuple[float, float, float], bounds: tuple[float, fl
 def imu_over_seconds() -> Iterator[Row]:
     """Twenty seconds of ideal samples at 1 kHz, integrated: a circle, and a walk with loose straps."""
     start_ns = 1_780_000_000 * S_NS
-    yield from _rows("circle", integrated(Circle(start_ns), start_ns, 1000, 20), (1e-13, 1e-12, 1e-11))
+    yield from _rows("circle", integrate(Circle(start_ns), start_ns, 1000, 20), (1e-13, 1e-12, 1e-11))
     motion, start_ns = _walk("harness={}")
-    yield from _rows("walk", integrated(motion, start_ns, 1000, 20), (1e-9, 1e-9, 1e-9))
+    yield from _rows("walk", integrate(motion, start_ns, 1000, 20), (1e-9, 1e-9, 1e-9))
 
 
 @case("closed form: a circle; the pose of the walk at the end", is_slow=True)
 def imu_over_an_hour() -> Iterator[Row]:
     """An hour of ideal samples at 1 kHz, integrated: an error of 1e-9 m/s2 would grow to 6 mm."""
     start_ns = 1_780_000_000 * S_NS
-    yield from _rows("circle", integrated(Circle(start_ns), start_ns, 1000, 3600), (1e-12, 1e-12, 1e-9))
+    yield from _rows("circle", integrate(Circle(start_ns), start_ns, 1000, 3600), (1e-12, 1e-12, 1e-9))
     motion, start_ns = _walk("harness={}")
-    yield from _rows("walk", integrated(motion, start_ns, 1000, 3600), (1e-7, 1e-8, 1e-5))
+    yield from _rows("walk", integrate(motion, start_ns, 1000, 3600), (1e-7, 1e-8, 1e-5))
 
 
 @case("the pose of the walk at the end")
 def imu_of_violent_walks() -> Iterator[Row]:
-    """Four seconds of a run at 10 m/s, and of a gait with all amplitudes at their limits, 1 m and 45 degrees."""
+    """Four seconds of a run at 10 m/s, and of a gait with all amplitudes at their limits."""
     still = "stand_s=0.0,harness={}"
     for name, keys, bounds in (
         ("running at 10 m/s", f"speed_m_s=10.0,acceleration_m_s2=10.0,{still}", (1e-10, 1e-9, 1e-9)),
         ("every amplitude at its limit", f"gait={{{_LIMITS}}}", (1e-6, 1e-4, 1e-3)),
     ):
         motion, start_ns = _walk(keys)
-        yield from _rows(name, integrated(motion, start_ns, 5000, 4), bounds)
+        yield from _rows(name, integrate(motion, start_ns, 5000, 4), bounds)
 
 
 def _walk(keys: str) -> tuple[Motion, int]:

@@ -6,8 +6,8 @@ from functools import partial
 import numpy as np
 from mpmath import exp, mp, mpf, quad, sqrt
 
-from stability_cases.case import Row, case, refused
-from stability_cases.lab import PULSES, beam, detected, faces, opened, pulses, wall
+from stability_cases.case import Row, case, refusal
+from stability_cases.lab import PULSES, beam, detect_pulses, faces, open_scene, pulses, wall
 from vlp16emu.packets import DISTANCE_LSB_M, LASERS, data_fields, pack_data
 from vlp16emu.raycast.beam import Footprint
 from vlp16emu.raycast.settings import Beam
@@ -46,9 +46,9 @@ def edges_of_range() -> Iterator[Row]:
     side = np.ones(len(range_m))
     corners = [(range_m, y_m, -side), (range_m, y_m + strip_m, -side)]
     corners += [(range_m, y_m + strip_m, side), (range_m, y_m, side)]
-    scene = opened([faces(np.stack([np.column_stack(corner) for corner in corners], axis=1))])
+    scene = open_scene([faces(np.stack([np.column_stack(corner) for corner in corners], axis=1))])
     origin_m = np.column_stack([0 * y_m, y_m + strip_m / 2, 0 * y_m])
-    returns = detected(scene, pulses(origin_m, np.tile([1.0, 0.0, 0.0], (len(y_m), 1))))
+    returns = detect_pulses(scene, pulses(origin_m, np.tile([1.0, 0.0, 0.0], (len(y_m), 1))))
     found_m = _codes(returns).reshape(-1) * DISTANCE_LSB_M
     float32_m = range_m.astype(np.float32).astype(np.float64)
     inside = (float32_m >= 0.5) & (float32_m <= 131.07)
@@ -65,14 +65,14 @@ def dark_and_glaring() -> Iterator[Row]:
     """Reflectances from 0 over subnormal float32 numbers to 1e30, with one ray and with a wide beam."""
     dark = 0.0, 1e-45, 1e-40, 1.2e-38, 1e-20
     for name, reflectances, code in (("dark", dark, 0), ("glaring", (1e4, 1e30), 255)):
-        scenes = [opened([wall(10.0)], reflectance=reflectance) for reflectance in reflectances]
+        scenes = [open_scene([wall(10.0)], reflectance=reflectance) for reflectance in reflectances]
         lights = beam("none"), beam("adaptive")
-        found = [detected(scene, _ahead(PULSES), light) for scene in scenes for light in lights]
+        found = [detect_pulses(scene, _ahead(PULSES), light) for scene in scenes for light in lights]
         range_m = np.stack([out.distance_m[..., 0] for out in found])
         codes = np.stack([out.reflectivity[..., 0] for out in found]).astype(int)
         yield Row(f"{name}: range, m", float(np.abs(range_m - 10.0).max()), 1e-4)
         yield Row(f"{name}: code", int(np.abs(codes - code).max()), 0)
-    sky = detected(opened([wall(-10.0)]), _ahead(PULSES), beam("adaptive"))
+    sky = detect_pulses(open_scene([wall(-10.0)]), _ahead(PULSES), beam("adaptive"))
     yield Row("open sky: returns", int(np.count_nonzero(sky.distance_m)), 0)
 
 
@@ -161,26 +161,27 @@ def _light(model: str, rays: int, spot_mm: float, divergence_mrad: float) -> Foo
 def widths_of_beams() -> Iterator[Row]:
     """Beams without width, of a nanometre, and of 100 mm and 50 mrad, which are 5 m wide at 100 m."""
     floor = faces(np.array([[(-200, -200, -3), (200, -200, -3), (200, 200, -3), (-200, 200, -3)]]))
-    scene = opened([floor, wall(60.0, 3.0)])
+    scene = open_scene([floor, wall(60.0, 3.0)])
     down_rad = np.linspace(np.radians(2.5), np.radians(15), 2 * PULSES)
     turn_rad = np.linspace(0.0, 6.0, 2 * PULSES)
     level = np.cos(down_rad)
     direction = np.column_stack([level * np.cos(turn_rad), level * np.sin(turn_rad), -np.sin(down_rad)])
     firings = pulses(np.zeros((len(down_rad), 3)), direction)
-    line_m = detected(scene, firings).distance_m[..., 0]
+    line_m = detect_pulses(scene, firings).distance_m[..., 0]
     for name, spot_mm, divergence_mrad in (("no width", 0.0, 0.0), ("1 nm, 1e-9 mrad", 1e-6, 1e-9)):
         for model in ("fixed", "adaptive"):
-            wide_m = detected(scene, firings, _light(model, 64, spot_mm, divergence_mrad)).distance_m[..., 0]
+            light = _light(model, 64, spot_mm, divergence_mrad)
+            wide_m = detect_pulses(scene, firings, light).distance_m[..., 0]
             yield Row(f"{name}, {model}: moved from one ray's, m", float(np.abs(wide_m - line_m).max()), 1e-4)
-    truth = detected(scene, firings, _light("fixed", 4096, 100.0, 50.0))
+    truth = detect_pulses(scene, firings, _light("fixed", 4096, 100.0, 50.0))
     for model in ("fixed", "adaptive"):
-        wide = detected(scene, firings, _light(model, 64, 100.0, 50.0))
+        wide = detect_pulses(scene, firings, _light(model, 64, 100.0, 50.0))
         off_m = wide.distance_m[..., 0].astype(np.float64) - truth.distance_m[..., 0]
         same = np.abs(off_m) < 1.0  # another echo in its place is no error of its range
         codes = wide.reflectivity[..., 0].astype(float) - truth.reflectivity[..., 0]
         yield Row(f"50 mrad, {model}: mean of ranges, m", abs(float(off_m[same].mean())), Beam().target_m)
         yield Row(f"50 mrad, {model}: mean of codes", abs(float(codes[same].mean())), 0.5)
-    yield refused("a beam of one ray", partial(load, "static_bench", ["beam.rays=1"]), "from 2 to")
+    yield refusal("a beam of one ray", partial(load, "static_bench", ["beam.rays=1"]), "from 2 to")
 
 
 def _clutter_share(extinction: float, sigma_m: float) -> float:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stability_cases.coordinates import path_moved_m
+from stability_cases.coordinates import path_shift_m
 from stability_cases.faces import grazing_error_m
 from stability_cases.poses import gimbal_errors
 from stability_cases.straps import DAMPINGS, slackest_hz, sway_errors
@@ -47,7 +47,7 @@ def draw(path: Path) -> None:
     grazed.set_xlabel("angle between pulse and floor, deg")
     away_m = np.geomspace(1.0, 9e5, 24)
     # A moved path is equal to the last bit at some places; half a step stands for it.
-    moved_m = [max(path_moved_m(float(a)), float(np.spacing(a)) / 2) for a in away_m]
+    moved_m = [max(path_shift_m(float(a)), float(np.spacing(a)) / 2) for a in away_m]
     far.plot(away_m, moved_m, ".-", color=_COLOURS[0], label="largest")
     far.plot(away_m, 2 * np.spacing(away_m), **_BOUND)
     far.set(title="A path moved away", xlabel="distance from the origin, m", ylabel="moved, m", xscale="log")

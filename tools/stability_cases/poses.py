@@ -11,7 +11,7 @@ from mpmath import matrix, mp, mpf
 from mpmath import sin as mp_sin
 from scipy.spatial.transform import Rotation
 
-from stability_cases.case import Row, case, refused
+from stability_cases.case import Row, case, refusal
 from vlp16emu.extras.recorded.files import RecordedPoses, read_kitti
 from vlp16emu.extras.recorded.motion import RecordedMotion
 from vlp16emu.extras.recorded.settings import Recorded
@@ -27,7 +27,7 @@ _EPSILON = 2.0**-52
 _STAGE_RAD = 2 * np.pi * 6e6 * _EPSILON  # six million turns, of which float64 knows that much
 
 
-def recorded(t_s: F8, quaternion: F8, position_m: F8 | None = None) -> RecordedMotion:
+def motion_through(t_s: F8, quaternion: F8, position_m: F8 | None = None) -> RecordedMotion:
     """Return the motion through poses (n,) from time 0 on."""
     t_ns = np.rint(t_s * S_NS).astype(np.int64)
     where = [f"pose {i + 1}" for i in range(len(t_s))]
@@ -65,7 +65,7 @@ def _over_the_pole(t_s: F8) -> Rotation:
 def gimbal_errors(rate_hz: int) -> tuple[F8, F8, F8]:
     """Return pitch (n,) in degrees, and errors (n,) of rotation, in rad, and of angular rate, in rad/s."""
     t_s = np.arange(10 * rate_hz + 1) / rate_hz
-    motion = recorded(t_s, _over_the_pole(t_s).as_quat())
+    motion = motion_through(t_s, _over_the_pole(t_s).as_quat())
     look_ns = np.arange(1 * S_NS, 9 * S_NS, 4_999_999, dtype=np.int64)
     look_s = look_ns / S_NS
     found = motion.kinematics_at(look_ns)
@@ -99,7 +99,7 @@ def fast_recording() -> Iterator[Row]:
     """A turn of 500 deg/s at 20 poses a second: 25 degrees from pose to pose."""
     t_s = np.arange(61) / 20
     rate_rad_s = np.radians(500.0)
-    steady = recorded(t_s, _about_z(rate_rad_s * t_s))
+    steady = motion_through(t_s, _about_z(rate_rad_s * t_s))
     look_ns = np.arange(500_000_000, 2_500_000_000, 100_003, dtype=np.int64)
     true = Rotation.from_quat(_about_z(rate_rad_s * look_ns / S_NS)).as_matrix()
     yield Row("rotation, rad", float(_angle_rad(true, steady.poses_at(look_ns).world_R_body).max()), 2e-6)
@@ -119,11 +119,11 @@ def signs_of_quaternions() -> Iterator[Row]:
         for step in steps[1:]:
             turn.append(turn[-1] * Rotation.from_rotvec(step))
         quaternion = np.array([r.as_quat() for r in turn])
-        one = recorded(t_s, quaternion).poses_at(look_ns).world_R_body
+        one = motion_through(t_s, quaternion).poses_at(look_ns).world_R_body
         moved = 0.0
         for _ in range(20):
             signs = rng.choice([-1.0, 1.0], 200)[:, None]
-            other = recorded(t_s, quaternion * signs).poses_at(look_ns).world_R_body
+            other = motion_through(t_s, quaternion * signs).poses_at(look_ns).world_R_body
             moved = max(moved, float(np.abs(one - other).max()))
         yield Row(f"{name}: rotation moved by the signs", moved, 0.0)
 
@@ -132,10 +132,10 @@ def signs_of_quaternions() -> Iterator[Row]:
 def impossible_recordings() -> Iterator[Row]:
     """Steps whose sense of turning is in doubt, and a gap."""
     for step_deg in (180.0, 91.0):
-        follow = partial(recorded, np.arange(4) / 20, _about_z(np.radians(step_deg) * np.arange(4)))
-        yield refused(f"a step of {step_deg:g} degrees", follow, f"turns by {step_deg:.1f} degrees")
-    gap = partial(recorded, np.array([0, 2.0]), _about_z(np.zeros(2)))
-    yield refused("a gap of 2 s", gap, "a gap of 2 s")
+        follow = partial(motion_through, np.arange(4) / 20, _about_z(np.radians(step_deg) * np.arange(4)))
+        yield refusal(f"a step of {step_deg:g} degrees", follow, f"turns by {step_deg:.1f} degrees")
+    gap = partial(motion_through, np.array([0, 2.0]), _about_z(np.zeros(2)))
+    yield refusal("a gap of 2 s", gap, "a gap of 2 s")
 
 
 @case("closed form: the sine that the poses sample")

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 from mpmath import expm, matrix, mp, mpf, pi
 
-from stability_cases.case import Row, case, refused
+from stability_cases.case import Row, case, refusal
 from vlp16emu.extras.walk.pack import KNOTS_PER_S, Pack, decay_per_s, response
 from vlp16emu.extras.walk.settings import Harness
 from vlp16emu.types import F8
@@ -65,7 +65,7 @@ def stiff_straps() -> Iterator[Row]:
     yield from _sway_rows(4)
     for hz, damping, says in ((0.5, 0.001, "more damping"), (2.0, 0.0, "swings for ever")):
         name = f"a harness of {hz:g} Hz with damping {damping:g}"
-        yield refused(name, partial(Pack, _sway, harness(hz, damping)), says)
+        yield refusal(name, partial(Pack, _sway, harness(hz, damping)), says)
 
 
 @case("closed form: the transfer function", is_slow=True)

@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from stability_cases.case import Row, case, refused
+from stability_cases.case import Row, case, refusal
 from stability_cases.poses import smooth
 from vlp16emu import Emulator
 from vlp16emu.engine import assemble
@@ -50,10 +50,10 @@ def impossible_paths() -> Iterator[Row]:
         ("a path of a million kilometres", [(0, 0), (1e9, 0)], "within 1e+06 m"),
         ("a path of 150 km", [(0, 0), (150_000, 0)], "at most 100 km"),
     ):
-        yield refused(name, partial(_walk, points_m), says)
+        yield refusal(name, partial(_walk, points_m), says)
 
 
-def _renamed(rows: Iterator[Row], name: str) -> Iterator[Row]:
+def _with_prefix(rows: Iterator[Row], name: str) -> Iterator[Row]:
     for row in rows:
         yield row._replace(quantity=f"{name}: {row.quantity}")
 
@@ -63,9 +63,10 @@ def hairpins() -> Iterator[Row]:
     """Turns within two feet, with loose straps, here and 100 km away, and reversals at the ends of a path."""
     for away_m in (0.0, 1e5):
         motion, start_ns = _walk(_hairpin(0.6, away_m))
-        yield from _renamed(smooth(motion, start_ns, motion.run_time_s), f"0.6 m, {away_m / 1000:g} km away")
+        rows = smooth(motion, start_ns, motion.run_time_s)
+        yield from _with_prefix(rows, f"0.6 m, {away_m / 1000:g} km away")
     motion, start_ns = _walk([(0.0, 0.0), (5.0, 0.0)], "harness={},back_and_forth=true,laps=2")
-    yield from _renamed(smooth(motion, start_ns, motion.run_time_s), "there and back")
+    yield from _with_prefix(smooth(motion, start_ns, motion.run_time_s), "there and back")
 
 
 @case("closed form: a circle")
