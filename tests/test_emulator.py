@@ -79,6 +79,14 @@ def test_a_time_that_is_none_is_refused(birch, seconds):
             Emulator(birch).packets(*span_s)
 
 
+@pytest.mark.parametrize("seconds", [1.3e6, 9.3e9, 1e300])
+def test_a_time_beyond_the_longest_run_is_refused(seconds):
+    """A span that begins or ends later than two weeks is refused, also where its nanoseconds would not fit int64."""
+    for span_s in ((seconds, seconds + 0.01), (0.0, seconds)):
+        with pytest.raises(InputError, match=r"^(duration|time): found \S+ s; expected at most \S+ s"):
+            Emulator("static_bench").packets(*span_s)
+
+
 ENCODER = "sensor.eccentricity_deg=0.06", "sensor.azimuth_noise_deg=0.005"
 """Errors that sensors have by default; the scene has none."""
 

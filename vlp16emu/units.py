@@ -11,13 +11,15 @@ US_NS = 1_000
 MS_NS = 1_000_000
 S_NS = 1_000_000_000
 HOUR_NS = 3_600 * S_NS
-FOREVER_NS = 2**62  # end of what lasts until the run ends
+FOREVER_NS = 2**62  # end of what lasts until the run ends; half of int64, so that the sum of two times fits too
 INCLUSIVE = 1.0 + 2.0**-21
 """Factor on a greatest range, so that a surface exactly there is included in spite of float32 rounding."""
 
 
 def seconds_to_ns(seconds: float) -> int:
-    """Return the nearest whole number of nanoseconds; raises InputError for NaN and infinity."""
+    """Return the nearest whole number of nanoseconds; raises InputError for NaN, infinity, and numbers beyond int64."""
     if not math.isfinite(seconds):
         raise InputError("time", f"found {seconds} s", "a finite number")
+    if abs(seconds) > FOREVER_NS / S_NS:
+        raise InputError("time", f"found {seconds:g} s", f"at most {FOREVER_NS / S_NS:g} s")
     return round(seconds * S_NS)

@@ -69,12 +69,7 @@ _TOO_SLOW = (
 
 
 def plan(
-    scene: SceneName,
-    making: RunOptions,
-    *,
-    duration_s: Duration = None,
-    plot: PlotFile = None,
-    as_json: AsJson = False,
+    scene: SceneName, making: RunOptions, *, duration_s: Duration = None, plot: PlotFile = None, as_json: AsJson = False
 ) -> None:
     """Report what a scene needs and leaves out, what its stages and a recording cost, and whether a stream keeps up.
 

@@ -29,9 +29,10 @@ from vlp16emu.returns.detector import UnitDetector
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.settings import require_packets
 from vlp16emu.types import F8, Firings, Hits, Packet, PacketKind, Returns
-from vlp16emu.units import seconds_to_ns
+from vlp16emu.units import S_NS, seconds_to_ns
 
 _AT_ONCE = 128  # position packets whose times are computed at once: one second
+_LONGEST_S = 14 * 86_400  # the latest start of a run and the longest run together; then stamps still fit a capture
 _LOWEST_DEG = 15.0  # lowest elevation of satellites that receivers use: the usual mask of forest surveys
 
 
@@ -151,8 +152,8 @@ class Engine:
     def span_ns(self, start_s: float, stop_s: float | None) -> tuple[int, int]:
         """Check a span of the run and convert it to nanoseconds since the first pulse; the default end is the scene's.
 
-        Raises TrajectoryError if it begins before the first pulse, ends after the motion, or if no poses arrive in a live
-        scene.
+        Raises TrajectoryError if it begins before the first pulse, ends after the motion or after two weeks, or if no poses
+        arrive in a live scene.
         """
         if isinstance(self.parts.carrier, OwnWindows):
             self.parts.carrier.require_open()
@@ -163,7 +164,10 @@ class Engine:
             keys = "; longer with motion.laps, and motion.back_and_forth where the path is open"
             most = f"at most the walk's {end_s:.1f} s{keys if self.scenario.motion.kind == 'walk' else ''}"
             raise TrajectoryError("duration", f"found {stop_s:g} s", most)
-        return start_ns, seconds_to_ns(stop_s)
+        stop_ns = seconds_to_ns(stop_s)
+        if max(start_ns, stop_ns) > _LONGEST_S * S_NS:
+            raise TrajectoryError("duration", f"found {max(start_s, stop_s):g} s", f"at most {_LONGEST_S} s, two weeks")
+        return start_ns, stop_ns
 
     def _data_packets(self, unit: Unit, start_ns: int, stop_ns: int) -> Iterator[Packet]:
         """Yield the data packets of a unit due in a span since the first pulse."""

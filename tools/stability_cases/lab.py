@@ -1,11 +1,12 @@
 """Small worlds, single pulses and perfect units for the cases."""
 
+import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
-from raycast.lab import world
 
 from vlp16emu.engine import Unit, assemble
 from vlp16emu.packets import LASERS
@@ -46,7 +47,7 @@ def wall(x_m: float, half_m: float = 50.0) -> Mesh:
     return faces(np.array([corners]))
 
 
-def opened(meshes: Sequence[Mesh], *, reflectance: float = 0.5, times: int = 1) -> Geometry:
+def open_scene(meshes: Sequence[Mesh], *, reflectance: float = 0.5, times: int = 1) -> Geometry:
     """Scene of one shape whose meshes are surfaces of their own, about the origin.
 
     Parameters
@@ -63,7 +64,10 @@ def opened(meshes: Sequence[Mesh], *, reflectance: float = 0.5, times: int = 1) 
         first_surface=np.zeros(times, np.uint32),
         surfaces=surfaces,
     )
-    return caster(world(lambda _key: tuple(meshes)), _WORKERS).open(window)
+    world = SimpleNamespace(
+        shape=lambda _key: tuple(meshes), shape_name=lambda _key: "", near_m=math.inf, far_tile=None, seed=0
+    )
+    return caster(world, _WORKERS).open(window)
 
 
 def pulses(origin_m: F8, direction: F8, *, lasers: int = LASERS) -> Firings:
@@ -82,7 +86,7 @@ def cast(scene: Geometry, firings: Firings, light: Footprint = LINE) -> Hits:
     return scene.cast(firings, np.full(firings.t_ns.shape[1], LENS_RADIUS_M), 140.0, light)
 
 
-def detected(scene: Geometry, firings: Firings, light: Footprint = LINE) -> Returns:
+def detect_pulses(scene: Geometry, firings: Firings, light: Footprint = LINE) -> Returns:
     """Detect pulses by a sensor without errors that sees as far as the largest code."""
     detector = unit_of("static_bench", "sensor.max_range_m=131.07").detector
     return detect(firings, cast(scene, firings, light), scene.surfaces, detector, truth=False)
