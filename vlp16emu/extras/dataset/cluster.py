@@ -79,7 +79,7 @@ class Cluster:
             for future in futures:
                 walk, number = tries.pop(future.key)
                 place, source, entry = self._result(future, walk)
-                folder = source if place is None else self._fetch(place, source, entry, parts)
+                folder = parts / source.name if place is None else self._fetch(place, source, entry, parts)
                 if folder is not None:
                     yield walk, folder, entry
                     futures.update(map(submit, islice(left, 1)))
@@ -116,6 +116,7 @@ class Cluster:
         pieces = self._pieces(place, source)
         held = memoryview(b"")
         try:
+            folder.mkdir()
             for file in entry["files"]:
                 path = folder / file["path"]
                 path.parent.mkdir(parents=True, exist_ok=True)

@@ -71,10 +71,10 @@ def estimate_dataset(walks: Sequence[DatasetWalk], out: Path, **options: Any) ->
     out : its folder, which need not exist
     options : fields of `DatasetOptions`; a scheduler is asked for the number of its workers
 
-    Raises InputError for options that exclude each other, a scheduler that has no fit workers, or a scene
+    Raises InputError for wrong options, a scheduler that has no fit workers, or a scene
     that cannot be made; MissingExtraError for a scheduler without Dask.
     """
-    asked = DatasetOptions(**options)
+    asked = DatasetOptions.from_fields(options)
     check_options(asked)
     cores = _cores(asked)
     missing = [walk for walk in walks if listed(out, walk) is None]

@@ -53,13 +53,13 @@ def make_dataset(
     progress : called with the simulated seconds so far, walk by walk
     options : fields of `DatasetOptions`
 
-    Raises InputError for options that exclude each other, or a scheduler that has no fit workers; OutputError
+    Raises InputError for wrong options, or a scheduler that has no fit workers; OutputError
     if the folder cannot be written, another run writes it, or the folder of a walk has an unlisted file;
     MissingExtraError for a scheduler without Dask; RunError if a walk fails, workers die repeatedly over one
     walk, or the scheduler is lost.
     """
     out = out.absolute()
-    asked = DatasetOptions(**options)
+    asked = DatasetOptions.from_fields(options)
     check_options(asked)
     path = out / MANIFEST
     with ExitStack() as stack:
