@@ -57,11 +57,11 @@ _TOO_SLOW = (
 
 
 def plan(scene: SceneName, making: RunOptions, *, duration_s: Duration = None, as_json: AsJson = False) -> None:
-    """Report what a scene needs and what it leaves out, what a recording takes, and whether a stream keeps up.
+    """Report what a scene needs and leaves out, what a recording takes, and whether a stream keeps up.
 
-    The world is grown, the kernels are loaded, and two seconds are recorded without a file: the speed holds for this
-    machine at its present load. It does not include the new window of the world that a walk needs every 7 s; the time of a
-    recording does.
+    The world is grown, the kernels are loaded, and two seconds are recorded without a file: the speed holds for
+    this machine at its present load. It does not include the new window of the world that a walk needs every
+    7 s; the time of a recording does.
     """
     began_s = time.perf_counter()
     emulator = make_emulator(scene, making)
