@@ -17,7 +17,7 @@ def shown_block(document, first):
 
 
 def differences(shown, printed):
-    """Return the lines of a document and of its commands that differ in more than a time, each pair as text."""
+    """Return pairs of shown and printed lines that differ in more than a time, as text."""
     pairs = zip_longest(shown.splitlines(), printed.splitlines(), fillvalue="no line")
     return [f"{a!r} in the document, {b!r} printed" for a, b in pairs if _without_time(a) != _without_time(b)]
 

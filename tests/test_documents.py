@@ -80,7 +80,7 @@ def quickstart(tmp_path_factory):
 
 
 def test_the_readme_shows_what_the_quick_start_prints(quickstart):
-    """The first block of README is what the commands of `tools/quickstart` print, but for the times of the machine."""
+    """The first block of README is what the commands of `tools/quickstart` print, apart from times."""
     _, printed = quickstart
     assert differences(BLOCK, printed) == []
 
@@ -96,7 +96,7 @@ def edited(place):
 
 
 def test_an_edited_figure_of_the_readme_is_found():
-    """A change of any one digit of the block differs from what is printed, unless the digit belongs to a time."""
+    """A change of any digit of the block is a difference, unless it belongs to a time."""
     for place in FIGURES:
         other, line = edited(place)
         is_time = line.strip().startswith(TIMES)
@@ -112,7 +112,7 @@ def test_a_line_more_or_less_is_found():
         assert differences(without, BLOCK)
 
 
-ENDLESS = {"--loop": "", "birch_walk --to 192.168.1.10": "birch_walk --to 127.0.0.1 --data-port 0 --position-port 0"}
+ENDLESS = {"--loop": "", "--to 192.168.1.10": "--to 127.0.0.1 --data-port 0 --position-port 0"}
 """Parts of README's commands without which they end by themselves, on this machine."""
 PLACES = {"SPEC.toml": "spec.toml", "OUT": "out", "field_day.pcap": "walk.pcap"}
 """What stands for a file of the reader, and a file of this test in its place."""
@@ -131,7 +131,8 @@ sensors = [{ name = "puck" }]
 def readme_commands():
     """Return the commands of README's tables of verbs in their order, without the page, which has no end."""
     table = DOCUMENTS["README.md"].partition("## Commands\n")[2].partition("\n`--help`")[0]
-    return [command for command in re.findall(r"`vlp16emu ([^`]+)`", table) if not command.startswith("view ")]
+    commands = re.findall(r"`vlp16emu ([^`]+)`", table)
+    return [command for command in commands if not command.startswith("view ")]
 
 
 def in_a_moment(command):
@@ -148,7 +149,7 @@ def in_a_moment(command):
 
 
 def test_the_commands_of_the_readme_run(tmp_path, monkeypatch, capfd):
-    """The commands of README's tables run one after the other in an empty folder, in the hall for a moment."""
+    """The commands of README's tables run one after the other, in the hall for a moment."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "spec.toml").write_text(SPEC, encoding="utf-8")
     for command in readme_commands():
@@ -157,7 +158,8 @@ def test_the_commands_of_the_readme_run(tmp_path, monkeypatch, capfd):
             shutil.copy("truth/trajectory.tum", "estimate.tum")
         code = run(words)
         printed = capfd.readouterr()
-        may_find = words[0] == "doctor" or words[-2:] == ["--for", "all"]  # of this machine, and of a bag without IMU
+        # This machine may have a problem, and a bag without inertial unit is not fit for all programs.
+        may_find = words[0] == "doctor" or words[-2:] == ["--for", "all"]
         assert code <= int(may_find), (words, *printed)
 
 
@@ -185,7 +187,7 @@ def settings_of(command):
 
 @pytest.mark.parametrize("command", [one for one in COMMANDS if "--set" in one])
 def test_the_settings_of_the_documents_are_taken(command, tmp_path, monkeypatch):
-    """Each setting of a command in the documents is one of its scene, or names a file of the reader that is missing here."""
+    """Each setting of a command in the documents is one of its scene; files of the reader may be missing."""
     monkeypatch.chdir(tmp_path)
     try:
         load(*settings_of(command))
@@ -200,6 +202,22 @@ def test_the_page_of_the_paper_has_the_commands_of_its_tool(tool_named):
     rows = [(row.part, row.what, f"`{row.command}`") for row in tool_named("paper").ROWS]
     assert [tuple(line[:3]) for line in cells] == rows
     assert all(len(line) == 4 for line in cells)
+
+
+@pytest.fixture(scope="module")
+def keys(tool_named):
+    """Return all keys of a scene file, with the path of their table."""
+    tables = tool_named("settings_table").tables().values()
+    paths = [(path.replace("[]", ""), table) for table in tables for path in table.paths]
+    return {f"{path}.{key}".lstrip(".") for path, table in paths for key in table.node["properties"]}
+
+
+@documents
+def test_the_keys_of_the_documents_exist(document, keys):
+    """Keys of a scene file that a document names in full are keys of the program."""
+    sections = "|".join(sorted({key.partition(".")[0] for key in keys if "." in key}))
+    named = set(re.findall(rf"`((?:{sections})\.[a-z0-9_.]+)[^`/]*`", DOCUMENTS[document]))
+    assert {key for key in named if not key.endswith((".csv", ".json"))} <= keys
 
 
 @documents

@@ -31,7 +31,7 @@ def no_return_codes(preset):
 
 @pytest.mark.parametrize("preset", ["unit", "ideal", "typical", "datasheet"])
 def test_codes_of_no_returns_are_as_the_page_says(preset):
-    """Records without a return have a code with the preset that the page names first, and 0 with the others."""
+    """No-returns have a code with the preset that the page names first, and 0 with the others."""
     with_code, without = answer("Reflectivity where there is no return").split("; 0 with ")
     codes, _ = no_return_codes(preset)
     assert len(codes) > 1000

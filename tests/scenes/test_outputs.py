@@ -11,7 +11,7 @@ from vlp16emu.extras.truth.truth import _GNSS_COLUMNS, _IMU_COLUMNS, ATTITUDE, S
 from vlp16emu.forest.plants.species import flora
 from vlp16emu.forest.stand.given_stand import _COLUMNS
 from vlp16emu.forest.stand.inventory import INVENTORY
-from vlp16emu.scenario import load, scene_files
+from vlp16emu.scenario import load, scene_files, schema
 from vlp16emu.tables import LARGEST
 from vlp16emu.types import PlantPart, Semantic
 
@@ -105,3 +105,12 @@ def test_the_figures_of_a_scene_are_those_of_the_program(tool_named):
         cells = [cell.strip() for cell in line.strip("|").split("|")]
         assert [cells[2], *cells[-2:]] == [season, sensor, duration], name
     assert f"\n{tool.row('birch_walk', 'pure silver birch')}\n" in text
+
+
+@pytest.mark.parametrize(("heading", "section"), [("Events", "events"), ("Motion and rig", "motion")])
+def test_the_kinds_of_a_table_are_given(heading, section):
+    """The tables of events and motions name each kind that a scene takes."""
+    node = schema()["properties"][section]
+    kinds = node.get("items", node)["discriminator"]["mapping"]
+    given = [name for row in table(heading, file="README.md") for name in names(row[0])]
+    assert sorted(given) == sorted(kinds)

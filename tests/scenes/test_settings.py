@@ -91,7 +91,7 @@ LIMITS = limits()
 
 @pytest.mark.parametrize("key", LIMITS)
 def test_the_limits_of_the_first_tables_are_those_of_the_program(key):
-    """`--set` takes each number of the common tables up to its limits on the page, and refuses the next beyond."""
+    """`--set` takes each number of the common tables up to its limits, and refuses the next beyond."""
     found = {name: Decimal(value) for name, value in LIMITS[key].items() if value and name != "whole"}
     step = found.pop("step", Decimal(1) if LIMITS[key]["whole"] else Decimal("1e-6"))
     taken, refused = [], []
@@ -117,6 +117,6 @@ def test_the_words_of_the_first_tables_are_those_of_the_program(key):
 
 
 def test_the_defaults_of_a_rig_are_those_of_an_empty_table(tool):
-    """Defaults under `rig` are what an empty table of `[[rig]]` gives: the values of `[sensor]`, or counted up from them."""
+    """Defaults under `rig` are what an empty table of `[[rig]]` gives."""
     (unit,) = load("birch_walk", ["rig=[{}]"]).rig
     assert tool.tables()["RigUnit"].default == unit.model_dump(mode="json")

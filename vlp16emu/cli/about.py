@@ -73,9 +73,9 @@ def plan(
 ) -> None:
     """Report what a scene needs and leaves out, what its stages and a recording cost, and whether a stream keeps up.
 
-    The world is grown, the kernels are loaded, and two seconds are recorded without a file: the speed holds for this
-    machine at its present load. It does not include the new window of the world that a walk needs every 7 s; the time of a
-    recording does.
+    The world is grown, the kernels are loaded, and two seconds are recorded without a file: the speed holds for
+    this machine at its present load. It does not include the new window of the world that a walk needs every
+    7 s; the time of a recording does.
     """
     from vlp16emu.extras.plot.sheet import plotting
 

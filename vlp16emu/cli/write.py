@@ -66,7 +66,8 @@ def points(
 
     Each point is given in the world and in the sensor's frame at the instant of its pulse, as a user would
     compute it. No packets are made, so ranges are not on their 2 mm grid. Ctrl-C leaves a valid file.
-    Points of a capture are placed in the world by a trajectory: the true one, an estimate, or one with errors on purpose.
+    Points of a capture are placed in the world by a trajectory: the true one, an estimate, or one with errors
+    on purpose.
     """
     from vlp16emu.captures.capture import is_capture_name
 

@@ -50,8 +50,8 @@ class TrajectoryErrors(Options):
     mount: Annotated[
         Any,
         Option(
-            "For a capture: extrinsics of the sensor on the body of the trajectory, in m and degrees as in [motion.mount];"
-            " with the true trajectory, errors of boresight and lever arm.",
+            "For a capture: extrinsics of the sensor on the body of the trajectory, in m and degrees as in "
+            "[motion.mount]; with the true trajectory, errors of boresight and lever arm.",
             _MOUNT,
             parse=_numbers(_MOUNT),
             expected=f"the numbers {_MOUNT}",

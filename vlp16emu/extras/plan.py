@@ -190,7 +190,7 @@ def verdict(speed: float) -> str:
 
 
 def recording_outlook(engine: Engine, measured: Recording, started_s: float, duration_s: float) -> dict[str, float]:
-    """Return run time and size of a recording, from a measured one; all windows of the world take as long as the second one.
+    """Return run time and size of a recording from a measured one; all windows cost as much as the second.
 
     Parameters
     ----------

@@ -80,7 +80,7 @@ class Trajectory:
         return turn, place_m
 
     def _with_drift(self, turn: F8, place_m: F8, minutes: F8) -> tuple[F8, F8]:
-        """Return poses with the drift after `minutes` (n,): a rotation about the first pose, then a translation."""
+        """Return poses with drift after `minutes` (n,): rotation about the first pose, then translation."""
         *per_minute_m, yaw_deg = self._drift
         yaw = rotations(np.radians(yaw_deg * minutes), 0.0, 0.0)
         from_first_m = matvec(yaw, place_m - self.first_m)
