@@ -305,22 +305,30 @@ def wait_until(is_so):
 def test_controls_set_the_sensor_and_show_what_others_set(server):
     """A moved control arrives in the packets; a refused value gives its reason; a setting of another client moves the control."""
     panel = SettingsPanel(server)
-    rpm, mode = (panel._controls[index].handle for index in (0, 1))
+    rpm = panel._controls[0].handle
     assert rpm.disabled
+
+    def move(index, value):
+        """Move a control, as a browser does."""
+        panel._touch(SimpleNamespace(client_id=1, target=SimpleNamespace(value=value)), index)
+
     with vlp16emu.stream("static_bench", {"duration_s": 3000.0}, truth=False) as live:
         host, port = live.http.removeprefix("http://").rstrip("/").split(":")
         panel.connect((host, int(port)))
         wait_until(lambda: not rpm.disabled)
-        mode.value = "Last"
-        panel._touch(SimpleNamespace(client_id=1), 1)
+        move(1, "Last")
         wait_until(lambda: live.packets(10)[-1][MODE_AT] == 0x38)
+        for index, value in ((2, False), (3, 90), (4, 270), (5, True), (6, 45.0)):
+            move(index, value)
+        wait_until(lambda: panel._ask("GET", "/cgi/settings.json")["phaselock"] == {"enabled": "On", "offset": "4500"})
+        settings = panel._ask("GET", "/cgi/settings.json")
+        assert (settings["laser"], settings["fov"]) == ("Off", {"start": 90, "end": 270})
         live.set(rpm=1200)
         wait_until(lambda: rpm.value == "1200")
-        panel._controls = (panel._controls[0]._replace(to_form=lambda _: "601"), *panel._controls[1:])
-        panel._touch(SimpleNamespace(client_id=1), 0)
+        move(0, "601")
         wait_until(lambda: "601" in panel._text.content)
         assert rpm.value == "1200"
-    panel._touch(SimpleNamespace(client_id=1), 0)
+    move(0, "600")
     wait_until(lambda: "does not answer" in panel._text.content)
     panel.end()
 

@@ -178,9 +178,9 @@ class LiveView:
 
     def _draw_sweeps(self) -> None:
         """Draw the last sweeps: those that are not on the page yet, or look different; hide all others."""
-        # A client may send any number or text.
-        count = min(max(int(self._count.value), 1), _MOST_SWEEPS)
-        size_m = min(max(self._size.value / 100.0, 0.01), 0.2)
+        # A client may send any number or text; NaN becomes the least.
+        count = int(min(max(1, self._count.value), _MOST_SWEEPS))
+        size_m = min(max(0.01, self._size.value / 100.0), 0.2)
         sweeps = list(self._sweeps)[-count:]
         if not sweeps:
             return

@@ -51,7 +51,7 @@ class SettingsPanel:
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._place: tuple[str, int] | None = None
-        self._touched = set[int]()  # controls that somebody moved, by their index
+        self._touched = dict[int, Any]()  # values of controls that somebody moved, by the index of the control
         self._wake = Event()
         self._over = False
         gui = server.gui
@@ -99,7 +99,7 @@ class SettingsPanel:
 
     def _touch(self, event: viser.GuiEvent[Any], index: int) -> None:
         if event.client_id is not None:  # not by `_show`
-            self._touched.add(index)
+            self._touched[index] = event.target.value
             self._wake.set()
 
     def _run(self) -> None:
@@ -110,6 +110,8 @@ class SettingsPanel:
                 time.sleep(_CALM_S)
             try:
                 self._exchange()
+            except (TypeError, OverflowError):  # a client may send any value
+                self._say("no such setting")
             except (OSError, HTTPException, ValueError, KeyError):  # it restarts, or an event makes it fail
                 self._say("the web interface of the sensor does not answer")
 
@@ -118,8 +120,9 @@ class SettingsPanel:
         if self._place is None:
             return
         while self._touched:
-            control = self._controls[self._touched.pop()]
-            body = f"{control.key}={control.to_form(control.handle.value)}"
+            index = next(iter(self._touched))
+            control = self._controls[index]
+            body = f"{control.key}={control.to_form(self._touched.pop(index))}"
             answer = self._ask("POST", f"{_FORM}/{control.table}".rstrip("/"), body)
             refusal = answer.get("ignored") or answer.get("error")
             self._say(str(refusal) if refusal else f"set {control.table} {body}")
@@ -138,7 +141,9 @@ class SettingsPanel:
         return tree
 
     def _show(self, settings: dict[str, Any]) -> None:
-        for control in self._controls:
+        for index, control in enumerate(self._controls):
+            if index in self._touched:
+                continue
             table = settings[control.table] if control.table else settings
             control.handle.value = control.to_control(table[control.key])
 
