@@ -34,6 +34,7 @@ _LABELS = {
     "walk_share": "of the walk",
 }
 _NUMBERS = re.compile(r"\[\n([^][{}\"]*)\]")  # a list of numbers as `json` indents it; text never holds a line feed
+_SMALL_BYTES = 100_000
 _WIDEST = 10.0  # ratio of the ends of an interval; beyond it not even the order of magnitude is known
 
 
@@ -131,8 +132,8 @@ def count(number: int) -> str:
 
 
 def size(number_of_bytes: int) -> str:
-    """Format a file's size in MB (10^6 bytes)."""
-    return f"{number_of_bytes / 1e6:.1f} MB"
+    """Format a file's size in MB (10^6 bytes), a small one in kB."""
+    return f"{number_of_bytes / 1e6:.1f} MB" if number_of_bytes >= _SMALL_BYTES else f"{number_of_bytes / 1e3:.1f} kB"
 
 
 def behind_text(times: Any) -> str:

@@ -39,6 +39,7 @@ _CIRCLES_M, _MOST_CIRCLES = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0), 6
 _DEEP_M = -1e3  # circles of range about the sensor are behind all points
 _MOST_ENTRIES = 16
 _PALETTE = 256
+_SHOWN_BY = {"natural": "leaf and stem by species", "instance": "each plant and thing in a colour"}
 _MILLIONS = 100_000  # number of points from which captions use millions
 _FROM_DEG = 205.0  # default bearing of the eye: light falls from the south
 _STATIONS = 200  # number of places along a path
@@ -123,7 +124,7 @@ class Source(NamedTuple):
     species: Mapping[int, str]  # names by number
     inputs: Collection[Path]  # files that are read, which the picture may not replace
     title: str
-    time: str  # of the revolutions; empty for the time of the first one, as UTC
+    span_s: tuple[float, float] | None  # seconds of the scene; None for a capture
 
 
 def source_of_capture(capture: Path, trajectory: Path | None, span: Span) -> Source:
@@ -137,7 +138,7 @@ def source_of_capture(capture: Path, trajectory: Path | None, span: Span) -> Sou
         begin_s, end_s = way.span_s
         way_m = way.poses_at((1e9 * np.linspace(begin_s + 1e-3, end_s - 1e-3, _STATIONS)).astype(np.int64))[1]
     sweeps = islice(_sweeps_of_capture(capture, way, span), 1 if way is None else None)
-    return Source(sweeps, way_m, {}, inputs, capture.name, "")
+    return Source(sweeps, way_m, {}, inputs, capture.name, None)
 
 
 def _sweeps_of_capture(capture: Path, way: Trajectory | None, span: Span) -> Iterator[Sweep]:
@@ -158,9 +159,8 @@ def source_of_scene(emulator: Emulator, span: Span, name: str) -> Source:
     ends_s = scenario.span_s(span.start_s, span.duration_s, where="--start")
     t_ns = scenario.start_ns + (np.linspace(*ends_s, _STATIONS) * 1e9).astype(np.int64)
     sweeps = sweeps_of_scene(emulator, span.start_s, span.duration_s)
-    title, time = f"{name}: {scenario.title}", f"{ends_s[0]:g} to {ends_s[1]:g} s"
     way_m = parts.motion.poses_at(t_ns).world_p_body_m
-    return Source(sweeps, way_m, species_of(scenario), emulator.files, title, time)
+    return Source(sweeps, way_m, species_of(scenario), emulator.files, f"{name}: {scenario.title}", ends_s)
 
 
 def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> dict[str, Any]:
@@ -173,7 +173,7 @@ def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> 
     path : a path that passes `check_suffix`
     stop : ends the picture between two revolutions; before the first one with a `KeyboardInterrupt`
     """
-    sweeps, way_m, species, inputs, title, time = source
+    sweeps, way_m, species, inputs, title, span_s = source
     spare(inputs, path)
     first = next(sweeps, None)
     if first is None:
@@ -200,13 +200,21 @@ def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> 
             if stop.is_set():
                 break
         number = f"{points / 1e6:.2f} million" if points >= _MILLIONS else f"{points:,}".replace(",", " ")
-        shown_by = "leaf and stem by species" if colour == "natural" else f"by {colour}"
-        time = time or f"{datetime.fromtimestamp(first.scan.start_ns / S_NS, UTC):%Y-%m-%d %H:%M:%S} UTC"
-        caption = f"{time}; {number} points{' of a revolution' if from_above else ''}, {shown_by}"
+        of = " of a revolution" if from_above else ""
+        caption = (
+            f"{_time(span_s, first, is_one=from_above)}; {number} points{of}, {_SHOWN_BY.get(colour, f'by {colour}')}"
+        )
         bar_px = None if from_above else 10 * canvas.px_per_m
         _small(_annotated(canvas.image(), (title, caption), entries, labels, bar_px)).save(file, "PNG", optimize=True)
     made = {"file": str(path), "revolutions": revolutions, "points": points, "colour": colour}
     return made | {"bytes": path.stat().st_size, "interrupted": stop.is_set()}
+
+
+def _time(span_s: tuple[float, float] | None, first: Sweep, *, is_one: bool) -> str:
+    """Return the time of the revolutions, or of the first one, as text."""
+    if span_s is None:
+        return f"{datetime.fromtimestamp(first.scan.start_ns / S_NS, UTC):%Y-%m-%d %H:%M:%S} UTC"
+    return f"from {span_s[0]:g} s" if is_one else f"{span_s[0]:g} to {span_s[1]:g} s"
 
 
 def _slant(look: PictureLook, first: Sweep, way_m: F8 | None) -> Canvas:
