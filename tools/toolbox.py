@@ -1,4 +1,4 @@
-"""Functions shared by tools: options, the program's command line, and virtual environments for other programs."""
+"""Functions shared by tools: options, the program's command line, tables, and virtual environments for other programs."""
 
 import argparse
 import subprocess
@@ -23,6 +23,26 @@ def options(
     if settings:
         parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="scene setting")
     return parser
+
+
+def arguments(parser: argparse.ArgumentParser, **shortest: object) -> argparse.Namespace:
+    """Parse the command line; with `--shortest` these values are used, and the tool shows within seconds that it works."""
+    parser.add_argument("--shortest", action="store_true", help="shortest setting: seconds, to see that the tool works")
+    wanted = parser.parse_args()
+    if wanted.shortest:
+        vars(wanted).update(shortest)
+    return wanted
+
+
+def print_row(*cells: object) -> None:
+    """Print a row of a table in Markdown at once."""
+    print("| " + " | ".join(map(str, cells)) + " |", flush=True)
+
+
+def print_head(*names: str) -> None:
+    """Print the head of a table in Markdown; all columns but the first are numbers."""
+    print_row(*names)
+    print("|---|" + "---:|" * (len(names) - 1), flush=True)
 
 
 def set_words(settings: Iterable[str]) -> list[str]:
