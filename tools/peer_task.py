@@ -1,0 +1,84 @@
+"""What `tools/peers` casts: pulses of a sector of a walk, and all triangles that they can reach."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from vlp16emu import Emulator
+from vlp16emu.engine.windows import BLOCK, window_of
+from vlp16emu.raycast.beam import LINE, Footprint, beam_axis_of, lay, pulse_axes, turn
+from vlp16emu.raycast.build import relative_to_window
+from vlp16emu.raycast.pieces import faces_of
+from vlp16emu.scenario import load
+from vlp16emu.types import Firings, Window, World
+
+MARGIN_M = 1.0  # more than the sensor moves in these revolutions
+TOGETHER = 8  # sequences, and revolutions, that the program casts at once
+ORDER_DEG = 1.6  # sectors by which it orders these revolutions
+
+
+def first_pulses(scene: str, reach_m: float, sector_deg: float, *, all_faces: bool) -> tuple[Emulator, Firings]:
+    """Return an emulator, and the pulses of its first revolutions in a sector from azimuth 0 on."""
+    settings = [f"sensor.max_range_m={reach_m}", "beam.model=fixed", "beam.rays=8"]
+    if all_faces and load(scene).world.kind != "hall":  # a hall has no medium
+        settings.append("world.near_m=inf")
+    emulator = Emulator(scene, settings, threads=1)
+    unit = emulator.parts.units[0]
+    firings = unit.head.aim(0, TOGETHER * BLOCK, unit.motion.poses_at, beam_axis=True)
+    group_deg = firings.azimuth_deg[::TOGETHER, 0]
+    inside = np.flatnonzero(firings.azimuth_deg[:, 0].reshape(-1, TOGETHER).max(axis=1) < sector_deg)
+    groups = inside[np.argsort((group_deg[inside] / ORDER_DEG).astype(int), kind="stable")]
+    rows = (TOGETHER * groups[:, None] + np.arange(TOGETHER)).reshape(-1)
+    names = "t_ns", "clock_ns", "azimuth_deg", "reading_deg", "origin_m", "direction", "beam_axis"
+    return emulator, replace(firings, **{name: getattr(firings, name)[rows] for name in names})
+
+
+def triangles(
+    world: World, window: Window, firings: Firings, reach_m: float, sector_deg: float
+) -> dict[str, np.ndarray]:
+    """Return the triangles of all placements that the pulses can reach, in axes of the window."""
+    eye_m = firings.origin_m[0, 0] - window.origin_m
+    ahead = firings.direction[:, :, :2].reshape(-1, 2).mean(axis=0)
+    shapes = [[faces_of(mesh) for mesh in world.shape(key)] for key in window.shapes]
+    vertices, faces, count = [], [], 0
+    for transform, which in zip(relative_to_window(window), window.shape, strict=True):
+        for corners_m, triangle in shapes[which]:
+            place_m = corners_m.astype(np.float64) @ transform[:, :3].T + transform[:, 3]
+            from_m = place_m - eye_m
+            edges_m = place_m[triangle] - place_m[np.roll(triangle, 1, axis=1)]
+            size_m = np.linalg.norm(edges_m, axis=2).max(axis=1)
+            range_m = np.maximum(np.linalg.norm(from_m, axis=1)[triangle].min(axis=1) - size_m, 0.0) - MARGIN_M
+            across_rad = np.arctan2(ahead[0] * from_m[:, 1] - ahead[1] * from_m[:, 0], from_m[:, :2] @ ahead)
+            aside_rad = np.abs(across_rad)[triangle].min(axis=1) - np.arctan2(size_m + MARGIN_M, range_m.clip(min=0.01))
+            kept = triangle[(range_m < reach_m) & (aside_rad < np.radians(sector_deg / 2))]
+            used, own = np.unique(kept, return_inverse=True)
+            vertices.append(place_m[used].astype(np.float32))
+            faces.append((own.reshape(-1, 3) + count).astype(np.uint32))
+            count += len(used)
+    return {"vertices_m": np.concatenate(vertices), "faces": np.concatenate(faces)}
+
+
+def rays_of(firings: Firings, beam: Footprint, from_m: np.ndarray) -> np.ndarray:
+    """Return origins and directions of rays (n, 6), in the order and with the sub-rays of the program."""
+    if beam is LINE:
+        lines = np.concatenate([firings.origin_m - from_m, firings.direction], axis=-1)
+        return lines.reshape(-1, TOGETHER, lines.shape[1], 6).transpose(0, 2, 1, 3).reshape(-1, 6).astype(np.float32)
+    axes, sub_rays = np.empty((4, 3), np.float32), np.empty((7, 8), np.float32)
+    rays, sigmas = np.empty((firings.t_ns.size, 8, 6), np.float32), beam.sigmas.astype(np.float32)
+    for number, (i, j) in enumerate(np.ndindex(firings.t_ns.shape)):
+        pulse_axes(firings.origin_m, firings.direction, beam_axis_of(firings, beam), from_m, i, j, axes)
+        lay(sub_rays.reshape(-1), axes, sigmas, *turn(beam.seed, firings.index + i, j), 0, False)
+        rays[number, :, :3], rays[number, :, 3:] = sub_rays[:3].T, sub_rays[4:].T
+    return rays.reshape(-1, 6)
+
+
+def write_task(scene: str, reach_m: float, sector_deg: float, path: Path) -> int:
+    """Write triangles and rays for the other casters; return the number of triangles."""
+    emulator, firings = first_pulses(scene, reach_m, sector_deg, all_faces=True)
+    window = window_of(emulator.parts, emulator.scenario.start_ns, emulator.engine.batching, 0)
+    arrays = triangles(emulator.parts.world, window, firings, reach_m, sector_deg)
+    beams = {"1": LINE, "8": emulator.parts.units[0].beam}
+    sets = {f"rays_{name}": rays_of(firings, beam, window.origin_m) for name, beam in beams.items()}
+    np.savez(path, reach_m=reach_m, **arrays, **sets)
+    return len(arrays["faces"])
