@@ -13,22 +13,23 @@ from vlp16emu.raycast.pieces import faces_of
 from vlp16emu.scenario import load
 from vlp16emu.types import Firings, Window, World
 
+FROM_DEG = 60.0  # beside the path, which is kept free of trees
 MARGIN_M = 1.0  # more than the sensor moves in these revolutions
 TOGETHER = 8  # sequences, and revolutions, that the program casts at once
 ORDER_DEG = 1.6  # sectors by which it orders these revolutions
 
 
 def first_pulses(scene: str, reach_m: float, sector_deg: float, *, all_faces: bool) -> tuple[Emulator, Firings]:
-    """Return an emulator, and the pulses of its first revolutions in a sector from azimuth 0 on."""
+    """Return an emulator, and the pulses of its first revolutions in a sector from azimuth `FROM_DEG` on."""
     settings = [f"sensor.max_range_m={reach_m}", "beam.model=fixed", "beam.rays=8"]
     if all_faces and load(scene).world.kind != "hall":  # a hall has no medium
         settings.append("world.near_m=inf")
     emulator = Emulator(scene, settings, threads=1)
     unit = emulator.parts.units[0]
     firings = unit.head.aim(0, TOGETHER * BLOCK, unit.motion.poses_at, beam_axis=True)
-    group_deg = firings.azimuth_deg[::TOGETHER, 0]
-    inside = np.flatnonzero(firings.azimuth_deg[:, 0].reshape(-1, TOGETHER).max(axis=1) < sector_deg)
-    groups = inside[np.argsort((group_deg[inside] / ORDER_DEG).astype(int), kind="stable")]
+    azimuth_deg = ((firings.azimuth_deg[:, 0] - FROM_DEG) % 360).reshape(-1, TOGETHER)
+    inside = np.flatnonzero(azimuth_deg.max(axis=1) < sector_deg)
+    groups = inside[np.argsort((azimuth_deg[inside, 0] / ORDER_DEG).astype(int), kind="stable")]
     rows = (TOGETHER * groups[:, None] + np.arange(TOGETHER)).reshape(-1)
     names = "t_ns", "clock_ns", "azimuth_deg", "reading_deg", "origin_m", "direction", "beam_axis"
     return emulator, replace(firings, **{name: getattr(firings, name)[rows] for name in names})
