@@ -39,10 +39,10 @@ def print_row(*cells: object) -> None:
     print("| " + " | ".join(map(str, cells)) + " |", flush=True)
 
 
-def print_head(*names: str) -> None:
-    """Print the head of a table in Markdown; all columns but the first are numbers."""
+def print_head(*names: str, left: int = 1) -> None:
+    """Print the head of a table in Markdown; columns after the first `left` ones are numbers."""
     print_row(*names)
-    print("|---|" + "---:|" * (len(names) - 1), flush=True)
+    print("|" + "---|" * left + "---:|" * (len(names) - left), flush=True)
 
 
 def set_words(settings: Iterable[str]) -> list[str]:
