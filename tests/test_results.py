@@ -1,0 +1,60 @@
+"""Each page of results names the commands that make it, and they run."""
+
+import re
+import shlex
+import sys
+from pathlib import Path
+
+import pytest
+
+from vlp16emu.cli.app import run
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = sorted((ROOT / "tools/results").glob("*.md"))
+SHORT = {"--pulses": "64", "--duration": "0.1", "--radius": "5"}  # values of the options of verbs
+
+
+def commands_of(page):
+    """Lines of the block that begins in the third line of a page."""
+    lines = page.read_text(encoding="utf-8").splitlines()[2:]
+    count = next((i for i, line in enumerate(lines) if not line.startswith("    ")), len(lines))
+    return [line.strip() for line in lines[:count]]
+
+
+COMMANDS = {page: commands_of(page) for page in PAGES}
+TOOLS = sorted({line.split()[0] for lines in COMMANDS.values() for line in lines if line.startswith("tools/")})
+VERBS = sorted({line for lines in COMMANDS.values() for line in lines if line.startswith("vlp16emu ")})
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_a_page_begins_with_its_commands(page):
+    """From its third line on, each page has an indented block of commands, each a tool that is there or a verb."""
+    assert COMMANDS[page], "expected an indented block from line 3 on"
+    for line in COMMANDS[page]:
+        first = line.split()[0]
+        assert first == "vlp16emu" or (first.startswith("tools/") and (ROOT / first).is_file()), line
+
+
+@pytest.mark.parametrize("name", TOOLS)
+def test_the_tool_of_a_page_runs(name, tool_named, monkeypatch, capsys, tmp_path):
+    """With `--shortest` it prints within seconds; programs of other projects are not installed for that."""
+    if name == "tools/browser":
+        pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, Path(name).name, sys.modules.get(Path(name).name))  # tests have a package `forest`
+    monkeypatch.setattr(sys, "argv", [str(ROOT / name), "--shortest"])
+    tool_named(Path(name).name).main()
+    printed = capsys.readouterr().out
+    assert len(printed.splitlines()) >= 2
+    assert "nan" not in printed or name == "tools/forest"
+
+
+@pytest.mark.parametrize("command", VERBS)
+def test_the_verb_of_a_page_runs(command, monkeypatch, capsys, tmp_path):
+    """In the hall, with few pulses or a moment, the verb prints a result."""
+    monkeypatch.chdir(tmp_path)
+    words = shlex.split(command, comments=True)[1:]
+    words[1] = "static_bench"
+    words = [SHORT.get(before, word) for before, word in zip(["", *words], words, strict=False)]
+    assert run(words) == 0
+    assert re.search(r"\d", capsys.readouterr().out)
