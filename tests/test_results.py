@@ -11,7 +11,7 @@ from vlp16emu.cli.app import run
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted((ROOT / "tools/results").glob("*.md"))
-SHORT = {"--pulses": "64", "--duration": "0.1", "--radius": "5"}  # values of the options of verbs
+SHORT = {"--pulses": "128", "--duration": "0.1", "--radius": "5"}  # values of the options of verbs
 
 
 def commands_of(page):
@@ -21,10 +21,18 @@ def commands_of(page):
     return [line.strip() for line in lines[:count]]
 
 
+def shortened(line):
+    """Words of a verb in the hall with few pulses or a moment; with --help where its argument is not a scene."""
+    verb, first, *words = shlex.split(line, comments=True)[1:]
+    if not (ROOT / "scenes" / f"{first}.toml").exists():
+        return verb, first, *words, "--help"
+    return verb, "static_bench", *(SHORT.get(before, word) for before, word in zip(["", *words], words, strict=False))
+
+
 COMMANDS = {page: commands_of(page) for page in PAGES}
 TOOLS = sorted({line.split()[0] for lines in COMMANDS.values() for line in lines if line.startswith("tools/")})
 TOOLS = [name for name in TOOLS if (ROOT / name).read_text(encoding="utf-8").startswith("#!/usr/bin/env python3")]
-VERBS = sorted({line for lines in COMMANDS.values() for line in lines if line.startswith("vlp16emu ")})
+VERBS = sorted({shortened(line) for lines in COMMANDS.values() for line in lines if line.startswith("vlp16emu ")})
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
@@ -54,10 +62,5 @@ def test_the_tool_of_a_page_runs(name, tool_named, monkeypatch, capsys, tmp_path
 def test_the_verb_of_a_page_runs(command, monkeypatch, capsys, tmp_path):
     """In the hall, with few pulses or a moment, a verb on a scene prints a result; others accept their options."""
     monkeypatch.chdir(tmp_path)
-    verb, first, *words = shlex.split(command, comments=True)[1:]
-    if not (ROOT / "scenes" / f"{first}.toml").exists():
-        assert run([verb, first, *words, "--help"]) == 0
-        return
-    short = [SHORT.get(before, word) for before, word in zip(["", *words], words, strict=False)]
-    assert run([verb, "static_bench", *short]) == 0
-    assert re.search(r"\d", capsys.readouterr().out)
+    assert run([*command]) == 0
+    assert re.search(r"\d|Usage", capsys.readouterr().out)

@@ -41,18 +41,30 @@ def triangles(
     """Return the triangles of all placements that the pulses can reach, in axes of the window."""
     eye_m = firings.origin_m[0, 0] - window.origin_m
     ahead = firings.direction[:, :, :2].reshape(-1, 2).mean(axis=0)
+    half_rad = np.radians(sector_deg / 2)
+
+    def is_met(from_m: np.ndarray, size_m: np.ndarray) -> np.ndarray:
+        """Return whether balls with middles (n, 3) from the eye and radii (n,) can be met."""
+        range_m = np.linalg.norm(from_m, axis=1) - size_m - MARGIN_M
+        across_rad = np.arctan2(ahead[0] * from_m[:, 1] - ahead[1] * from_m[:, 0], from_m[:, :2] @ ahead)
+        level_m = np.hypot(from_m[:, 0], from_m[:, 1])
+        wide_rad = np.where(
+            level_m > size_m + MARGIN_M, np.arcsin(((size_m + MARGIN_M) / level_m.clip(1e-6)).clip(max=1)), np.pi
+        )
+        return (range_m < reach_m) & (np.abs(across_rad) - wide_rad < half_rad)
+
     shapes = [[faces_of(mesh) for mesh in world.shape(key)] for key in window.shapes]
+    radii_m = [max(float(np.linalg.norm(v, axis=1).max(initial=0.0)) for v, _ in shape) for shape in shapes]
+    transforms = relative_to_window(window)
+    stretch = np.linalg.norm(transforms[:, :, :3], axis=1).max(axis=1)
+    near = is_met(transforms[:, :, 3] - eye_m, stretch * np.array(radii_m)[window.shape])
     vertices, faces, count = [], [], 0
-    for transform, which in zip(relative_to_window(window), window.shape, strict=True):
+    for transform, which in zip(transforms[near], window.shape[near], strict=True):
         for corners_m, triangle in shapes[which]:
             place_m = corners_m.astype(np.float64) @ transform[:, :3].T + transform[:, 3]
-            from_m = place_m - eye_m
-            edges_m = place_m[triangle] - place_m[np.roll(triangle, 1, axis=1)]
-            size_m = np.linalg.norm(edges_m, axis=2).max(axis=1)
-            range_m = np.maximum(np.linalg.norm(from_m, axis=1)[triangle].min(axis=1) - size_m, 0.0) - MARGIN_M
-            across_rad = np.arctan2(ahead[0] * from_m[:, 1] - ahead[1] * from_m[:, 0], from_m[:, :2] @ ahead)
-            aside_rad = np.abs(across_rad)[triangle].min(axis=1) - np.arctan2(size_m + MARGIN_M, range_m.clip(min=0.01))
-            kept = triangle[(range_m < reach_m) & (aside_rad < np.radians(sector_deg / 2))]
+            middle_m = place_m[triangle].mean(axis=1)
+            size_m = np.linalg.norm(place_m[triangle] - middle_m[:, None], axis=2).max(axis=1)
+            kept = triangle[is_met(middle_m - eye_m, size_m)]
             used, own = np.unique(kept, return_inverse=True)
             vertices.append(place_m[used].astype(np.float32))
             faces.append((own.reshape(-1, 3) + count).astype(np.uint32))

@@ -1,9 +1,11 @@
 """Functions shared by tools: options, the program's command line, tables, and virtual environments for other programs."""
 
 import argparse
+import io
 import subprocess
 import sys
 from collections.abc import Iterable
+from contextlib import redirect_stdout
 from pathlib import Path
 
 VLP16EMU = [sys.executable, "-m", "vlp16emu"]
@@ -32,6 +34,24 @@ def arguments(parser: argparse.ArgumentParser, **shortest: object) -> argparse.N
     if wanted.shortest:
         vars(wanted).update(shortest)
     return wanted
+
+
+def program(*words: object) -> str:
+    """Run a command line of vlp16emu in this process, and return what it prints.
+
+    Raises
+    ------
+    SystemExit
+        if its exit code is not 0
+    """
+    from vlp16emu.cli.app import run
+
+    out = io.StringIO()
+    with redirect_stdout(out):
+        code = run([*map(str, words)])
+    if code:
+        raise SystemExit(code)
+    return out.getvalue()
 
 
 def print_row(*cells: object) -> None:
