@@ -171,7 +171,8 @@ def _random_settings(rng: np.random.Generator) -> dict[str, object]:
 def _random_scenes(count: int) -> Iterator[Row]:
     rng = np.random.default_rng(8)
     ran = keys = 0
-    for _ in range(20 * count):  # three in four are refused: ends that a key excludes, keys that exclude others
+    # Three in four draws are refused: ends that a key excludes, keys that exclude others.
+    for _ in range(20 * count):
         if ran == count:
             break
         settings = _random_settings(rng)
