@@ -55,6 +55,7 @@ class Survey:
     world: World
     bare: ForestWorld | HallWorld  # the world without the user's own meshes
     path_m: F8  # (n, 3) sensor positions in order of time; one if the sensor stands still
+    field_deg: tuple[float, float]  # elevations of the sensor's lowest and highest beam
     radius_m: float  # distance from the path within which objects are reported
     window: Window  # all within the sensor's range
     trees: NDArray[np.void]  # (n,) `TREE` within the sensor's range, without saplings
@@ -138,6 +139,7 @@ def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None) -> S
         raise InputError("--radius", f"found {radius_m:g}", f"at most {reach_m:g}, which is the sensor's reach")
     parts = parts or assemble(scenario)
     world = parts.world
+    elevation_deg = parts.head.beams.elevation_deg
     bare = world.bare if isinstance(world, Furnished) else world
     if not isinstance(bare, ForestWorld | HallWorld):
         raise InputError("world.kind", f"found {scenario.world.kind}", "forest, plot or hall")
@@ -151,6 +153,7 @@ def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None) -> S
         world=world,
         bare=bare,
         path_m=path_m,
+        field_deg=(float(elevation_deg.min()), float(elevation_deg.max())),
         radius_m=radius_m,
         window=window,
         trees=trees[gap_m <= reach_m],
@@ -293,23 +296,31 @@ def write_survey(
     """
     with ExitStack() as stack:
         outputs = {name: stack.enter_context(OutputFile(path, where=f"{name} {path}")) for name, path in wanted.items()}
-        seen = survey(scenario, radius_m, parts := assemble(scenario))
+        seen = survey(scenario, radius_m)
         rows = seen.inventory(seen.trees if "--inventory" in wanted else seen.near)
         summary = summary_of(scene, scenario, seen, rows)
         if bark and "stems" in summary:
-            near = rows[np.isin(rows["id"], seen.near["id"])]
-            elevation_deg = parts.head.beams.elevation_deg
-            field_deg = float(elevation_deg.min()), float(elevation_deg.max())
-            reach_m = scenario.sensor.max_range_m
-            share = bark_seen(
-                seen.path_m, near, seen.world, seen.window, scenario.start_ns, reach_m=reach_m, field_deg=field_deg
-            )
-            summary["stems"]["bark_seen"] = np.round(share, 3).tolist()
+            summary["stems"]["bark_seen"] = _bark_seen(seen, rows, scenario)
         for name, output in outputs.items():
             file = stack.enter_context(output.writing())
             _write(name, file, seen, rows)
             file.flush()  # here, so that no file gets its name if the disk is full
     return summary
+
+
+def _bark_seen(seen: Survey, rows: NDArray[np.void], scenario: Scenario) -> list[float]:
+    """Return the share of bark that is seen of the stems within the radius, in the order of the inventory `rows`."""
+    near = rows[np.isin(rows["id"], seen.near["id"])]
+    share = bark_seen(
+        seen.path_m,
+        near,
+        seen.world,
+        seen.window,
+        scenario.start_ns,
+        reach_m=scenario.sensor.max_range_m,
+        field_deg=seen.field_deg,
+    )
+    return [round(float(one), 3) for one in share]
 
 
 def _write(name: str, file: BinaryIO, seen: Survey, rows: NDArray[np.void]) -> None:

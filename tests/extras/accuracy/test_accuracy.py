@@ -201,7 +201,7 @@ def errors(answer, got):
 
 def row(name, us, error_m, model="fixed"):
     some = replace(errors(detections_of(10.0), detections_of(10.1)), mean_error_m=error_m, range_rmse_m=error_m)
-    return Row(model, name, False, some, us, 0.1 * us, 1.0)
+    return Row(model, name, False, some, {}, us, 0.1 * us, 1.0)
 
 
 def test_each_pulse_counts_in_one_way():

@@ -136,7 +136,7 @@ def seen_by(page, is_there, least):
 
 
 def leaf(r, g, b):
-    return (g > r) & (r > b + 60) & (g > 120)
+    return (r > b + 60) & (g > b + 60) & (g > 120)
 
 
 def stem(r, g, b):
