@@ -132,7 +132,7 @@ def readme_commands():
     """Return the commands of README's tables of verbs in their order, without the page, which has no end."""
     table = DOCUMENTS["README.md"].partition("## Commands\n")[2].partition("\n`--help`")[0]
     commands = re.findall(r"`vlp16emu ([^`]+)`", table)
-    return [command for command in commands if not command.startswith("view ")]
+    return [command for command in commands if not command.startswith("view ") and "--view" not in command]
 
 
 def in_a_moment(command):
@@ -161,6 +161,8 @@ def test_the_commands_of_the_readme_run(tmp_path, monkeypatch, capfd):
         # This machine may have a problem, and a bag without inertial unit is not fit for all programs.
         may_find = words[0] == "doctor" or words[-2:] == ["--for", "all"]
         assert code <= int(may_find), (words, *printed)
+        if "--json" in words:
+            (tmp_path / "report.json").write_text(printed.out, encoding="utf-8")
 
 
 def test_the_python_of_the_readme_runs(capsys, tmp_path, monkeypatch):
