@@ -16,7 +16,9 @@ os.environ.pop("VLP16EMU_CACHE_MB", None)
 # Two workers have a core each: threads of linear algebra would spin beside them for nothing.
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 # Hypothesis keeps paths of the machine beside the examples that it found: not in the checkout.
-os.environ.setdefault("HYPOTHESIS_STORAGE_DIRECTORY", str(Path(tempfile.gettempdir()) / "vlp16emu-hypothesis"))
+os.environ.setdefault(
+    "HYPOTHESIS_STORAGE_DIRECTORY", str(Path(tempfile.gettempdir()) / "vlp16emu-hypothesis")
+)
 
 ALLOWED_SKIPS = {
     "captures of others lie beside the repository and not in it": (
@@ -24,13 +26,18 @@ ALLOWED_SKIPS = {
         "not at hand",
         "captures of real sensors",
     ),
-    "a container may have no right to make networks": ("a private network needs root", "allows no private network"),
+    "a container may have no right to make networks": (
+        "a private network needs root",
+        "allows no private network",
+    ),
     "the package is 400 MB for one test": ("no PCL tools",),
 }
 """Parts of the reasons for which a test may be skipped with CI=true, and why."""
 
 WOODS = "VLP16EMU_TEST_WOODS"  # variable that names the folder of `kept_woods` to workers
-GROWN = deque(maxlen=6)  # engines whose worlds `kept_woods` lends to others of the same way through the same world
+GROWN = deque(
+    maxlen=6
+)  # engines whose worlds `kept_woods` lends to others of the same way through the same world
 
 
 def pytest_configure(config):
@@ -73,7 +80,9 @@ def tool_named():
 
     def load(name):
         loader = SourceFileLoader(name, str(Path(__file__).resolve().parents[1] / "tools" / name))
-        module = sys.modules[name] = module_from_spec(spec_from_loader(name, loader))  # dataclasses look there
+        module = sys.modules[name] = module_from_spec(
+            spec_from_loader(name, loader)
+        )  # dataclasses look there
         loader.exec_module(module)
         return module
 

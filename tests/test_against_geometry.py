@@ -79,8 +79,16 @@ def test_every_thing_in_the_hall_is_seen(sweep):
 
 def test_a_hall_of_ten_kilometres_is_true_to_a_hundredth_of_a_millimetre():
     """From 1.5 m over a floor of 10 km every return has the distance of the plane, within 0.01 mm at up to 131 m."""
-    none = ["world.boxes=[]", "world.poles=[]", "world.spheres=[]", "noise.preset=ideal", "sensor.max_range_m=131.07"]
-    scenario = load("static_bench", ["world.length_m=10000.0", "world.width_m=10000.0", "beam.model=none", *none])
+    none = [
+        "world.boxes=[]",
+        "world.poles=[]",
+        "world.spheres=[]",
+        "noise.preset=ideal",
+        "sensor.max_range_m=131.07",
+    ]
+    scenario = load(
+        "static_bench", ["world.length_m=10000.0", "world.width_m=10000.0", "beam.model=none", *none]
+    )
     returns = list(Engine.of(scenario).returns(0, 0.1))
     o, d = (np.concatenate([getattr(r.firings, name) for r in returns]) for name in ("origin_m", "direction"))
     cast_m = np.concatenate([r.distance_m[..., 0] for r in returns])
@@ -149,4 +157,6 @@ def test_errors_that_accuracy_reports_are_the_true_ones():
         assert reported.returns == true.returns > 1000
         assert reported.mean_error_m == pytest.approx(true.mean_error_m, rel=0.05, abs=1e-4), light.name
         assert reported.range_rmse_m == pytest.approx(true.range_rmse_m, rel=0.05, abs=3e-4), light.name
-        assert reported.reflectivity_rmse == pytest.approx(true.reflectivity_rmse, rel=0.1, abs=0.1), light.name
+        assert reported.reflectivity_rmse == pytest.approx(true.reflectivity_rmse, rel=0.1, abs=0.1), (
+            light.name
+        )

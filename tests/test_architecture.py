@@ -48,7 +48,15 @@ FLOORS = (
 NO_CORE = {"__main__", "cli", "extras", "forest", "foliage", "pytest"}
 """What the core runs without; what is asked for by name opens `vlp16emu.doors`."""
 
-FOREST = ("settings", "purpose", "ground", "tiles", "plants", "stand", "make")  # rooms of `forest/` from the bottom
+FOREST = (
+    "settings",
+    "purpose",
+    "ground",
+    "tiles",
+    "plants",
+    "stand",
+    "make",
+)  # rooms of `forest/` from the bottom
 
 EXTRAS_TAKE = {
     "bag": {"camera", "imu", "slam", "truth"},
@@ -94,7 +102,9 @@ LIBRARIES = {
 @cache
 def trees() -> dict[str, ast.Module]:
     """Files by name, read by the worker that has these tests and by no other."""
-    return {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in zip(NAMES, FILES, strict=True)}
+    return {
+        name: ast.parse(path.read_text(encoding="utf-8")) for name, path in zip(NAMES, FILES, strict=True)
+    }
 
 
 @cache
@@ -139,7 +149,9 @@ def taken_at_once(name: str, tree: ast.Module) -> set[str]:
         for full in imports(node) if isinstance(node, ast.Import | ast.ImportFrom) else ():
             first, *parts = full.split(".")
             paths = ["/".join(stem) for stem in (parts, parts[:-1]) if first == "vlp16emu"]
-            files = [file for path in paths for file in (f"{path}.py", f"{path}/__init__.py") if file in NAMES]
+            files = [
+                file for path in paths for file in (f"{path}.py", f"{path}/__init__.py") if file in NAMES
+            ]
             taken |= set(files[:1])
     return taken - {name}
 
@@ -231,7 +243,9 @@ def test_changes_of_all_that_a_kernel_takes_are_seen():
         while left:
             needed.add(file := left.pop())
             taken = taken_at_once(file, trees()[file])
-            left |= {one for one in taken if not one.startswith("kernels/")} - needed  # by which no number is computed
+            left |= {
+                one for one in taken if not one.startswith("kernels/")
+            } - needed  # by which no number is computed
         module = name.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
         assert needed <= set(sources_of(frozenset({f"vlp16emu.{module}"}))), name
 
@@ -280,9 +294,113 @@ def test_files_and_functions_are_short():
     assert found == []
 
 
+TOGETHER = [
+    set(words.split())
+    for words in (
+        *(
+            "x y z w",
+            "nx ny nz",
+            "ax ay az",
+            "bx by bz",
+            "qx qy qz",
+            "x0 y0",
+            "x1 y1",
+            "ix iy",
+            "dx dy dz",
+            "u v w",
+            "i j k",
+            "a b c",
+            "p q r",
+            "sin cos",
+            "sine cosine",
+        ),
+        *(
+            "sy cy",
+            "sp cp",
+            "sr cr",
+            "yaw pitch roll",
+            "red green blue",
+            "start stop",
+            "begin end",
+            "begins ends",
+        ),
+        *(
+            "first last",
+            "first stop",
+            "least most",
+            "low high",
+            "lower upper",
+            "min max",
+            "width height",
+            "rows columns",
+        ),
+        *(
+            "row column",
+            "east north up",
+            "latitude longitude",
+            "left right",
+            "near far",
+            "along across",
+            "inner outer",
+        ),
+        *(
+            "before after",
+            "old new",
+            "given found",
+            "slow fast",
+            "host port",
+            "above below",
+            "one other",
+            "mean sigma",
+        ),
+    )
+]
+"""Names whose values belong together, so that one statement may assign them."""
+UNIT = re.compile(r"(_(m|ns|us|ms|deg|rad|hz|rpm|s|cdeg|km|mm|cm|m2|m3|um2|rad2|px))+$")
+
+
+def belong_together(targets):
+    """Whether the names of a tuple are one family but for units and words that all of them have."""
+    names = [getattr(one, "id", getattr(one, "attr", "")).strip("_").lower() for one in targets]
+    words = [UNIT.sub("", name).split("_") for name in names]
+    if len({len(each) for each in words}) > 1:
+        return False
+    different = [set(column) for column in zip(*words, strict=True) if len(set(column)) > 1]
+    return (
+        len(different) == 1
+        and len(different[0]) == len(names)
+        and any(different[0] <= one for one in TOGETHER)
+    )
+
+
+def packed(tree):
+    """Yield the lines of assignments of several values that neither belong together nor need each other's old values."""
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Assign) or not isinstance(node.value, ast.Tuple):
+            continue
+        targets, values = getattr(node.targets[0], "elts", []), node.value.elts
+        if not values or len(targets) != len(values) or belong_together(targets):
+            continue
+        if all(isinstance(one, ast.Subscript) for one in targets):
+            continue  # elements of a table, such as two of its columns
+        stored = {ast.unparse(one) for one in targets}
+        loaded = {ast.unparse(one) for value in values for one in ast.walk(value)}
+        if not stored & loaded:
+            yield node.lineno
+
+
+def test_an_assignment_has_one_value():
+    """A statement assigns one value, unless several belong together (x, y; start, stop) or are exchanged."""
+    assert {name: lines for name, tree in trees().items() if (lines := list(packed(tree)))} == {}
+    assert list(packed(ast.parse("a_m, path = 1.0, 2"))) == [1]
+    assert not list(packed(ast.parse("start_s, stop_s = 1.0, 2.0\na, b = b, a")))
+
+
 def test_words_are_the_fields_own():
     """No docstring, message or document that users read has a word that this project has left behind."""
-    words = re.compile(r"\b(told|(?<!\.)tells?|telling|reckon\w*|errs?|of which|none but|whence)\b", re.IGNORECASE)
+    words = re.compile(
+        r"\b(told|(?<!\.)tells?|telling|reckon\w*|errs?|of which|none but|whence)\b", re.IGNORECASE
+    )
     root = PACKAGE.parent
     documents = [root / "README.md", root / "tools/README.md", *sorted((root / "scenes").glob("*.md"))]
     found = [

@@ -20,9 +20,19 @@ from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
 SETTINGS = {"beam.model": "none", "gps.connected": True, "imu.preset": "consumer"}
-TOPICS = ["/fix", "/ground_truth/odom", "/imu/data", "/nmea_sentence", "/tf", "/tf_static", "/velodyne_packets"]
+TOPICS = [
+    "/fix",
+    "/ground_truth/odom",
+    "/imu/data",
+    "/nmea_sentence",
+    "/tf",
+    "/tf_static",
+    "/velodyne_packets",
+]
 KINDS = ("walk.mcap", "walk.bag", "walk")
-WORDS = [word for key, value in SETTINGS.items() for word in ("--set", f"{key}={value}".replace("True", "true"))]
+WORDS = [
+    word for key, value in SETTINGS.items() for word in ("--set", f"{key}={value}".replace("True", "true"))
+]
 NUMBER = re.compile(r"-?\d+\.\d*(?:e[-+]?\d+)?")
 
 
@@ -86,7 +96,9 @@ def test_points_and_packets_are_those_of_the_capture(walk, bag):
         for c, p in zip(clouds, points, strict=True)
     )
     hour_ns = 3600 * 10**9
-    t_ns = [stamp_ns(c) % hour_ns + p["time"].astype(float) * 1e9 for c, p in zip(clouds, points, strict=True)]
+    t_ns = [
+        stamp_ns(c) % hour_ns + p["time"].astype(float) * 1e9 for c, p in zip(clouds, points, strict=True)
+    ]
     joined, n = np.concatenate(points), sum(map(len, points))
     assert np.array_equal(np.stack([joined[axis] for axis in "xyz"], axis=1), chunk.points.xyz_m[:n])
     assert np.array_equal(joined["ring"], chunk.points.ring[:n])
@@ -107,8 +119,12 @@ def test_truth_is_in_the_bag(walk, bag):
     assert {(one.header.frame_id, one.child_frame_id) for one in moved} == {("map", "base_link_truth")}
     assert [one.transform.translation.x for one in moved] == [row[0] for row in said]
     imu = np.genfromtxt(truth / "imu.csv", delimiter=",", skip_header=1)
-    assert [one.linear_acceleration.z for one in found["/imu/data"]] == imu[-len(found["/imu/data"]) :, 6].tolist()
-    assert [one.angular_velocity.x for one in found["/imu/data"]] == imu[-len(found["/imu/data"]) :, 1].tolist()
+    assert [one.linear_acceleration.z for one in found["/imu/data"]] == imu[
+        -len(found["/imu/data"]) :, 6
+    ].tolist()
+    assert [one.angular_velocity.x for one in found["/imu/data"]] == imu[
+        -len(found["/imu/data"]) :, 1
+    ].tolist()
     fixes = np.genfromtxt(truth / "gnss.csv", delimiter=",", skip_header=1)
     assert [one.latitude for one in found["/fix"]] == fixes[-len(found["/fix"]) :, 8].tolist()
     assert all(one.orientation_covariance[0] == -1 and one.orientation.w == 0 for one in found["/imu/data"])
@@ -142,7 +158,11 @@ def frames(found) -> tuple[dict[str, str], dict[str, str]]:
     """Parents of the frames that are fixed and of those that move; each child has one."""
     parents = {}
     for topic in ("/tf_static", "/tf"):
-        edges = {(one.child_frame_id, one.header.frame_id) for message in found[topic] for one in message.transforms}
+        edges = {
+            (one.child_frame_id, one.header.frame_id)
+            for message in found[topic]
+            for one in message.transforms
+        }
         parents[topic] = dict(edges)
         assert len(parents[topic]) == len(edges), topic
     assert not parents["/tf_static"].keys() & parents["/tf"].keys()
@@ -170,7 +190,9 @@ def test_frames_are_a_tree_as_tf2_wants_it(bag):
     slam = fixed | moving | {"odom": "map", "base_link": "odom"}
     assert {root_of(frame, fixed) for frame in used} == {"base_link"}
     assert {root_of(frame, slam) for frame in used} == {"map"}
-    assert next(topic for topic in found if topic in ("/tf_static", "/velodyne_points", "/tf")) == "/tf_static"
+    assert (
+        next(topic for topic in found if topic in ("/tf_static", "/velodyne_points", "/tf")) == "/tf_static"
+    )
 
 
 def test_the_truth_may_move_the_body(walk, tmp_path):
@@ -243,10 +265,29 @@ def test_an_attitude_is_that_of_the_truth(tmp_path):
 
 def test_a_configuration_is_written_beside_the_bag(walk, tmp_path, refused):
     """--for writes the files of a program under the bag's name, from a capture, its truth and a run alike; an edited one is left alone."""
-    assert run(["bag", str(walk / "walk.pcap"), f"{tmp_path}/a.mcap", "--truth", f"{walk}/truth", "--for", "dlio"]) == 0
+    assert (
+        run(
+            [
+                "bag",
+                str(walk / "walk.pcap"),
+                f"{tmp_path}/a.mcap",
+                "--truth",
+                f"{walk}/truth",
+                "--for",
+                "dlio",
+            ]
+        )
+        == 0
+    )
     assert run(["bag", str(walk / "walk.pcap"), f"{tmp_path}/b.mcap", "--for", "dlio"]) == 0
-    assert run(["record", "static_bench", f"{tmp_path}/c.mcap", "--duration", "0.2", *WORDS, "--for", "dlio"]) == 0
-    texts = [[(tmp_path / f"{one}.{file}").read_text() for file in ("dlio.yaml", "dlio_params.yaml")] for one in "abc"]
+    assert (
+        run(["record", "static_bench", f"{tmp_path}/c.mcap", "--duration", "0.2", *WORDS, "--for", "dlio"])
+        == 0
+    )
+    texts = [
+        [(tmp_path / f"{one}.{file}").read_text() for file in ("dlio.yaml", "dlio_params.yaml")]
+        for one in "abc"
+    ]
     assert texts[0] == texts[1] == texts[2]
     (tmp_path / "a.dlio.yaml").write_text("mine")
     line = refused(["bag", walk / "walk.pcap", tmp_path / "a.mcap", "--for", "dlio"])
@@ -284,7 +325,9 @@ def test_a_run_goes_straight_into_a_bag(bag, tmp_path):
     ours = messages(tmp_path / name)
     assert ours.keys() == theirs.keys()
     for topic, found in ours.items():
-        assert len(found) - len(theirs[topic]) in (0, 1), topic  # a file of the truth ends when the last packet is due
+        assert len(found) - len(theirs[topic]) in (0, 1), (
+            topic
+        )  # a file of the truth ends when the last packet is due
         for one, other in zip(found, theirs[topic], strict=False):
             assert NUMBER.sub("", repr(one)) == NUMBER.sub("", repr(other))
             numbers = [list(map(float, NUMBER.findall(repr(message)))) for message in (one, other)]
@@ -314,7 +357,9 @@ def test_odometry_of_a_run_has_the_rates_of_its_motion(tmp_path):
     assert result.messages["/velodyne_packets"] == len(found["/velodyne_packets"])
     found = found["/ground_truth/odom"]
     true = emulator.parts.units[0].motion.kinematics_at(np.array([stamp_ns(one) for one in found]))
-    linear, angular = ([values(getattr(one.twist.twist, kind)) for one in found] for kind in ("linear", "angular"))
+    linear, angular = (
+        [values(getattr(one.twist.twist, kind)) for one in found] for kind in ("linear", "angular")
+    )
     own_m_s = np.einsum("nji,nj->ni", true.world_R_body, true.world_v_body_m_s)
     assert np.linalg.norm(own_m_s, axis=1).min() > 0.1
     np.testing.assert_allclose(linear, own_m_s, atol=1e-12)

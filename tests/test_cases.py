@@ -71,7 +71,9 @@ CASE_LIST = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("case", CASE_LIST, ids=lambda case: f"{case.verb} {case.file} {case.options}".rstrip())
+@pytest.mark.parametrize(
+    "case", CASE_LIST, ids=lambda case: f"{case.verb} {case.file} {case.options}".rstrip()
+)
 def test_what_people_have_is_read_as_its_authority_says(case, tmp_path, capsys):
     """Each verb gives the right answer on the file, or one line that names what is wrong."""
     words = [case.verb, str(CASES / case.file), *case.options.split(), "--json"]

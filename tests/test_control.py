@@ -21,7 +21,9 @@ HALL = {"gps.connected": True, "duration_s": 3600.0}  # longer than any of these
 
 
 def stream(events=(), **options):
-    return vlp16emu.stream("static_bench", HALL | {"events": list(events)}, look_ahead=256, truth=False, **options)
+    return vlp16emu.stream(
+        "static_bench", HALL | {"events": list(events)}, look_ahead=256, truth=False, **options
+    )
 
 
 def get(http, path):

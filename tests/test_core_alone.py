@@ -23,7 +23,9 @@ SPAN_S = 0.3
 def core(tmp_path_factory):
     """Run the command line of a copy of the package without forest, foliage and extras; give what it prints."""
     folder = tmp_path_factory.mktemp("core")
-    shutil.copytree(ROOT / "vlp16emu", folder / "vlp16emu", ignore=shutil.ignore_patterns("__pycache__", *AROUND))
+    shutil.copytree(
+        ROOT / "vlp16emu", folder / "vlp16emu", ignore=shutil.ignore_patterns("__pycache__", *AROUND)
+    )
     for name in ("scenes", "pyproject.toml"):
         (folder / name).symlink_to(ROOT / name)
     env = os.environ | {"PYTHONPATH": str(folder)}

@@ -179,12 +179,18 @@ def test_a_trajectory_of_another_day_is_refused(walk, tmp_path):
     ("options", "line"),
     [
         (["{pcap}", "{out}"], "is a capture; expected --trajectory"),
-        (["{pcap}", "{out}", "--trajectory", "{truth}", "--set", "seed=3"], "--set: found beside the capture"),
+        (
+            ["{pcap}", "{out}", "--trajectory", "{truth}", "--set", "seed=3"],
+            "--set: found beside the capture",
+        ),
         (["{pcap}", "{out}", "--trajectory", "{out}"], "no such file"),
         (["{pcap}", "{out}", "--trajectory", "{folder}"], "rig.json: no such file"),
         (["static_bench", "{out}", "--time-offset", "1"], "--time-offset: found beside a scene"),
         (["static_bench", "{out}", "--drift", "1,0,0,0"], "--drift: found beside a scene"),
-        (["{pcap}", "{out}", "--mount", "1,0"], "--mount: found 1,0; expected the numbers X,Y,Z,ROLL,PITCH,YAW"),
+        (
+            ["{pcap}", "{out}", "--mount", "1,0"],
+            "--mount: found 1,0; expected the numbers X,Y,Z,ROLL,PITCH,YAW",
+        ),
         (
             ["{pcap}", "{out}", "--drift", "1,0,0,nan"],
             "--drift: found 1,0,0,nan; expected the numbers EAST,NORTH,UP,YAW",
@@ -194,7 +200,12 @@ def test_a_trajectory_of_another_day_is_refused(walk, tmp_path):
 def test_what_makes_no_sense_is_refused_in_one_line(walk, refused, options, line):
     """Options that do not fit exit with 2 and name what was found."""
     folder, _, _ = walk
-    names = {"pcap": folder / "walk.pcap", "truth": folder / "truth", "out": folder / "no.ply", "folder": folder}
+    names = {
+        "pcap": folder / "walk.pcap",
+        "truth": folder / "truth",
+        "out": folder / "no.ply",
+        "folder": folder,
+    }
     assert line in refused(["points", *(option.format(**names) for option in options)])
     assert not (folder / "no.ply").exists()
 
@@ -203,7 +214,9 @@ def test_what_makes_no_sense_is_refused_in_one_line(walk, refused, options, line
 def labelled(walk):
     """Points of the capture with labels."""
     folder, _, _ = walk
-    return points(folder / "walk.pcap", folder / "a.npz", "--trajectory", folder / "truth", "--labels", "for-instance")
+    return points(
+        folder / "walk.pcap", folder / "a.npz", "--trajectory", folder / "truth", "--labels", "for-instance"
+    )
 
 
 def by_pulse(arrays, count):
@@ -261,14 +274,21 @@ def test_lost_late_and_doubled_packets_find_their_rows(walk, labelled, tmp_path)
 
     copy(folder / "walk.pcap", tmp_path / "cut.pcap", keep)
     some = points(
-        tmp_path / "cut.pcap", tmp_path / "c.npz", "--trajectory", folder / "truth", "--labels", "for-instance"
+        tmp_path / "cut.pcap",
+        tmp_path / "c.npz",
+        "--trajectory",
+        folder / "truth",
+        "--labels",
+        "for-instance",
     )
     assert 0.7 * len(labelled["t_ns"]) < len(some["t_ns"]) < 0.9 * len(labelled["t_ns"])
     names = ("t_ns", "laser", "is_last", "semantic", "part", "instance", "label")
 
     def rows(arrays):
         """Each point as a row."""
-        return {tuple(row) for row in np.column_stack([arrays[name].astype(np.int64) for name in names]).tolist()}
+        return {
+            tuple(row) for row in np.column_stack([arrays[name].astype(np.int64) for name in names]).tolist()
+        }
 
     assert rows(some) < rows(labelled)
 

@@ -30,7 +30,10 @@ COMMANDS = sorted(
         for text in DOCUMENTS.values()
         for command in re.findall(r"(?m)(?:`|^    )(vlp16emu [a-z]+\b[^`\n]*)", text)
     }
-    | {f"vlp16emu {line}" for line in (ROOT / "vlp16emu/cli/examples.txt").read_text(encoding="utf-8").splitlines()}
+    | {
+        f"vlp16emu {line}"
+        for line in (ROOT / "vlp16emu/cli/examples.txt").read_text(encoding="utf-8").splitlines()
+    }
 )
 TABLES = re.findall(r"```toml\n(.*?)```", DOCUMENTS["scenes/README.md"], re.DOTALL)
 HEAD = "schema", "title", "seed", "duration_s"
@@ -232,7 +235,9 @@ def test_the_places_of_the_documents_exist(document):
 @documents
 def test_the_links_of_the_documents_lead_somewhere(document):
     """Each link to a file of the project, and to a heading in it, has its target."""
-    for target, _, fragment in (link.partition("#") for link in re.findall(r"\]\(([^):]+)\)", DOCUMENTS[document])):
+    for target, _, fragment in (
+        link.partition("#") for link in re.findall(r"\]\(([^):]+)\)", DOCUMENTS[document])
+    ):
         path = (ROOT / document).parent / target if target else ROOT / document
         assert path.exists(), target
         assert not fragment or fragment in anchors(path.read_text(encoding="utf-8")), f"{target}#{fragment}"

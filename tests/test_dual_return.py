@@ -19,7 +19,11 @@ RESOLUTION_M, NOISE_M, ERROR_M = 1.0, 0.3, 0.05
 def pairs(request):
     """Blocks (n, 12) of more than one revolution as on the wire, and strongest, last and second strongest (n, 6, 32, 3) in steps of distance."""
     emulator = Emulator("birch_walk", [*LINES, *OWN, f"noise.preset={request.param}"])
-    sent = [packet.payload for packet in emulator.packets(0.0, 0.12) if len(packet.payload) == DATA_PAYLOAD.itemsize]
+    sent = [
+        packet.payload
+        for packet in emulator.packets(0.0, 0.12)
+        if len(packet.payload) == DATA_PAYLOAD.itemsize
+    ]
     returned = np.concatenate([r.distance_m for r in emulator.returns(0.0, 0.12)])[: 12 * len(sent)]
     steps = np.rint(returned.astype(float) / DISTANCE_LSB_M).reshape(len(sent), 6, 32, 3)
     return np.frombuffer(b"".join(sent), DATA_PAYLOAD)["blocks"], steps
@@ -49,7 +53,8 @@ def broken(blocks, returned):
         "nearer than 0.5 m": ((last_m > 0) & (last_m < 0.5)) | ((other_m > 0) & (other_m < 0.5)),
         "even block is not the last": np.abs(last_m - returned_m[:, 1]) > 1e-6,
         "odd block is not the one it has to be": two & (np.abs(other_m - expected_m) > 1e-6),
-        "the strongest is outshone": two & np.where(is_strongest, high_last < low_other, high_other < low_last),
+        "the strongest is outshone": two
+        & np.where(is_strongest, high_last < low_other, high_other < low_last),
     }
     return {rule: int(pairs.sum()) for rule, pairs in rules.items()}
 

@@ -83,14 +83,20 @@ def _all_in_a_kernel(x: Floats, y: Floats, out: Floats) -> None:
 
 def test_same_bits_from_arrays_numbers_and_kernels() -> None:
     """An array, longer than one piece, one number at a time and a kernel with fastmath give the same bits."""
-    x = np.concatenate([np.random.default_rng(5).normal(scale=3.0, size=9000), [0.0, -0.0, 1e-310, 1.0, math.inf]])
+    x = np.concatenate(
+        [np.random.default_rng(5).normal(scale=3.0, size=9000), [0.0, -0.0, 1e-310, 1.0, math.inf]]
+    )
     y, outs = x[::-1].copy(), np.empty((len(ULPS), len(x)))
     _all_in_a_kernel(x, y, outs)
     for name, out in zip(ULPS, outs, strict=True):
         function, given = getattr(elementary, name), (x, y)[: 2 if name in BINARY else 1]
         found = function(*given)
-        ones = np.array([function(*one) for one in zip(*(each[::50].tolist() for each in given), strict=True)])
-        assert np.array_equal(out.view(np.int64)[~np.isnan(found)], found.view(np.int64)[~np.isnan(found)]), name
+        ones = np.array(
+            [function(*one) for one in zip(*(each[::50].tolist() for each in given), strict=True)]
+        )
+        assert np.array_equal(out.view(np.int64)[~np.isnan(found)], found.view(np.int64)[~np.isnan(found)]), (
+            name
+        )
         assert np.array_equal(np.isnan(out), np.isnan(found)), name
         assert np.array_equal(ones, found[::50], equal_nan=True), name
 
@@ -108,7 +114,8 @@ def test_products_sum_in_order() -> None:
     rng = np.random.default_rng(6)
     a, b, v = rng.normal(size=(5, 3, 3)), rng.normal(size=(5, 3, 3)), rng.normal(size=(5, 3))
     turned = [
-        [(a[n, i, 0] * v[n, 0] + a[n, i, 1] * v[n, 1]) + a[n, i, 2] * v[n, 2] for i in range(3)] for n in range(5)
+        [(a[n, i, 0] * v[n, 0] + a[n, i, 1] * v[n, 1]) + a[n, i, 2] * v[n, 2] for i in range(3)]
+        for n in range(5)
     ]
     assert np.array_equal(elementary.matvec(a, v), turned)
     assert np.array_equal(elementary.matvec(a[0], v)[2], elementary.matvec(a[0], v[2]))

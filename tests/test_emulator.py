@@ -45,7 +45,9 @@ def test_threads_and_cuts_do_not_change_a_byte(settings):
     scenario, start, stop = load("birch_walk", THIN | settings), STRETCH_S - 0.08, STRETCH_S + 0.08
     whole = digest(Emulator(scenario, threads=1).packets(start, stop))
     cuts = [start, start + 0.0004, STRETCH_S - BLOCK_S / 3, STRETCH_S + 0.0501, stop]
-    pieces = (packet for a, b in itertools.pairwise(cuts) for packet in Emulator(scenario, threads=3).packets(a, b))
+    pieces = (
+        packet for a, b in itertools.pairwise(cuts) for packet in Emulator(scenario, threads=3).packets(a, b)
+    )
     assert digest(pieces) == whole
 
 
@@ -59,7 +61,8 @@ def test_a_path_is_a_file_whatever_its_name(tmp_path, monkeypatch):
 def test_walk_ends_where_its_path_ends(birch):
     """A span beyond the walk's run time is refused before anything is computed."""
     with pytest.raises(
-        TrajectoryError, match=r"duration: found 600 s; expected at most the walk's 7\d\.\d s; longer with motion.laps"
+        TrajectoryError,
+        match=r"duration: found 600 s; expected at most the walk's 7\d\.\d s; longer with motion.laps",
     ):
         Emulator(birch).packets(0, 600)
 
@@ -75,7 +78,9 @@ def test_nothing_is_before_the_first_pulse(birch):
 def test_a_time_that_is_none_is_refused(birch, seconds):
     """NaN and infinity are refused at either end of a span."""
     for span_s in ((seconds, 1.0), (0.0, seconds)):
-        with pytest.raises(InputError, match=f"^time: found {seconds} s; expected a finite number$|^duration: "):
+        with pytest.raises(
+            InputError, match=f"^time: found {seconds} s; expected a finite number$|^duration: "
+        ):
             Emulator(birch).packets(*span_s)
 
 

@@ -30,7 +30,9 @@ def hall(*events, **settings):
 
 
 @pytest.mark.parametrize("of", [{}, UNIT], ids=["hall", "unit"])
-@pytest.mark.parametrize("changed", [{"laser": False}, {"return_mode": "last"}, {"fov_deg": [0, 90]}], ids=str)
+@pytest.mark.parametrize(
+    "changed", [{"laser": False}, {"return_mode": "last"}, {"fov_deg": [0, 90]}], ids=str
+)
 def test_scans_follow_settings_as_the_capture_does(of, changed, tmp_path):
     """Revolutions of the scene have the points of those in its recording, before and after a change of settings."""
     emulator = hall(setting(0.3, **changed), **of)
@@ -101,7 +103,9 @@ def test_a_phase_lock_holds(settings):
 def test_a_rotor_wanders_without_its_lock():
     """Without lock the error of the mean speed moves the rotor by tens of degrees; the move begins at the end of the lock, without a jump."""
     off = setting(60.0, phase_lock_deg="off")
-    scenario = load("static_bench", UNIT | {"duration_s": 200.0, "sensor.phase_lock_deg": 90.0, "events": [off]})
+    scenario = load(
+        "static_bench", UNIT | {"duration_s": 200.0, "sensor.phase_lock_deg": 90.0, "events": [off]}
+    )
     assert abs(off_deg(scenario, 90.0, range(5, 60))).max() < 1.0
     assert abs(off_deg(scenario, 90.0, range(70, 190))).max() > 20.0
     rotor = Engine.of(scenario, threads=1).parts.head.rotor
@@ -152,10 +156,12 @@ def test_two_runs_of_an_emulator_end_each_by_its_own_stop(tmp_path):
     stop, begun = Event(), Event()
     done = []
     stopped = Thread(
-        target=lambda: emulator.record(tmp_path / "a.pcap", stop=stop, progress=lambda _: begun.set()), daemon=True
+        target=lambda: emulator.record(tmp_path / "a.pcap", stop=stop, progress=lambda _: begun.set()),
+        daemon=True,
     )
     other = Thread(
-        target=lambda: done.append(emulator.record(tmp_path / "b.pcap", duration_s=2.0, stop=Event())), daemon=True
+        target=lambda: done.append(emulator.record(tmp_path / "b.pcap", duration_s=2.0, stop=Event())),
+        daemon=True,
     )
     stopped.start()
     other.start()

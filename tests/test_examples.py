@@ -32,7 +32,9 @@ COURSE = {
 def run_python(folder, *command, code=0):
     """Standard output of a program in a folder whose packages it finds; with what it says on errors if `code` is not 0."""
     env = os.environ | {"PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)])}
-    done = subprocess.run([sys.executable, *command], cwd=folder, env=env, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, *command], cwd=folder, env=env, capture_output=True, text=True, check=False
+    )
     assert done.returncode == code, done.stderr
     return (done.stdout, done.stderr) if code else done.stdout
 
@@ -64,7 +66,9 @@ BUGS = {
 def test_tests_of_a_driver_find_its_bugs(pytester):
     """With the fixture `vlp16` the driver of the examples passes, and each of four bugs fails the test that is about it."""
     wanted = []
-    driver, tests = ((EXAMPLES / "driver_tests" / name).read_text() for name in ("driver.py", "test_driver.py"))
+    driver, tests = (
+        (EXAMPLES / "driver_tests" / name).read_text() for name in ("driver.py", "test_driver.py")
+    )
     for name, (right, wrong, test) in BUGS.items():
         assert right in driver
         (pytester.path / f"driver_{name}.py").write_text(driver.replace(right, wrong) if right else driver)
@@ -206,7 +210,12 @@ def test_another_package_adds_a_world_that_is_recorded_and_listed(outside, said)
     before, _, tree = said[0].partition("\n{")
     assert "\n  dune_walk " in before
     schema, _ = json.JSONDecoder().raw_decode("{" + tree)
-    assert set(schema["properties"]["world"]["discriminator"]["mapping"]) == {"dunes", "forest", "hall", "plot"}
+    assert set(schema["properties"]["world"]["discriminator"]["mapping"]) == {
+        "dunes",
+        "forest",
+        "hall",
+        "plot",
+    }
 
 
 def test_another_package_adds_a_sensor_and_a_verb(outside, said):

@@ -32,7 +32,9 @@ def field():
 
 def test_keys_of_the_field_are_those_that_are_not_given():
     """What the scene says stays; what it does not say is that of the field; without the word all is perfect."""
-    field = load(FIELD, {"imu.preset": "tactical", "motion.mast.bending_hz": 5.0, "motion.mount.error_mm": 1.0})
+    field = load(
+        FIELD, {"imu.preset": "tactical", "motion.mast.bending_hz": 5.0, "motion.mount.error_mm": 1.0}
+    )
     assert (field.imu.preset, field.imu.mount.error_deg) == ("tactical", 0.3)
     assert (field.motion.mast.bending_hz, field.motion.mast.damping_ratio) == (5.0, 0.05)
     assert (field.motion.mount.error_mm, field.motion.mount.error_deg) == (1.0, 0.3)
@@ -116,13 +118,17 @@ def test_the_mast_leans_with_each_step(field):
     lean_deg = np.degrees(lean.as_rotvec())
     assert 0.05 < np.abs(lean_deg).max() < 0.5
     spectrum = np.abs(np.fft.rfft(lean_deg[:, 1] - lean_deg[:, 1].mean()))
-    assert np.fft.rfftfreq(len(t_ns), 0.005)[spectrum.argmax()] == pytest.approx(1.85, abs=0.3)  # steps per second
+    assert np.fft.rfftfreq(len(t_ns), 0.005)[spectrum.argmax()] == pytest.approx(
+        1.85, abs=0.3
+    )  # steps per second
     axes = ("fore_aft", "sideways", "vertical", "roll", "pitch", "yaw")
     stiff = carrier.bent(Harness(**{f"{axis}_hz": 1e6 for axis in axes}))
     np.testing.assert_allclose(stiff.poses_at(t_ns).world_p_body_m, pack.world_p_body_m, atol=1e-8)
     moving, step_ns = carrier.bent(field.scenario.motion.mast), 1_000_000
     before, after = (moving.poses_at(t_ns[:50] + d).world_p_body_m for d in (-step_ns, step_ns))
-    np.testing.assert_allclose(moving.kinematics_at(t_ns[:50]).world_v_body_m_s, (after - before) / 2e-3, atol=2e-3)
+    np.testing.assert_allclose(
+        moving.kinematics_at(t_ns[:50]).world_v_body_m_s, (after - before) / 2e-3, atol=2e-3
+    )
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +157,10 @@ def test_people_stand_in_the_way(field, scans):
 
 def test_bytes_are_those_of_seed_and_scene(field):
     """Packets of a walk in the field are the same on one thread and on three, and in parts; another seed has others."""
-    whole = [packet.payload for packet in Emulator(FIELD, {"people.passes_every_s": 10.0}, threads=3).packets(4.0, 4.4)]
+    whole = [
+        packet.payload
+        for packet in Emulator(FIELD, {"people.passes_every_s": 10.0}, threads=3).packets(4.0, 4.4)
+    ]
     assert [packet.payload for packet in field.packets(4.0, 4.4)] == whole
     parts = [packet.payload for span in ((4.0, 4.2), (4.2, 4.4)) for packet in field.packets(*span)]
     assert parts == whole

@@ -28,14 +28,20 @@ def trip(path):
 
 @pytest.mark.parametrize(
     ("reader", "said"),
-    [(trip, "ValueError: a fault"), (spin, "fuzz.TooSlowError: more than 0.5 s of CPU time"), (fill, "MemoryError")],
+    [
+        (trip, "ValueError: a fault"),
+        (spin, "fuzz.TooSlowError: more than 0.5 s of CPU time"),
+        (fill, "MemoryError"),
+    ],
 )
 def test_a_case_that_fails_is_kept(fuzz, cases, reader, said, tmp_path, capsys, monkeypatch):
     """A traceback, a loop and memory without bound exit with 1, and keep the input and the reason."""
     monkeypatch.setattr(fuzz, "Cases", lambda seed, folder: cases)
     monkeypatch.setattr(fuzz, "MOST_BYTES", 100_000_000)
     monkeypatch.setitem(fuzz.READERS, "captures", reader)
-    monkeypatch.setattr("sys.argv", ["fuzz", "--scenes", "0", "--captures", "1", "--out", str(tmp_path / "out")])
+    monkeypatch.setattr(
+        "sys.argv", ["fuzz", "--scenes", "0", "--captures", "1", "--out", str(tmp_path / "out")]
+    )
     if reader is spin:  # only that should end by time, however busy the machine is
         monkeypatch.setattr(fuzz, "MOST_S", 0.5)
     assert fuzz.main() == 1

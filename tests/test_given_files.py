@@ -29,7 +29,9 @@ def way(path):
 
 def grid(path):
     located = (
-        {"cell_m": 1.0, "corner_m": (0.0, 0.0)} if path.suffix == ".npy" else dict.fromkeys(("cell_m", "corner_m"))
+        {"cell_m": 1.0, "corner_m": (0.0, 0.0)}
+        if path.suffix == ".npy"
+        else dict.fromkeys(("cell_m", "corner_m"))
     )
     return read_grid(path, **located)
 

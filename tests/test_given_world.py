@@ -74,7 +74,9 @@ def seen(folder):
     for returns in emulator.returns(0.0, 0.2, truth=True):
         hit = returns.distance_m[..., 0] > 0
         rows = returns.surfaces[returns.surface[..., 0][hit]]
-        found.append((returns.firings.origin_m[hit], returns.firings.direction[hit], returns.distance_m[hit, 0], rows))
+        found.append(
+            (returns.firings.origin_m[hit], returns.firings.direction[hit], returns.distance_m[hit, 0], rows)
+        )
     return [np.concatenate(arrays) for arrays in zip(*found, strict=True)]
 
 
@@ -161,7 +163,9 @@ def test_files_that_do_not_fit_the_walk_are_refused(folder, setting, message):
         (["world.dem={file='wide.npy', cell_m=1e6, corner_m=[-1e7, -1e7]}"], "motion: recorded poses begin at (500000.0, 5700000.0, 211.5) m, as if in map"),
     ],
 )  # fmt: skip
-def test_recorded_poses_that_are_not_in_the_scene_are_reported(folder, caplog, monkeypatch, settings, warning):
+def test_recorded_poses_that_are_not_in_the_scene_are_reported(
+    folder, caplog, monkeypatch, settings, warning
+):
     """Poses in map coordinates, below the ground or out of its sight are warned of, with what moves them."""
     poses = [f"{t} {EAST_M} {NORTH_M} {UP_M + 1.5} 0 0 0 1" for t in (0.0, 0.5, 1.0)]
     (folder / "poses.tum").write_text("\n".join(poses))
@@ -199,5 +203,6 @@ def test_a_mesh_that_nobody_sees_is_reported(folder, caplog, monkeypatch):
         if warnings:
             gap_m = x_m - np.linalg.norm(BOX_M) / 2
             assert (
-                f"box.obj: not in sight, {gap_m:.1f} m from the path at the nearest; expected a place 31 m" in lines[0]
+                f"box.obj: not in sight, {gap_m:.1f} m from the path at the nearest; expected a place 31 m"
+                in lines[0]
             )

@@ -64,7 +64,8 @@ def test_a_beam_without_width_has_no_footprint(monkeypatch):
 def depends_on_seed(*settings):
     """Whether returns of the hall are others with another seed."""
     one, other = (
-        Emulator(load("static_bench", [*settings, f"seed={seed}"]), threads=1).returns(0.0, 0.1) for seed in (1, 2)
+        Emulator(load("static_bench", [*settings, f"seed={seed}"]), threads=1).returns(0.0, 0.1)
+        for seed in (1, 2)
     )
     return any(
         getattr(a, name).tobytes() != getattr(b, name).tobytes()
@@ -93,7 +94,9 @@ def test_without_truth_nobody_looks_for_surfaces(monkeypatch):
 def test_a_static_sensor_has_one_pose_and_one_window(monkeypatch):
     """A sensor that stands has one pose, made once, and one window however long the run; a walk has more."""
     opened, window = [], HallWorld.window
-    monkeypatch.setattr(HallWorld, "window", lambda self, track_m: opened.append(len(track_m)) or window(self, track_m))
+    monkeypatch.setattr(
+        HallWorld, "window", lambda self, track_m: opened.append(len(track_m)) or window(self, track_m)
+    )
     emulator = Emulator(load("static_bench"), threads=1)
     motion, t_ns = emulator.parts.motion, np.arange(1000, dtype=np.int64)
     assert motion.poses_at(t_ns) is motion.poses_at(t_ns + 10**12)
@@ -175,7 +178,16 @@ def test_commands_load_no_library_they_do_not_need(tmp_path, monkeypatch):
     """
     monkeypatch.setenv("VLP16EMU_CACHE_DIR", str(tmp_path / "world"))
     wrong, json_ = ("birch_walk", "--set", "sensor.rpm=17"), "--json"
-    lean = "record", "static_bench", f"{tmp_path}/x.pcap", "--duration", "0.1", "--set", "gps.connected=false", json_
+    lean = (
+        "record",
+        "static_bench",
+        f"{tmp_path}/x.pcap",
+        "--duration",
+        "0.1",
+        "--set",
+        "gps.connected=false",
+        json_,
+    )
     sets = (
         "sensor.max_range_m=6",
         "world.near_m=5",

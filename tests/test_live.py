@@ -30,7 +30,13 @@ class Flown:
     """A flight through a bare hall, streamed and then repeated."""
 
     def __init__(self, folder, drone):
-        self.lines, self.drone, self.over, self.lost, flight = [], drone, threading.Event(), threading.Event(), []
+        self.lines, self.drone, self.over, self.lost, flight = (
+            [],
+            drone,
+            threading.Event(),
+            threading.Event(),
+            [],
+        )
         data, position, path = Listener(), Listener(), folder / "flown.csv"
         ports = [f"sensor.data_port={data.port}", f"sensor.position_port={position.port}"]
         settings = [*BARE, LIVE, *ports, "gps.connected=true"]
@@ -38,7 +44,9 @@ class Flown:
         def news(line):
             self.lines.append(line)
             if len(self.lines) == 1:  # it waits for poses
-                flight.append(threading.Thread(target=self._fly, args=(int(line.rpartition(":")[2]), data.came)))
+                flight.append(
+                    threading.Thread(target=self._fly, args=(int(line.rpartition(":")[2]), data.came))
+                )
                 flight[0].start()
             elif line.startswith("poses lost"):
                 self.lost.set()
@@ -91,7 +99,9 @@ def test_points_lie_on_the_surfaces(flown):
     poses = motion.poses_at(t_ns)
     x_m, y_m, z_m = (np.einsum("nij,nj->ni", poses.world_R_body, points.xyz_m) + poses.world_p_body_m).T
     walls_m = (hall.length_m / 2 - np.abs(x_m), hall.width_m / 2 - np.abs(y_m), z_m, hall.height_m - z_m)
-    turned_deg = np.degrees(np.linalg.norm(motion.kinematics_at(t_ns[::500]).body_w_rad_s, axis=1).max()) * 1e-6
+    turned_deg = (
+        np.degrees(np.linalg.norm(motion.kinematics_at(t_ns[::500]).body_w_rad_s, axis=1).max()) * 1e-6
+    )
     across_m = np.radians(0.012 + turned_deg) * np.hypot(*points.xyz_m[:, :2].T)
     assert len(x_m) > 300_000
     assert (np.abs(walls_m).min(axis=0) <= np.hypot(0.001, across_m) + 1e-4).all()
@@ -114,7 +124,9 @@ def test_a_flight_is_put_into_the_present():
     ports = [f"sensor.data_port={data.port}", "sensor.position_port=10", "gps.connected=true"]
     emulator = Emulator("static_bench", [LIVE, *ports])
     bring = partial(emulator.put_pose, (0.0, 0.0, 1.5), (0.0, 0.0, 0.0, 1.0))
-    streamed = emulator.stream(duration_s=3600.0, poses=PosesIn(news=lambda _: bring()), now=True, stop=data.came)
+    streamed = emulator.stream(
+        duration_s=3600.0, poses=PosesIn(news=lambda _: bring()), now=True, stop=data.came
+    )
     data.end()
     first = streamed.sent.first
     assert streamed.sent.moved_s > 0
@@ -146,7 +158,9 @@ def test_poses_of_another_scene_are_refused(tmp_path):
         Emulator("static_bench").put_pose((0, 0, 0), (0, 0, 0, 1))
 
 
-@pytest.mark.parametrize("where", ["7000", "udp://7000", "tcp://127.0.0.1:7000", "udp://127.0.0.1:x", "udp://h:70000"])
+@pytest.mark.parametrize(
+    "where", ["7000", "udp://7000", "tcp://127.0.0.1:7000", "udp://127.0.0.1:x", "udp://h:70000"]
+)
 def test_where_poses_come_in_is_checked(where):
     """An address without scheme, host or port is refused."""
     with pytest.raises(InputError, match="--pose-in: found"):

@@ -26,7 +26,9 @@ QUICK = {"look_ahead": 256}
 
 def azimuths(payloads):
     """First azimuth of each packet, in hundredths of a degree."""
-    return np.array([np.frombuffer(one, DATA_PAYLOAD)["blocks"]["azimuth_cdeg"][0, 0] for one in payloads], np.int64)
+    return np.array(
+        [np.frombuffer(one, DATA_PAYLOAD)["blocks"]["azimuth_cdeg"][0, 0] for one in payloads], np.int64
+    )
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +57,9 @@ def test_a_receiver_gets_them_at_the_port_that_is_reserved(live):
     truth = live.truth(payload)
     records = np.frombuffer(payload, DATA_PAYLOAD)["blocks"]["records"].reshape(-1)
     is_return = records["distance_lsb"] > 0
-    np.testing.assert_allclose(truth["range_m"][is_return], records["distance_lsb"][is_return] * 0.002, atol=0.0011)
+    np.testing.assert_allclose(
+        truth["range_m"][is_return], records["distance_lsb"][is_return] * 0.002, atol=0.0011
+    )
     assert (truth["echo"][~is_return] == 255).all()
     assert set(truth["semantic"][is_return]) <= {1, 7}
     np.testing.assert_array_equal(truth["world_T_sensor"][:, :3, 3], np.tile([0.0, 0.0, 1.5], (384, 1)))
@@ -83,7 +87,9 @@ def test_settings_and_faults_hold_for_the_packets_that_follow(live):
     assert max(np.diff(azimuths(live.packets(100))) % 36_000) < 1000  # they are lost before these
     with pytest.raises(InputError, match=r'event lose\.kind: found "lose"; expected "corrupt", '):
         live.fault("lose")
-    with pytest.raises(InputError, match=r"event setting\.rpm: found 13; expected a whole number from 300 to 1200"):
+    with pytest.raises(
+        InputError, match=r"event setting\.rpm: found 13; expected a whole number from 300 to 1200"
+    ):
         live.set(rpm=13)
 
 
@@ -194,7 +200,9 @@ with vlp16emu.stream("static_bench", look_ahead=64) as live:
 
 def test_ctrl_c_ends_program_and_streams():
     """An interrupt in the midst of a block is a KeyboardInterrupt of the program, which ends although nobody stops another stream."""
-    done = subprocess.run([sys.executable, "-c", INTERRUPTED], capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED], capture_output=True, text=True, timeout=120, check=False
+    )
     assert done.returncode in (-signal.SIGINT, 130)
     assert done.stderr.rstrip().endswith("KeyboardInterrupt")
 

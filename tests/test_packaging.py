@@ -34,8 +34,13 @@ def wheel(tmp_path_factory):
 def test_a_wheel_is_the_package_and_its_scenes(wheel):
     """A wheel has one importable name, every file of the package, every scene with its files, and nothing compiled."""
     names = set(wheel.namelist())
-    assert {name.partition("/")[0] for name in names} == {"vlp16emu", f"vlp16emu-{PROJECT['version']}.dist-info"}
-    ours = {path for path in (ROOT / "vlp16emu").rglob("*") if path.is_file() and "__pycache__" not in path.parts}
+    assert {name.partition("/")[0] for name in names} == {
+        "vlp16emu",
+        f"vlp16emu-{PROJECT['version']}.dist-info",
+    }
+    ours = {
+        path for path in (ROOT / "vlp16emu").rglob("*") if path.is_file() and "__pycache__" not in path.parts
+    }
     scenes = {*(ROOT / "scenes").glob("*.toml"), *(ROOT / "scenes" / "own_plot").iterdir()}
     assert len(scenes) >= 7
     assert names >= {str(path.relative_to(ROOT)) for path in ours} | {
@@ -76,7 +81,9 @@ def set_up(tmp_path):
     def call(*arguments):
         asked = tmp_path / "asked"
         asked.write_text("")
-        done = subprocess.run([tmp_path / "tools" / "setup", *arguments], capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            [tmp_path / "tools" / "setup", *arguments], capture_output=True, text=True, check=False
+        )
         lines = asked.read_text().splitlines()
         calls = [line for line in lines if line.startswith(("install", "check"))]
         first = lines[: lines.index(calls[0])] if calls else []

@@ -58,7 +58,11 @@ def test_a_generator_is_named_by_its_key():
     """The same key gives the same generator, another key (a negative one too) another."""
     first = generator(1, Growth.TREE, 3, -4).random(4)
     np.testing.assert_array_equal(first, generator(1, Growth.TREE, 3, -4).random(4))
-    for other in (generator(1, Growth.TREE, 3, 4), generator(1, Growth.TREE, -4, 3), generator(2, Growth.TREE, 3, -4)):
+    for other in (
+        generator(1, Growth.TREE, 3, 4),
+        generator(1, Growth.TREE, -4, 3),
+        generator(2, Growth.TREE, 3, -4),
+    ):
         assert not np.array_equal(first, other.random(4))
 
 

@@ -26,13 +26,23 @@ def shortened(line):
     verb, first, *words = shlex.split(line, comments=True)[1:]
     if not (ROOT / "scenes" / f"{first}.toml").exists():
         return verb, first, *words, "--help"
-    return verb, "static_bench", *(SHORT.get(before, word) for before, word in zip(["", *words], words, strict=False))
+    return (
+        verb,
+        "static_bench",
+        *(SHORT.get(before, word) for before, word in zip(["", *words], words, strict=False)),
+    )
 
 
 COMMANDS = {page: commands_of(page) for page in PAGES}
-TOOLS = sorted({line.split()[0] for lines in COMMANDS.values() for line in lines if line.startswith("tools/")})
-TOOLS = [name for name in TOOLS if (ROOT / name).read_text(encoding="utf-8").startswith("#!/usr/bin/env python3")]
-VERBS = sorted({shortened(line) for lines in COMMANDS.values() for line in lines if line.startswith("vlp16emu ")})
+TOOLS = sorted(
+    {line.split()[0] for lines in COMMANDS.values() for line in lines if line.startswith("tools/")}
+)
+TOOLS = [
+    name for name in TOOLS if (ROOT / name).read_text(encoding="utf-8").startswith("#!/usr/bin/env python3")
+]
+VERBS = sorted(
+    {shortened(line) for lines in COMMANDS.values() for line in lines if line.startswith("vlp16emu ")}
+)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
@@ -50,7 +60,9 @@ def test_the_tool_of_a_page_runs(name, tool_named, monkeypatch, capsys, tmp_path
     if name == "tools/browser":
         pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(sys.modules, Path(name).name, sys.modules.get(Path(name).name))  # tests have a package `forest`
+    monkeypatch.setitem(
+        sys.modules, Path(name).name, sys.modules.get(Path(name).name)
+    )  # tests have a package `forest`
     monkeypatch.setattr(sys, "argv", [str(ROOT / name), "--shortest"])
     tool_named(Path(name).name).main()
     printed = capsys.readouterr().out

@@ -29,7 +29,9 @@ def made(*settings):
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory):
     """A level sensor and a tilted one in dual return, their packets, and the report of a recording of them."""
-    emulator, packets = made(f"rig=[{{name='tilted', return_mode='dual', phase_lock_deg=90.0, mount={MOUNT}, seed=9}}]")
+    emulator, packets = made(
+        f"rig=[{{name='tilted', return_mode='dual', phase_lock_deg=90.0, mount={MOUNT}, seed=9}}]"
+    )
     return emulator, packets, emulator.record(tmp_path_factory.mktemp("rig") / "rig.pcap", duration_s=SPAN_S)
 
 
@@ -55,7 +57,9 @@ def test_a_prepared_rig_sends_what_it_sends_alive(rig):
     """What is read back from a recording are the packets of both units in their order, with times in whole microseconds."""
     emulator, packets, recorded = rig
     read = list(packets_of([unit.link for unit in emulator.parts.units], Path(recorded.file)))
-    times = [replace(packet, due_ns=packet.due_ns // 1000 * 1000, fired_ns=None, number=0) for packet in packets]
+    times = [
+        replace(packet, due_ns=packet.due_ns // 1000 * 1000, fired_ns=None, number=0) for packet in packets
+    ]
     assert read == times
 
 

@@ -34,7 +34,9 @@ ALLOWED = {
 """What decides no byte, by file."""
 
 _ELEMENTARY = "sin cos tan sinh cosh tanh exp exp2 expm1 log log2 log10 log1p hypot cbrt"
-MATH = frozenset(f"{_ELEMENTARY} asin acos atan atan2 asinh acosh atanh pow dist erf erfc gamma lgamma sumprod".split())
+MATH = frozenset(
+    f"{_ELEMENTARY} asin acos atan atan2 asinh acosh atanh pow dist erf erfc gamma lgamma sumprod".split()
+)
 NUMPY = frozenset(
     f"{_ELEMENTARY} arcsin arccos arctan arctan2 arcsinh arccosh arctanh power float_power logaddexp sinc geomspace"
     " logspace dot vdot vecdot matvec vecmat inner matmul einsum tensordot convolve correlate cov corrcoef polyfit"
@@ -77,7 +79,10 @@ def not_ieee(tree: ast.AST) -> Iterator[str]:
                 yield f"line {line}: **="
             case ast.Import(names=names):
                 yield from (f"line {line}: {name.name}" for name in names if name.name.startswith(LIBRARIES))
-            case ast.ImportFrom(module=module) if f"{module}".startswith(LIBRARIES) or module in ("math", "numpy"):
+            case ast.ImportFrom(module=module) if f"{module}".startswith(LIBRARIES) or module in (
+                "math",
+                "numpy",
+            ):
                 yield f"line {line}: from {module}"
 
 
@@ -106,8 +111,23 @@ def test_no_library_decides_a_byte() -> None:
 
 def test_the_scan_finds() -> None:
     """Each kind of forbidden call, operator and import is found."""
-    calls = "math.sin(x)", "np.exp(x)", "np.linalg.norm(x)", "a @ b", "a.dot(b)", "x**2", "np.argsort(x)", "rng.wald(1)"
-    lines = "a @= b", "x **= 0.5", "from scipy.interpolate import CubicSpline", "import pymap3d", "from math import exp"
+    calls = (
+        "math.sin(x)",
+        "np.exp(x)",
+        "np.linalg.norm(x)",
+        "a @ b",
+        "a.dot(b)",
+        "x**2",
+        "np.argsort(x)",
+        "rng.wald(1)",
+    )
+    lines = (
+        "a @= b",
+        "x **= 0.5",
+        "from scipy.interpolate import CubicSpline",
+        "import pymap3d",
+        "from math import exp",
+    )
     for line in (*(f"y = {call}" for call in calls), *lines, "f = numba.njit(fastmath={'contract'})(f)"):
         assert len(list(not_ieee(ast.parse(line)))) == 1, line
 
@@ -135,7 +155,9 @@ def _walked() -> tuple[bytes, tuple[float, float]]:
     """Walk for a tenth of a second: all packets, and a place on earth."""
     chain = Engine.of(load(WALK), threads=1)
     sent = b"".join(packet.payload for packet in chain.packets(2.0, 2.1))
-    receiver = Receiver(chain.parts.units[0].motion, chain.scenario.gps, seed=1, sky=lambda _t_ns, _place_m: 0.6)
+    receiver = Receiver(
+        chain.parts.units[0].motion, chain.scenario.gps, seed=1, sky=lambda _t_ns, _place_m: 0.6
+    )
     fix = receiver.fix(chain.scenario.start_ns // 10**9 * 10**9)
     assert chain.parts.imu is not None
     chain.parts.imu.read(0, 10)

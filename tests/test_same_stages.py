@@ -33,7 +33,9 @@ def check(same_bytes, hall, monkeypatch, capsys):
         def _run(self, environment, folder):
             folder.mkdir(exist_ok=True)
             np.savez(folder / "hall.npz", **(hall if environment is same_bytes.USUAL else work(environment)))
-            np.savez(folder / "probes.npz", **dict.fromkeys(("libm", "numpy", "blas", "triangles"), np.zeros(3)))
+            np.savez(
+                folder / "probes.npz", **dict.fromkeys(("libm", "numpy", "blas", "triangles"), np.zeros(3))
+            )
             return ""
 
         monkeypatch.setattr(same_bytes.Check, "_run", _run)
@@ -53,14 +55,19 @@ def test_a_planted_difference_is_found_at_its_stage(check, hall, name):
     bytes_too = "" if stage == "packets" else " (same bytes)"
     assert code == 1
     assert f"| one thread | - | **{stage}**{bytes_too} |\n" in out
-    place, apart = [int(i) for i in np.unravel_index(2, one.shape)], ", 1" if stage == "packets" else ", 1 ulp, "
+    place, apart = (
+        [int(i) for i in np.unravel_index(2, one.shape)],
+        ", 1" if stage == "packets" else ", 1 ulp, ",
+    )
     assert f"- one thread, hall: {name} at {place}: 1 of {one.size}{apart}" in out
     assert out.endswith("different: one thread\n")
 
 
 def test_a_difference_among_environments_that_share_a_process_is_traced_to_one(check, hall):
     """Where a process differs, each of its environments runs alone, and the one that differs is named."""
-    code, out = check(lambda environment: nudged(hall, "hits/range_m") if "pieces" in environment.name else hall)
+    code, out = check(
+        lambda environment: nudged(hall, "hits/range_m") if "pieces" in environment.name else hall
+    )
     assert code == 1
     assert "| OpenBLAS Prescott | none here | same |" in out
     assert out.endswith("; in three pieces, in three pieces\n")

@@ -25,7 +25,9 @@ def hall():
     """Make an emulator of the hall, in which every pulse has a return."""
 
     def make(**settings):
-        return Emulator("static_bench", {f"sensor.{key}": value for key, value in settings.items()}, threads=1)
+        return Emulator(
+            "static_bench", {f"sensor.{key}": value for key, value in settings.items()}, threads=1
+        )
 
     return make
 

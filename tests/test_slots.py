@@ -26,7 +26,9 @@ pytestmark = pytest.mark.usefixtures("kept_woods")
 
 SPAN_S = 0.25
 EDGE_M = 0.002
-Z_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # from rows of glTF, whose y is up, to those of the world
+Z_UP = np.array(
+    [[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]
+)  # from rows of glTF, whose y is up, to those of the world
 
 
 def data_payloads(path):
@@ -155,12 +157,17 @@ def test_labels_are_those_of_the_nearest_surface(tmp_path):
     settings += ["world.near_m=inf", "world.stems_per_ha=80", "world.terrain.rough_rms_m=0"]
     write_truth(Emulator("spruce_walk", settings), TruthTo(tmp_path / "t", per_return=True), duration_s=0.1)
     options = [word for one in settings for word in ("--set", one)]
-    assert command(["forest", "spruce_walk", *options, "--radius", "7", "--glb", str(tmp_path / "twin.glb")]) == 0
+    assert (
+        command(["forest", "spruce_walk", *options, "--radius", "7", "--glb", str(tmp_path / "twin.glb")])
+        == 0
+    )
     table = parquet.read_table(tmp_path / "t" / "returns.parquet")
     rows = table.filter(compute.less(table["range_m"], 6.5))
     rows = rows.take(np.random.default_rng(1).choice(len(rows), 150, replace=False))
     points = np.column_stack([rows[f"world_{axis}_m"].to_numpy() for axis in "xyz"])
-    own = list(zip(*(rows[name].to_pylist() for name in ("semantic", "part", "instance", "species")), strict=True))
+    own = list(
+        zip(*(rows[name].to_pylist() for name in ("semantic", "part", "instance", "species")), strict=True)
+    )
     nearest = [{} for _ in own]
     for labels, triangles in nodes_of(tmp_path / "twin.glb"):
         low, high = triangles.min(axis=(0, 1)) - 2 * EDGE_M, triangles.max(axis=(0, 1)) + 2 * EDGE_M
@@ -170,7 +177,9 @@ def test_labels_are_those_of_the_nearest_surface(tmp_path):
         for i in np.flatnonzero(((points >= low.min(axis=0)) & (points <= high.max(axis=0))).all(axis=1)):
             close = ((points[i] >= low) & (points[i] <= high)).all(axis=1)
             if close.any():
-                feet_m = trimesh.triangles.closest_point(triangles[close], np.tile(points[i], (close.sum(), 1)))
+                feet_m = trimesh.triangles.closest_point(
+                    triangles[close], np.tile(points[i], (close.sum(), 1))
+                )
                 gap_m = np.linalg.norm(feet_m - points[i], axis=1).min()
                 nearest[i][labels] = min(gap_m, nearest[i].get(labels, np.inf))
     edges = sum(sum(gap < EDGE_M for gap in found.values()) > 1 for found in nearest)

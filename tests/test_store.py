@@ -184,7 +184,9 @@ def test_the_user_chooses_the_folder(monkeypatch, tmp_path):
     monkeypatch.setenv("VLP16EMU_CACHE_MB", "50")
     assert user_store.__wrapped__().most_bytes == 50_000_000
     monkeypatch.delenv("XDG_CACHE_HOME")
-    monkeypatch.setattr("os.path.expanduser", lambda name: name)  # no HOME, and a user whom the system does not know
+    monkeypatch.setattr(
+        "os.path.expanduser", lambda name: name
+    )  # no HOME, and a user whom the system does not know
     assert user_store.__wrapped__().own is None
     for wrong in ("lots", "nan", "inf"):
         monkeypatch.setenv("VLP16EMU_CACHE_MB", wrong)
@@ -244,7 +246,12 @@ def test_a_run_is_the_same_cold_and_warm(use, folder, settings):
 
 def test_all_that_decides_a_world_is_in_its_name():
     """Seed, section and path are; how far away leaves are cast one by one is not."""
-    settings = ((), ("seed=61",), ("world.terrain.rough_rms_m=0.2",), ("motion.way_points_m=[[0, 0], [9, 9]]",))
+    settings = (
+        (),
+        ("seed=61",),
+        ("world.terrain.rough_rms_m=0.2",),
+        ("motion.way_points_m=[[0, 0], [9, 9]]",),
+    )
     worlds = [assemble(load("reference_forest", (*SMALL, *setting))).world for setting in settings]
     assert len({world.name for world in worlds}) == len(settings)
     assert assemble(load("reference_forest", (*SMALL, "world.near_m=9"))).world.name == worlds[0].name

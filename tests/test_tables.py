@@ -45,7 +45,8 @@ def test_what_programs_write_is_one_table(tmp_path, text):
 
 
 @pytest.mark.parametrize(
-    "text", ["4.5 0.2 old\n", "4.5\t0.2\told", "# a comment\n\n4,5;0,2;old\n", "4.5, 0.2, old\n", "4,5 0,2 old"]
+    "text",
+    ["4.5 0.2 old\n", "4.5\t0.2\told", "# a comment\n\n4,5;0,2;old\n", "4.5, 0.2, old\n", "4,5 0,2 old"],
 )
 def test_a_table_without_a_header_has_its_columns_in_order(tmp_path, text):
     """Blanks, tabs, semicolons or commas stand between cells; comments and empty lines are left out."""

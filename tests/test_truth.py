@@ -69,7 +69,9 @@ def test_the_trajectory_is_that_of_the_sensor(walk, tmp_path):
     assert 0 <= t_ns[-1] - packets[-1].due_ns < 10_000_000
     true = walk.parts.motion.poses_at(t_ns)
     np.testing.assert_allclose(poses[:, :3], true.world_p_body_m, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(Rotation.from_quat(poses[:, 3:]).as_matrix(), true.world_R_body, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(
+        Rotation.from_quat(poses[:, 3:]).as_matrix(), true.world_R_body, rtol=0, atol=1e-11
+    )
     assert (poses[:, 6] >= 0).all()
     t_ns, poses = tum(tmp_path / "packets.tum")
     assert (t_ns == [packet.due_ns - 1_327_104 for packet in packets if packet.kind is PacketKind.DATA]).all()
@@ -203,7 +205,9 @@ def test_a_run_that_is_left_can_be_repeated(walk, tmp_path):
     The packet that was taken last and not sent, as by a recording that Ctrl-C ends, has no row.
     """
     packets = written(walk, tmp_path, 0.5, 10.0, per_packet=True, most=300)
-    assert len(tum(tmp_path / "packets.tum")[0]) == sum(packet.kind is PacketKind.DATA for packet in packets[:-1])
+    assert len(tum(tmp_path / "packets.tum")[0]) == sum(
+        packet.kind is PacketKind.DATA for packet in packets[:-1]
+    )
     t_ns, _ = tum(tmp_path / "trajectory.tum")
     assert packets[-1].due_ns <= t_ns[-1] < packets[-1].due_ns + 10_000_000
     assert (tmp_path / "trajectory.tum").read_text().endswith("\n")

@@ -62,9 +62,13 @@ def test_packets_that_are_lost_are_listed_one_by_one(run):
     for kind in (PacketKind.DATA, PacketKind.POSITION):
         numbered = [packet for packet in before if packet.kind is kind]
         kept = {
-            packet.number if kind is PacketKind.POSITION else packet.fired_ns for packet in after if packet.kind is kind
+            packet.number if kind is PacketKind.POSITION else packet.fired_ns
+            for packet in after
+            if packet.kind is kind
         }
-        end_ns = made.scenario.start_ns + round(1.16 * S_NS)  # later ones may have been delayed beyond the end
+        end_ns = made.scenario.start_ns + round(
+            1.16 * S_NS
+        )  # later ones may have been delayed beyond the end
         lost = {
             number
             for number, packet in enumerate(numbered)
@@ -108,7 +112,9 @@ def test_truth_alone_is_the_same(run, tmp_path):
     write_truth(emulator(*EVENTS), TruthTo(tmp_path / "late"), start_s=0.65)
     late, whole = rows(tmp_path / "late"), rows(folder)
     assert [row for row in late if row["t_utc_s"] >= 0.65] == [row for row in whole if row["t_utc_s"] >= 0.65]
-    assert {row["kind"] for row in late if row["t_utc_s"] < 0.65} == {"delay", "dead_laser", "truncate"} - {"truncate"}
+    assert {row["kind"] for row in late if row["t_utc_s"] < 0.65} == {"delay", "dead_laser", "truncate"} - {
+        "truncate"
+    }
 
 
 def test_packets_have_poses_as_they_arrive(run, tmp_path):

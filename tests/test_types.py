@@ -6,7 +6,11 @@ import pytest
 from vlp16emu.types import Hits, Mesh, Poses
 
 GOOD = {
-    Poses: {"t_ns": np.zeros(2, np.int64), "world_R_body": np.zeros((2, 3, 3)), "world_p_body_m": np.zeros((2, 3))},
+    Poses: {
+        "t_ns": np.zeros(2, np.int64),
+        "world_R_body": np.zeros((2, 3, 3)),
+        "world_p_body_m": np.zeros((2, 3)),
+    },
     Hits: {
         "count": np.ones((3, 16), np.uint16),
         "range_m": np.zeros(48, np.float32),

@@ -30,7 +30,9 @@ class Walk(NamedTuple):
     points: dict[str, Array]
     xyz_m: Array  # (n, 3)
     path_m: Array  # (p, 2)
-    stems: list[tuple[int, Array, float]]  # instance, centre at breast height (2,) and DBH of trees, the nearest first
+    stems: list[
+        tuple[int, Array, float]
+    ]  # instance, centre at breast height (2,) and DBH of trees, the nearest first
 
 
 def along_path(emulator: Emulator, points: dict[str, Array]) -> Walk:
@@ -44,7 +46,9 @@ def along_path(emulator: Emulator, points: dict[str, Array]) -> Walk:
     centres_m = np.column_stack([rows["x_breast_m"], rows["y_breast_m"]])
     away_m = np.linalg.norm(centres_m[:, None] - path_m, axis=2).min(axis=1)
     nearest = [i for i in np.argsort(away_m) if rows["dbh_m"][i] >= 0.05][:SECTIONS]
-    stems = [(int(rows["id"][i]), (centres_m[i] - path_m[0]) @ turn, float(rows["dbh_m"][i])) for i in nearest]
+    stems = [
+        (int(rows["id"][i]), (centres_m[i] - path_m[0]) @ turn, float(rows["dbh_m"][i])) for i in nearest
+    ]
     xyz_m = np.column_stack([(points["world_m"][:, :2] - path_m[0]) @ turn, points["world_m"][:, 2]])
     return Walk(points, xyz_m, (path_m - path_m[0]) @ turn, stems)
 

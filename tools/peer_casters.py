@@ -62,7 +62,9 @@ def embree(task: Task) -> Casts:
         reach_m = np.full(len(rays), float(task["reach_m"]), np.float32)
 
         def cast() -> np.ndarray:
-            range_m = scene.run(origin_m, direction, reach_m.copy(), query="DISTANCE")  # ranges are written there
+            range_m = scene.run(
+                origin_m, direction, reach_m.copy(), query="DISTANCE"
+            )  # ranges are written there
             range_m[range_m >= reach_m] = np.inf  # a ray that misses keeps its limit
             return range_m
 

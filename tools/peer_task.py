@@ -19,7 +19,9 @@ TOGETHER = 8  # sequences, and revolutions, that the program casts at once
 ORDER_DEG = 1.6  # sectors by which it orders these revolutions
 
 
-def first_pulses(scene: str, reach_m: float, sector_deg: float, *, all_faces: bool) -> tuple[Emulator, Firings]:
+def first_pulses(
+    scene: str, reach_m: float, sector_deg: float, *, all_faces: bool
+) -> tuple[Emulator, Firings]:
     """Return an emulator, and the pulses of its first revolutions in a sector from azimuth `FROM_DEG` on."""
     settings = [f"sensor.max_range_m={reach_m}", "beam.model=fixed", "beam.rays=8"]
     if all_faces and load(scene).world.kind != "hall":  # a hall has no medium
@@ -49,7 +51,9 @@ def triangles(
         across_rad = np.arctan2(ahead[0] * from_m[:, 1] - ahead[1] * from_m[:, 0], from_m[:, :2] @ ahead)
         level_m = np.hypot(from_m[:, 0], from_m[:, 1])
         wide_rad = np.where(
-            level_m > size_m + MARGIN_M, np.arcsin(((size_m + MARGIN_M) / level_m.clip(1e-6)).clip(max=1)), np.pi
+            level_m > size_m + MARGIN_M,
+            np.arcsin(((size_m + MARGIN_M) / level_m.clip(1e-6)).clip(max=1)),
+            np.pi,
         )
         return (range_m < reach_m) & (np.abs(across_rad) - wide_rad < half_rad)
 
@@ -76,7 +80,12 @@ def rays_of(firings: Firings, beam: Footprint, from_m: np.ndarray) -> np.ndarray
     """Return origins and directions of rays (n, 6), in the order and with the sub-rays of the program."""
     if beam is LINE:
         lines = np.concatenate([firings.origin_m - from_m, firings.direction], axis=-1)
-        return lines.reshape(-1, TOGETHER, lines.shape[1], 6).transpose(0, 2, 1, 3).reshape(-1, 6).astype(np.float32)
+        return (
+            lines.reshape(-1, TOGETHER, lines.shape[1], 6)
+            .transpose(0, 2, 1, 3)
+            .reshape(-1, 6)
+            .astype(np.float32)
+        )
     axes, sub_rays = np.empty((4, 3), np.float32), np.empty((7, 8), np.float32)
     rays, sigmas = np.empty((firings.t_ns.size, 8, 6), np.float32), beam.sigmas.astype(np.float32)
     for number, (i, j) in enumerate(np.ndindex(firings.t_ns.shape)):

@@ -19,17 +19,23 @@ def options(
     if scene:
         parser.add_argument("scene", nargs="?", default=scene)
     if duration_s:
-        parser.add_argument("--duration", type=float, default=duration_s, help="duration of each run, in seconds")
+        parser.add_argument(
+            "--duration", type=float, default=duration_s, help="duration of each run, in seconds"
+        )
     if venv:
         parser.add_argument("--venv", type=Path, help=f"virtual environment with {venv}; made if missing")
     if settings:
-        parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="scene setting")
+        parser.add_argument(
+            "--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="scene setting"
+        )
     return parser
 
 
 def arguments(parser: argparse.ArgumentParser, **shortest: object) -> argparse.Namespace:
     """Parse the command line; with `--shortest` these values are used, and the tool shows within seconds that it works."""
-    parser.add_argument("--shortest", action="store_true", help="shortest setting: seconds, to see that the tool works")
+    parser.add_argument(
+        "--shortest", action="store_true", help="shortest setting: seconds, to see that the tool works"
+    )
     wanted = parser.parse_args()
     if wanted.shortest:
         vars(wanted).update(shortest)

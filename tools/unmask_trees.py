@@ -26,7 +26,9 @@ class Data:
         self.groups = np.array([name.partition(".")[0] for name in self.names])
         self.unit, self.scene, self.seed = file["unit"], file["scene"], file["seed"]
         self.real = self.scene == "real"
-        self.units = {is_real: list(dict.fromkeys(self.unit[self.real == is_real])) for is_real in (True, False)}
+        self.units = {
+            is_real: list(dict.fromkeys(self.unit[self.real == is_real])) for is_real in (True, False)
+        }
 
 
 def scene_share(data: Data) -> Array:
@@ -40,8 +42,13 @@ def scene_share(data: Data) -> Array:
 
 def shown_by_all(data: Data) -> Array:
     """Return True for each feature (f,) that half the windows of half the units of both classes have."""
-    has = {unit: np.isfinite(data.features[data.unit == unit]).mean(axis=0) >= 0.5 for unit in np.unique(data.unit)}
-    return np.all([np.mean([has[unit] for unit in units], axis=0) >= 0.5 for units in data.units.values()], axis=0)
+    has = {
+        unit: np.isfinite(data.features[data.unit == unit]).mean(axis=0) >= 0.5
+        for unit in np.unique(data.unit)
+    }
+    return np.all(
+        [np.mean([has[unit] for unit in units], axis=0) >= 0.5 for units in data.units.values()], axis=0
+    )
 
 
 def folds(data: Data) -> Iterator[tuple[str, Array, Array]]:
@@ -68,7 +75,12 @@ def ranked_by(
 ) -> tuple[float, HistGradientBoostingClassifier]:
     """Return the area of trees that learn some windows and rank others, and the trees."""
     trees = HistGradientBoostingClassifier(
-        max_depth=3, max_iter=60, learning_rate=0.1, min_samples_leaf=10, l2_regularization=1.0, random_state=0
+        max_depth=3,
+        max_iter=60,
+        learning_rate=0.1,
+        min_samples_leaf=10,
+        l2_regularization=1.0,
+        random_state=0,
     )
     trees.fit(x[learnt], positive[learnt], weights_of(data, learnt, positive))
     return roc_auc_score(positive[ranked], trees.decision_function(x[ranked])), trees
@@ -95,7 +107,9 @@ def report(data: Data, wanted: Array, title: str, *, whole: bool = False) -> Non
         area, trees = ranked_by(data, x, learnt, ranked, data.real)
         areas.append(area)
         if whole:
-            other = permutation_importance(trees, x[learnt], data.real[learnt], scoring="roc_auc", n_repeats=1)
+            other = permutation_importance(
+                trees, x[learnt], data.real[learnt], scoring="roc_auc", n_repeats=1
+            )
             carried += other.importances_mean
     own = np.reshape(areas, (-1, 2)).mean(axis=1)
     chance = null(data, x) if whole else []

@@ -36,14 +36,21 @@ class Features(dict[str, float]):
         """Add a histogram with named classes."""
         counts = np.histogram(of, edges)[0]
         total = counts.sum() if counts.sum() >= LEAST else np.nan
-        self.update({f"{name}.{low}": float(count / total) for low, count in zip(edges, counts, strict=False)})
+        self.update(
+            {f"{name}.{low}": float(count / total) for low, count in zip(edges, counts, strict=False)}
+        )
 
     def shape(self, name: str, of: Array) -> None:
         """Add width and shape of a distribution."""
         sd = of.std() if len(of) >= LEAST and of.any() else np.nan
         z = (of - of.mean()) / sd if len(of) else np.array([np.nan])
         quarter = np.quantile(z, (0.25, 0.75))
-        found = {"sd": sd, "kurtosis": (z**4).mean(), "skew": (z**3).mean(), "quarters": quarter[1] - quarter[0]}
+        found = {
+            "sd": sd,
+            "kurtosis": (z**4).mean(),
+            "skew": (z**3).mean(),
+            "quarters": quarter[1] - quarter[0],
+        }
         self.update({f"{name}.{of}": float(value) for of, value in found.items()})
 
     def lags(self, name: str, of: Array, valid: Array) -> None:
@@ -62,7 +69,9 @@ class Features(dict[str, float]):
         for modulus in moduli:
             counts = np.bincount(of % modulus, minlength=modulus)
             mean = counts.mean()
-            self[f"{name}.mod_{modulus}"] = float((counts.var() - mean) / mean**2) if mean >= LEAST else np.nan
+            self[f"{name}.mod_{modulus}"] = (
+                float((counts.var() - mean) / mean**2) if mean >= LEAST else np.nan
+            )
 
 
 def windows(whole: Sequences) -> Iterator[Sequences]:
@@ -76,7 +85,10 @@ def windows(whole: Sequences) -> Iterator[Sequences]:
         if whole.packet[stop - 1] - whole.packet[first] == packets - 1:
             yield dataclasses.replace(
                 whole,
-                **{name: getattr(whole, name)[sequences] for name in ("number", "distance_lsb", "reflectivity")},
+                **{
+                    name: getattr(whole, name)[sequences]
+                    for name in ("number", "distance_lsb", "reflectivity")
+                },
                 **{name: getattr(whole, name)[of_block] for name in ("azimuth_cdeg", "block")},
                 **{name: getattr(whole, name)[of_packet] for name in ("clock_ns", "stamp_ns", "packet")},
             )
@@ -112,7 +124,10 @@ def _surfaces(out: Features, d: Array, r: Array, flat: Array, slot: Array) -> No
         out.shape(f"code.at_{low}", code_bend[at] / level[at].clip(1))
         out.lags(f"code.at_{low}", code_bend, at)
         out.shares(f"code.change_at_{low}", change[at], CHANGES)
-    means = [bend[flat & (slot == which)].mean() if (flat & (slot == which)).any() else np.nan for which in range(5)]
+    means = [
+        bend[flat & (slot == which)].mean() if (flat & (slot == which)).any() else np.nan
+        for which in range(5)
+    ]
     out |= {"range.beat": float(np.std(means)), "range.overtone": float(abs(np.fft.fft(means)[2]))}
     both = flat & (code_bend != 0)
     out.correlation("range.with_code", bend[both], code_bend[both])
@@ -128,7 +143,9 @@ def _losses(out: Features, d: Array, r: Array) -> None:
     for low, high in pairwise((0, 15, 50, 150, 700, 65_536)):
         out.rate(f"loss.at_step_{low}", lost[both & (step >= low) & (step < high)])
     for low, high in pairwise((0, 5, 20, 50, 101)):
-        out.rate(f"loss.at_code_step_{low}", lost[both & (step < 15) & (code_step >= low) & (code_step < high)])
+        out.rate(
+            f"loss.at_code_step_{low}", lost[both & (step < 15) & (code_step >= low) & (code_step < high)]
+        )
     for low, high in LEVELS:
         out.rate(f"loss.after_{low}", lost[(a > 0) & (r[:-2] >= low) & (r[:-2] < high)])
 
@@ -143,7 +160,9 @@ def _no_returns(out: Features, d: Array, r: Array) -> None:
     code = np.maximum(np.where(silent[:-2], 0, r[:-2]), np.where(silent[2:], 0, r[2:]))
     out.correlation("no_return.with_neighbour", np.log(share[beside].clip(0.1)), np.log(code[beside].clip(1)))
     raised = (share > 1.5).astype(float)
-    out.correlation("no_return.with_next_laser", raised[:, :-2][usable[:, :-2]], raised[:, 2:][usable[:, :-2]])
+    out.correlation(
+        "no_return.with_next_laser", raised[:, :-2][usable[:, :-2]], raised[:, 2:][usable[:, :-2]]
+    )
     out.rate("no_return.above_100", r[silent] > 100)
     out.rate("no_return.equal", (r[1:] == r[:-1])[silent[1:] & silent[:-1]])
 
@@ -158,7 +177,10 @@ def _azimuths(out: Features, azimuth: Array) -> None:
     out.unevenness("azimuth", azimuth, 2, 5)
     out["azimuth.variance"] = float(step.var() - speed % 1 * (1 - speed % 1))
     power = np.abs(np.fft.rfft(rest * np.hanning(len(rest)))[3:]) ** 2
-    out |= {f"azimuth.band_{i}": float(band.sum() / power.sum()) for i, band in enumerate(np.array_split(power, 12))}
+    out |= {
+        f"azimuth.band_{i}": float(band.sum() / power.sum())
+        for i, band in enumerate(np.array_split(power, 12))
+    }
 
 
 def _stamps(out: Features, window: Sequences) -> None:

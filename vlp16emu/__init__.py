@@ -1,7 +1,9 @@
 """Hardware-in-the-loop emulator of the Velodyne VLP-16 lidar.
 
-`Emulator` makes scans, captures and streams of a scene, `stream` yields packets while they are made, `load` reads a scene,
-`decode` gives the scans of a capture, and `verify` checks it against the rules of VLP-16 traffic. Names load on first use.
+`Emulator` makes scans, captures and streams of a scene, `stream` yields packets while they are made, `load`
+reads a scene,
+`decode` gives the scans of a capture, and `verify` checks it against the rules of VLP-16 traffic. Names load
+on first use.
 """
 
 from importlib import import_module
@@ -41,7 +43,9 @@ _MODULES = {
     "scenario": "Scenario load",
     "types": "Labels Scan",
 }
-_PLACES = {name: module for module, names in _MODULES.items() for name in names.split()}  # public name -> its module
+_PLACES = {
+    name: module for module, names in _MODULES.items() for name in names.split()
+}  # public name -> its module
 
 
 def __getattr__(name: str) -> object:

@@ -1,7 +1,9 @@
 """Objects that are loaded by name when a scene, a command or an option needs them, from this and other packages.
 
-Other packages add entry points to the groups `vlp16emu.worlds`, `.motions`, `.sensors`, `.scenes`, `.clouds` and `.verbs`.
-Entry points are searched only for names that this package lacks: reading the metadata of all packages takes 20 ms.
+Other packages add entry points to the groups `vlp16emu.worlds`, `.motions`, `.sensors`, `.scenes`, `.clouds`
+and `.verbs`.
+Entry points are searched only for names that this package lacks: reading the metadata of all packages takes
+20 ms.
 """
 
 import logging
@@ -113,7 +115,8 @@ DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its obje
 def door(name: str, group: str = "parts") -> Any:
     """Return the object behind a name of a group.
 
-    Raises InputError if this part of the package is not installed or another package's entry point cannot be loaded;
+    Raises InputError if this part of the package is not installed or another package's entry point cannot be
+    loaded;
     KeyError if the group has no such name.
     """
     if name not in DOORS[group]:
@@ -150,7 +153,11 @@ def added(group: str) -> Iterator[tuple[str, Any]]:
 def _added(group: str) -> dict[str, "EntryPoint"]:
     from importlib.metadata import entry_points  # here: see above
 
-    return {entry.name: entry for entry in entry_points(group=f"vlp16emu.{group}") if entry.name not in DOORS[group]}
+    return {
+        entry.name: entry
+        for entry in entry_points(group=f"vlp16emu.{group}")
+        if entry.name not in DOORS[group]
+    }
 
 
 def _load(entry: "EntryPoint") -> Any:

@@ -1,11 +1,15 @@
 """Elementary functions of float64 from IEEE 754 additions, products, quotients and roots: same bits on all processors.
 
-Libraries choose variants by processor, and these differ in the last bits. Here each operation is defined by IEEE 754 and
-runs in the order that is written. The algorithms are from fdlibm (Sun Microsystems, 1993) unless a function says
+Libraries choose variants by processor, and these differ in the last bits. Here each operation is defined by
+IEEE 754 and
+runs in the order that is written. The algorithms are from fdlibm (Sun Microsystems, 1993) unless a function
+says
 otherwise, written without branches, so that one source serves numpy arrays and kernels.
 
-Every function takes numbers or arrays, which broadcast, and is called in the same way from Python and from kernels,
-there with float64 only. Stated errors, in units in the last place (ulp), are the largest that `tools/elementary` finds.
+Every function takes numbers or arrays, which broadcast, and is called in the same way from Python and from
+kernels,
+there with float64 only. Stated errors, in units in the last place (ulp), are the largest that
+`tools/elementary` finds.
 """
 
 import functools
@@ -26,7 +30,8 @@ _Numbers = NDArray[np.floating[Any]]
 _WHOLE = 6755399441055744.0  # 1.5 * 2**52: adding it rounds to a whole number, held in the lowest bits
 _TINY = 2.0**-1022  # smallest normal number
 _HALF_PI = 1.5707963109016418, 1.5893254712295857e-08, 6.123233932053594e-17, 6.36831716351095e-25
-"""pi / 2 in three parts of 25 bits, so that products with whole numbers below 2**28 are exact, and the rest."""
+"""pi / 2 in three parts of 25 bits, so that products with whole numbers below 2**28 are exact, and the
+rest."""
 _LARGEST_RAD = 1e12
 _LN2 = 6.93147180369123816490e-01, 1.90821492927058770002e-10
 """ln 2: its first 33 bits, so that products with exponents are exact, and the rest."""
@@ -42,13 +47,15 @@ class _Elementary(Protocol):
 class _Both:
     """Function of float64 for arrays, also compiled for kernels.
 
-    The compiled function keeps its order even if the caller uses `fastmath`, and divides by 0 as numpy does. If `inlined`,
+    The compiled function keeps its order even if the caller uses `fastmath`, and divides by 0 as numpy does.
+    If `inlined`,
     it becomes part of each kernel that calls it, which loops with four values per step need.
     """
 
     def __init__(self, function: Callable[..., Any], *, inlined: bool = False) -> None:
         functools.update_wrapper(self, function)
-        self.function, self._inlined = function, inlined
+        self.function = function
+        self._inlined = inlined
 
     @functools.cached_property
     def compiled(self) -> Any:
@@ -103,7 +110,9 @@ def _number(bits: Any) -> Any:
 def _as_instruction(function: Callable[..., Any], typed: Any, emit: Callable[..., Any], *sorts: Any) -> None:
     """Register the LLVM instruction that kernels use for `function`."""
     numba.extending.type_callable(function)(lambda _context: typed)
-    numba.extending.lower_builtin(function, *sorts)(lambda _context, builder, _typed, values: emit(builder, values))
+    numba.extending.lower_builtin(function, *sorts)(
+        lambda _context, builder, _typed, values: emit(builder, values)
+    )
 
 
 _as_instruction(
@@ -144,7 +153,8 @@ def around_zero(y: Any) -> tuple[Any, Any]:
 def _cos_sin(x: Any) -> tuple[Any, Any]:
     """Return cosine and sine from the nearest right angle and the remainder, a sum of two numbers."""
     shifted = _pick(abs(x) <= _LARGEST_RAD, x, math.nan) * (2.0 / math.pi) + _WHOLE
-    n, quarter = shifted - _WHOLE, _bits(shifted)
+    n = shifted - _WHOLE
+    quarter = _bits(shifted)
     y = (x - n * _HALF_PI[0]) - n * _HALF_PI[1]
     third = n * _HALF_PI[2]
     high = y - third
@@ -184,9 +194,13 @@ def atan2(y: Any, x: Any) -> Any:
 
     As in s_atan.c and e_atan2.c, one of four known angles, or none, is subtracted first.
     """
-    up, far = abs(y), abs(x)
+    up = abs(y)
+    far = abs(x)
     t = _pick(up == far, _pick(up == 0.0, 0.0, 1.0), up / far)
-    a, b, high, low = -1.0, t, 1.57079632679489655800e00, 6.12323399573676603587e-17
+    a = -1.0
+    b = t
+    high = 1.57079632679489655800e00
+    low = 6.12323399573676603587e-17
     near = t < 2.4375
     a, b = _pick(near, t - 1.5, a), _pick(near, 1.0 + 1.5 * t, b)
     high, low = _pick(near, 9.82793723247329054082e-01, high), _pick(near, 1.39033110312309984516e-17, low)
@@ -197,12 +211,17 @@ def atan2(y: Any, x: Any) -> Any:
     a, b = _pick(near, 2.0 * t - 1.0, a), _pick(near, 2.0 + t, b)
     high, low = _pick(near, 4.63647609000806093515e-01, high), _pick(near, 2.26987774529616870924e-17, low)
     near = t < 0.4375
-    a, b, high, low = _pick(near, t, a), _pick(near, 1.0, b), _pick(near, 0.0, high), _pick(near, 0.0, low)
+    a = _pick(near, t, a)
+    b = _pick(near, 1.0, b)
+    high = _pick(near, 0.0, high)
+    low = _pick(near, 0.0, low)
     r = a / b
     z = r * r
     w = z * z
     even = 4.97687799461593236017e-02 + w * 1.62858201153657823623e-02
-    even = 1.42857142725034663711e-01 + w * (9.09088713343650656196e-02 + w * (6.66107313738753120669e-02 + w * even))
+    even = 1.42857142725034663711e-01 + w * (
+        9.09088713343650656196e-02 + w * (6.66107313738753120669e-02 + w * even)
+    )
     even = z * (3.33333333333329318027e-01 + w * even)
     odd = -5.83357013379057348645e-02 + w * -3.65315727442169155270e-02
     odd = -1.11111104054623557880e-01 + w * (-7.69187620504482999495e-02 + w * odd)
@@ -261,7 +280,9 @@ def log_of_normal(x: Any) -> Any:
     high = 2.222219843214978396e-01 + z * (
         1.818357216161805012e-01 + z * (1.531383769920937332e-01 + z * 1.479819860511658591e-01)
     )
-    rest = z * (6.666666666666735130e-01 + z * (3.999999999940941908e-01 + z * (2.857142874366239149e-01 + z * high)))
+    rest = z * (
+        6.666666666666735130e-01 + z * (3.999999999940941908e-01 + z * (2.857142874366239149e-01 + z * high))
+    )
     half = 0.5 * f * f
     return e * _LN2[0] - ((half - (s * (half + rest) + e * _LN2[1])) - f)
 

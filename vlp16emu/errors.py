@@ -1,6 +1,7 @@
 """All errors in one tree; every message says where, what was found and what was expected.
 
-The command line exits with 2 for bad input (`InputError`, `MissingExtraError`) and with 1 for a run that failed.
+The command line exits with 2 for bad input (`InputError`, `MissingExtraError`) and with 1 for a run that
+failed.
 """
 
 import stat
@@ -17,7 +18,8 @@ _KINDS = {
     stat.S_IFCHR: "is a device",
     stat.S_IFBLK: "is a device",
 }
-_LONGEST, _LONGEST_FOUND = 1_000, 120
+_LONGEST = 1_000
+_LONGEST_FOUND = 120
 """Most characters shown of the parts of an error line: file or key, and finding."""
 
 
@@ -44,7 +46,8 @@ class InputError(Vlp16emuError):
         self, where: str, found: str, expected: str | None = None, *, at_m: tuple[float, float] | None = None
     ) -> None:
         self.at_m = at_m
-        self.where, self.found = _shown(where, _LONGEST), _shown(found, _LONGEST_FOUND)
+        self.where = _shown(where, _LONGEST)
+        self.found = _shown(found, _LONGEST_FOUND)
         self.expected = None if expected is None else _shown(expected, _LONGEST)
         super().__init__(where, found, expected)
 
@@ -90,7 +93,9 @@ class MissingExtraError(Vlp16emuError):
     exit_code = 2
 
     def __init__(self, library: str, extra: str, purpose: str) -> None:
-        self.library, self.extra, self.purpose = library, extra, purpose
+        self.library = library
+        self.extra = extra
+        self.purpose = purpose
         super().__init__(library, extra, purpose)
 
     def __str__(self) -> str:
@@ -117,7 +122,9 @@ def readable(
         if not stat.S_ISREG(status.st_mode):
             raise kind(str(path), _KINDS[stat.S_IFMT(status.st_mode)], expected)
         if status.st_size > most_bytes:
-            raise kind(str(path), f"found {status.st_size} bytes", f"{expected} of at most {most_bytes} bytes")
+            raise kind(
+                str(path), f"found {status.st_size} bytes", f"{expected} of at most {most_bytes} bytes"
+            )
         yield
     except OSError as error:
         raise kind(str(path), (error.strerror or "cannot be read").lower(), expected) from None

@@ -52,7 +52,11 @@ def _in_words(finding: ErrorDetails, schema: Node) -> tuple[str, str, str]:
     if kind == "value_error":
         return _path(keys), found, finding["msg"].removeprefix("Value error, ")
     words = expected(node)
-    return _path(keys), found, words.replace("a number", "a finite number") if kind == "finite_number" else words
+    return (
+        _path(keys),
+        found,
+        words.replace("a number", "a finite number") if kind == "finite_number" else words,
+    )
 
 
 def expected(node: Node) -> str:
@@ -171,7 +175,12 @@ def _bounds(node: Node) -> str:
         return f"from {low} to {high} in steps of {node['multipleOf']}"
     if low > -math.inf and high < math.inf:
         return f"from {_number(low)} to {_number(high)}"
-    words = {"minimum": "at least", "exclusiveMinimum": "above", "maximum": "at most", "exclusiveMaximum": "below"}
+    words = {
+        "minimum": "at least",
+        "exclusiveMinimum": "above",
+        "maximum": "at most",
+        "exclusiveMaximum": "below",
+    }
     return " and ".join(f"{word} {_number(node[key])}" for key, word in words.items() if key in node)
 
 

@@ -25,9 +25,12 @@ _log = logging.getLogger(__name__)
 class OutputFile:
     """A file to be written; a context manager.
 
-    It is written as NAME.xxxxxxxx.part, a new file in the same folder, and renamed when it is kept. Until then an
-    earlier file stays, even if the run fails. It gets the permissions of the file that it replaces, and a link stays a
-    link. A pipe or a device is written directly. Raises OutputError if it cannot be opened, is one of the inputs, or is
+    It is written as NAME.xxxxxxxx.part, a new file in the same folder, and renamed when it is kept. Until
+    then an
+    earlier file stays, even if the run fails. It gets the permissions of the file that it replaces, and a
+    link stays a
+    link. A pipe or a device is written directly. Raises OutputError if it cannot be opened, is one of the
+    inputs, or is
     being written by another run.
 
     Parameters
@@ -122,7 +125,9 @@ def spare(inputs: Iterable[Path], output: Path) -> None:
     for file in inputs:
         with suppress(OSError):  # one of them does not exist
             if file.samefile(output):
-                raise OutputError(str(output), "is read by this run, and would be written over", "another place")
+                raise OutputError(
+                    str(output), "is read by this run, and would be written over", "another place"
+                )
 
 
 def lock(opened: int, where: str) -> None:

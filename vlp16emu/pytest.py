@@ -1,6 +1,7 @@
 """pytest plugin: the fixture `vlp16`, a sensor that sends packets to free ports while a test runs.
 
-Nothing of the emulator is loaded, and numba is left alone, in a session whose tests do not ask for the fixture.
+Nothing of the emulator is loaded, and numba is left alone, in a session whose tests do not ask for the
+fixture.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,7 +13,8 @@ if TYPE_CHECKING:
     from vlp16emu.extras.handle import Live
 
 _LOOK_AHEAD = 128
-"""Packets that are computed before the first one is sent, 0.17 s: a hall is computed several times faster than sent."""
+"""Packets that are computed before the first one is sent, 0.17 s: a hall is computed several times faster
+than sent."""
 _LONGEST_S = 7 * 86_400.0  # longest run of a scene
 _LAST = pytest.StashKey[Any]()  # emulator of the previous test, whose world is reused
 
@@ -26,9 +28,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Register the marker."""
-    line = (
-        "vlp16(scene, settings, **options): scene of the fixture vlp16, values by key, and options of vlp16emu.stream."
-    )
+    line = "vlp16(scene, settings, **options): scene of the fixture vlp16, values by key, and options of vlp16emu.stream."
     config.addinivalue_line("markers", line)
 
 
@@ -36,13 +36,16 @@ def pytest_configure(config: pytest.Config) -> None:
 def vlp16(request: pytest.FixtureRequest) -> "Iterator[Live]":
     """Stream a scene while a test runs: `vlp16emu.Live`, whose first packet is sent.
 
-    The scene is given by the marker, by `--vlp16-scene`, or by `vlp16_scene` of the ini file. The default, static_bench, is
-    a hall with posts, boxes and balls, and a sensor without errors. The stream ends with the test, or with the walk.
+    The scene is given by the marker, by `--vlp16-scene`, or by `vlp16_scene` of the ini file. The default,
+    static_bench, is
+    a hall with posts, boxes and balls, and a sensor without errors. The stream ends with the test, or with
+    the walk.
     """
     from vlp16emu.extras.handle import Live
     from vlp16emu.run.emulator import Emulator
 
-    marker, config = request.node.get_closest_marker("vlp16"), request.config
+    marker = request.node.get_closest_marker("vlp16")
+    config = request.config
     scene, settings, options = _asked(*marker.args, **marker.kwargs) if marker else _asked()
     scene = scene or config.getoption("--vlp16-scene") or config.getini("vlp16_scene")
     emulator = config.stash[_LAST] = Emulator(scene, settings, like=config.stash.get(_LAST, None))

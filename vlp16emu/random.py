@@ -1,8 +1,10 @@
 """Counter-based random numbers, keyed by seed, purpose and counters, such as a firing number and a laser.
 
-Any number can be drawn at any time, in any order and on any thread, so a run is independent of batches and workers.
+Any number can be drawn at any time, in any order and on any thread, so a run is independent of batches and
+workers.
 
-The generator is Philox 4x32 with 10 rounds: Salmon, Moraes, Dror, Shaw, "Parallel Random Numbers: As Easy as 1, 2, 3",
+The generator is Philox 4x32 with 10 rounds: Salmon, Moraes, Dror, Shaw, "Parallel Random Numbers: As Easy as
+1, 2, 3",
 SC 2011, section 3.2 and table 2. Tests compare it with the authors' known answers.
 """
 
@@ -69,12 +71,15 @@ class Purpose(IntEnum):
 _Word = int | np.uint32
 _Size = int | tuple[int, ...] | None
 
-_NORMAL_TAIL, _EXPONENTIAL_TAIL = 3.6541528853610088, 7.69711747013104972
+_NORMAL_TAIL = 3.6541528853610088
+_EXPONENTIAL_TAIL = 7.69711747013104972
 """Edges beyond which numbers come from logarithms (numpy/random/src/distributions/ziggurat_constants.h)."""
 
 
 @inline_kernel
-def philox4x32(c0: _Word, c1: _Word, c2: _Word, c3: _Word, k0: _Word, k1: _Word) -> tuple[_Word, _Word, _Word, _Word]:
+def philox4x32(
+    c0: _Word, c1: _Word, c2: _Word, c3: _Word, k0: _Word, k1: _Word
+) -> tuple[_Word, _Word, _Word, _Word]:
     """Return four random 32-bit words for counter (c0, c1, c2, c3) and key (k0, k1), all uint32.
 
     Source: SC 2011 paper, multipliers and Weyl constants of Philox 4x32.
@@ -85,8 +90,12 @@ def philox4x32(c0: _Word, c1: _Word, c2: _Word, c3: _Word, k0: _Word, k1: _Word)
         p1 = np.uint64(0xCD9E8D57) * np.uint64(c2)
         n0 = np.uint32(p1 >> np.uint64(32)) ^ np.uint32(c1) ^ np.uint32(k0)
         n2 = np.uint32(p0 >> np.uint64(32)) ^ np.uint32(c3) ^ np.uint32(k1)
-        c0, c1, c2, c3 = n0, np.uint32(p1 & mask), n2, np.uint32(p0 & mask)
-        k0, k1 = np.uint32(k0 + np.uint32(0x9E3779B9)), np.uint32(k1 + np.uint32(0xBB67AE85))
+        c0 = n0
+        c1 = np.uint32(p1 & mask)
+        c2 = n2
+        c3 = np.uint32(p0 & mask)
+        k0 = np.uint32(k0 + np.uint32(0x9E3779B9))
+        k1 = np.uint32(k1 + np.uint32(0xBB67AE85))
     return c0, c1, c2, c3
 
 
@@ -116,7 +125,8 @@ def uniform_pair(seed: int, purpose: int, n: int, lane: int) -> tuple[float, flo
 def box_muller(a: float, b: float) -> tuple[float, float]:
     """Convert two uniform numbers into two normal ones, by Box and Muller (1958); for use in kernels.
 
-    Logarithm, cosine and sine use additions, products and one quotient, which round equally on all processors.
+    Logarithm, cosine and sine use additions, products and one quotient, which round equally on all
+    processors.
     There is no branch and no call, so that a loop over lanes processes four per step.
     """
     radius = math.sqrt(-2.0 * log_of_normal(1.0 - a))  # 1 - a is exact
@@ -133,7 +143,9 @@ def normal_pair(seed: int, purpose: int, n: int, lane: int) -> tuple[float, floa
 
 
 @kernel
-def normal_pairs(seed: int, purpose: int, n: int, first: NDArray[np.float64], second: NDArray[np.float64]) -> None:
+def normal_pairs(
+    seed: int, purpose: int, n: int, first: NDArray[np.float64], second: NDArray[np.float64]
+) -> None:
     """Fill two arrays (lanes,) with the numbers of `normal_pair`, in a quarter of its time."""
     for lane in range(first.shape[0]):
         a, b = uniform_pair(seed, purpose, n, lane)
@@ -175,10 +187,14 @@ def normal(seed: int, purpose: IntEnum, first: int, count: int, lane: int = 0) -
 class _Generator(np.random.Generator):
     """Numpy's generator with the same bits on every processor.
 
-    Numpy draws normal and exponential numbers by ziggurats (Marsaglia and Tsang 2000), which use products except in the
-    tails, 1 number in 3700 and in 2200. There, and for beta numbers, libm computes logarithms and powers, and its last bit
-    differs between processors. These numbers are rounded to steps of 2**-24: that bit moves fewer than 1 in 1e8 to another
-    step. Elsewhere, also in `poisson`, libm only decides whether a number is redrawn: its last bit changes 1 in 1e14.
+    Numpy draws normal and exponential numbers by ziggurats (Marsaglia and Tsang 2000), which use products
+    except in the
+    tails, 1 number in 3700 and in 2200. There, and for beta numbers, libm computes logarithms and powers, and
+    its last bit
+    differs between processors. These numbers are rounded to steps of 2**-24: that bit moves fewer than 1 in
+    1e8 to another
+    step. Elsewhere, also in `poisson`, libm only decides whether a number is redrawn: its last bit changes 1
+    in 1e14.
     """
 
     def standard_normal(self, size: _Size = None) -> Any:  # type: ignore[override]  # float64 alone

@@ -27,7 +27,9 @@ from pydantic_core.core_schema import tagged_union_schema, union_schema, with_in
 from vlp16emu.doors import DOORS, added, door, has_door
 
 DEEPEST = 100  # greatest nesting of tables and lists, and number of names in a dotted key
-_DEEP_KEY = re.compile(rf"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{DEEPEST}}}""", re.ASCII)
+_DEEP_KEY = re.compile(
+    rf"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{DEEPEST}}}""", re.ASCII
+)
 """A dotted key that is too deep: parsing time grows with the square of its names."""
 _LONG_NUMBER = re.compile(r"\b0[xob][0-9a-fA-F_]{3500}")
 """An integer that may have more than 4300 decimal digits, which Python does not print."""
@@ -36,10 +38,14 @@ _LONG_NUMBER = re.compile(r"\b0[xob][0-9a-fA-F_]{3500}")
 def toml(text: str) -> dict[str, Any]:
     """Parse TOML.
 
-    Raises ValueError if it is not valid, a key has more than `DEEPEST` names, or a number thousands of digits;
+    Raises ValueError if it is not valid, a key has more than `DEEPEST` names, or a number thousands of
+    digits;
     RecursionError if lists or tables are nested much deeper.
     """
-    for refused, what in ((_DEEP_KEY, f"a key with more than {DEEPEST} names"), (_LONG_NUMBER, "too long a number")):
+    for refused, what in (
+        (_DEEP_KEY, f"a key with more than {DEEPEST} names"),
+        (_LONG_NUMBER, "too long a number"),
+    ):
         if found := refused.search(text):
             line = text.count("\n", 0, found.start()) + 1
             raise ValueError(f"{what} (at line {line})")
@@ -97,7 +103,9 @@ class OneOf:
     def __get_pydantic_core_schema__(self, _source: Any, _handler: GetCoreSchemaHandler) -> CoreSchema:
         return with_info_plain_validator_function(self._validate)
 
-    def __get_pydantic_json_schema__(self, _schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+    def __get_pydantic_json_schema__(
+        self, _schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
         choices = {word: section.__pydantic_core_schema__ for word, section in self.sections().items()}
         return handler(tagged_union_schema(choices, discriminator=self.tag))
 
@@ -128,11 +136,15 @@ class OneOf:
             raise PydanticKnownError("dict_type")
         table = value if self.default is None else {self.tag: self.default} | value
         if (section := self._section(table.get(self.tag))) is None:
-            raise PydanticKnownError("union_tag_invalid", {"discriminator": self.tag, "tag": "", "expected_tags": ""})
+            raise PydanticKnownError(
+                "union_tag_invalid", {"discriminator": self.tag, "tag": "", "expected_tags": ""}
+            )
         try:
             return section.model_validate(table, context=info.context)
         except ValidationError as error:  # with the word in the path, as in pydantic's own unions
-            findings: list[Any] = [{**e, "loc": (table[self.tag], *e["loc"])} for e in error.errors(include_url=False)]
+            findings: list[Any] = [
+                {**e, "loc": (table[self.tag], *e["loc"])} for e in error.errors(include_url=False)
+            ]
             raise ValidationError.from_exception_data(error.title, findings) from None
 
 
@@ -146,8 +158,11 @@ class LazySection:
     def __get_pydantic_core_schema__(self, _source: Any, _handler: GetCoreSchemaHandler) -> CoreSchema:
         return with_info_plain_validator_function(self._validate)
 
-    def __get_pydantic_json_schema__(self, _schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        # A union with one member gives a reference in the page; a section alone would be written out each time.
+    def __get_pydantic_json_schema__(
+        self, _schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        # A union with one member gives a reference in the page; a section alone would be written out each
+        # time.
         return handler(union_schema([self.section.__pydantic_core_schema__])) if has_door(self.name) else {}
 
     @property
@@ -157,7 +172,11 @@ class LazySection:
         return section
 
     def _validate(self, value: Any, info: ValidationInfo) -> Section:
-        return value if isinstance(value, self.section) else self.section.model_validate(value, context=info.context)
+        return (
+            value
+            if isinstance(value, self.section)
+            else self.section.model_validate(value, context=info.context)
+        )
 
 
 def _from_scene_folder(file: str, info: ValidationInfo) -> str:

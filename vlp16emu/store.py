@@ -1,7 +1,9 @@
 """Cache files, compiled kernels and parts of worlds: complete or ignored, in a folder that only the user can write.
 
-The name of a file is a digest of all inputs of its content, with the package's files and the libraries that made it. A file is
-a marker, the SHA-256 of its name and its content, and the content: a pickle, which runs code when it is read. So a
+The name of a file is a digest of all inputs of its content, with the package's files and the libraries that
+made it. A file is
+a marker, the SHA-256 of its name and its content, and the content: a pickle, which runs code when it is read.
+So a
 folder that others can write in is not used.
 """
 
@@ -57,7 +59,9 @@ class Store:
     """
 
     def __init__(self, folder: Path | None, suffix: str, most_bytes: int) -> None:
-        self.folder, self.suffix, self.most_bytes = folder, suffix, most_bytes
+        self.folder = folder
+        self.suffix = suffix
+        self.most_bytes = most_bytes
         # bytes written since sizes were last summed; starts at the limit because of other runs
         self._unsummed_bytes = most_bytes
         self._writer: ThreadPoolExecutor | None = None
@@ -70,7 +74,8 @@ class Store:
         with suppress(OSError):
             for level in (self.folder.parent, self.folder):
                 level.mkdir(0o700, parents=True, exist_ok=True)
-            above, state = self.folder.parent.stat().st_mode, self.folder.lstat()
+            above = self.folder.parent.stat().st_mode
+            state = self.folder.lstat()
             is_ours = stat.S_ISDIR(state.st_mode) and state.st_uid in (0, os.getuid())
             if is_ours and not state.st_mode & 0o022 and (not above & 0o022 or above & stat.S_ISVTX):
                 return self.folder
@@ -216,5 +221,10 @@ def recalled(
 def _state() -> str:
     """Return a digest of the files that determine worlds, of numerical libraries, and of the machine."""
     return digest_of(
-        MAKERS, np.__version__, version("scipy"), os.uname().machine, sys.byteorder, sys.implementation.cache_tag
+        MAKERS,
+        np.__version__,
+        version("scipy"),
+        os.uname().machine,
+        sys.byteorder,
+        sys.implementation.cache_tag,
     )

@@ -1,6 +1,7 @@
 """Tables from users: lists of stems, waypoints and poses, as written by spreadsheets and statistics programs.
 
-Columns are separated by semicolons, tabs, commas or blanks, and cells may have quotation marks. Unless commas separate
+Columns are separated by semicolons, tabs, commas or blanks, and cells may have quotation marks. Unless commas
+separate
 columns, a decimal comma is accepted as well as a point.
 """
 
@@ -21,7 +22,8 @@ from vlp16emu.types import F8
 from vlp16emu.units import S_NS
 
 LARGEST = 1e8
-"""Upper limit of map coordinates (EPSG:4647, with the zone in front, has 3.4e7 m), with squares far from overflow."""
+"""Upper limit of map coordinates (EPSG:4647, with the zone in front, has 3.4e7 m), with squares far from
+overflow."""
 _LARGEST_NS = 2**62
 _MARKS = (";", "\t", ",", " ")  # column separators; if two fit equally well, the first is taken
 _MISSING = frozenset(("", "na", "n/a", "#n/a", "<na>", "nan", "null", "none", "#nv"))
@@ -80,7 +82,9 @@ class Table:
 
     def texts(self, column: str) -> list[str]:
         """Return the cells of a column (n,); empty if a value is missing."""
-        cells = ["" if cell.lower() in _MISSING else cell for cell in self.cells.get(column, [""] * len(self))]
+        cells = [
+            "" if cell.lower() in _MISSING else cell for cell in self.cells.get(column, [""] * len(self))
+        ]
         if self.columns[column].is_filled and "" in cells:
             found = self.cells[column][row := cells.index("")]
             raise self.error(self.where(row, column), f"found {found}" if found else "nothing", "a value")
@@ -108,7 +112,9 @@ class Table:
         return times_ns
 
     def _number(self, row: int, column: str, cell: str) -> float:
-        units, low, high = self.columns[column].units, self.columns[column].low, self.columns[column].high
+        units = self.columns[column].units
+        low = self.columns[column].low
+        high = self.columns[column].high
         factor = units[self.names[column]]
         expected = "a number" if high == LARGEST else f"a number from {low / factor:g} to {high / factor:g}"
         if cell.lower() in _MISSING:
@@ -118,7 +124,9 @@ class Table:
         number = _float(self._pointed(row, column, cell))
         if math.isnan(number):
             has_unit = not math.isnan(_float(cell.partition(" ")[0].replace(",", ".")))
-            raise self.error(self.where(row, column), f"found {cell!r}", expected + " without a unit" * has_unit)
+            raise self.error(
+                self.where(row, column), f"found {cell!r}", expected + " without a unit" * has_unit
+            )
         if not low <= number * factor <= high:
             meant = "".join(f"; is it {name}?" for name in units if low <= number * units[name] <= high)
             limit = f" of at most {LARGEST:g}" if high == LARGEST else ""
@@ -132,18 +140,27 @@ class Table:
             expected = "a decimal point; decimal commas need ; or a tab between columns"
             raise self.error(self.where(row, column), f"found {cell!r}", expected)
         if len(marks) > 1 or (self._has_commas and "," in marks):
-            raise self.error(self.where(row, column), f"found {cell!r}", "one decimal mark, and none between thousands")
+            raise self.error(
+                self.where(row, column), f"found {cell!r}", "one decimal mark, and none between thousands"
+            )
         self._decimal = "".join(marks)
         return cell.replace(",", ".")
 
 
 def read_table(
-    path: Path, columns: Mapping[str, Column], expected: str, error: type[InputError], *, has_header: bool = True
+    path: Path,
+    columns: Mapping[str, Column],
+    expected: str,
+    error: type[InputError],
+    *,
+    has_header: bool = True,
 ) -> Table:
     """Read a table of UTF-8 text.
 
-    The header has the columns in any order and case; other columns are ignored. It may have one name less than rows have
-    cells, as R writes it with row names. Without a header, rows have all columns in order. Lines that are empty
+    The header has the columns in any order and case; other columns are ignored. It may have one name less
+    than rows have
+    cells, as R writes it with row names. Without a header, rows have all columns in order. Lines that are
+    empty
     or begin with `#` are ignored.
 
     Parameters
@@ -166,8 +183,15 @@ def read_table(
         called = _columns_of(names, columns, f"{path}, line {first}", error)
     else:
         firsts = ((mark, _header(records(mark), known)[1]) for mark in _MARKS)
-        fits = (mark for mark, cells in firsts if len(cells) == len(columns) and not any(" " in cell for cell in cells))
-        mark, first, names, called = next(fits, " "), 0, list(columns), {name: name for name in columns}
+        fits = (
+            mark
+            for mark, cells in firsts
+            if len(cells) == len(columns) and not any(" " in cell for cell in cells)
+        )
+        mark = next(fits, " ")
+        first = 0
+        names = list(columns)
+        called = {name: name for name in columns}
     rows = [row for row in records(mark) if row[0] > first and not row[1][0].startswith("#")]
     if rows and has_header and len(rows[0][1]) == len(names) + 1 and rows[0][1][-1]:
         names = ["", *names]  # the column of row names has no name
@@ -175,7 +199,11 @@ def read_table(
     for line, cells in rows:
         # Excel leaves out cells at the ends of rows that are empty for long (Microsoft KB 77295).
         if len(cells) < needed or any(cells[len(names) :]):
-            hint = "; decimal commas need ; or a tab between columns" if mark == "," and len(cells) > needed else ""
+            hint = (
+                "; decimal commas need ; or a tab between columns"
+                if mark == "," and len(cells) > needed
+                else ""
+            )
             as_in = f", as in line {first}" if first else f": {expected}"
             raise error(f"{path}, line {line}", f"found {len(cells)} cells", f"{len(names)}{as_in}{hint}")
     cells_of = {column: [cells[names.index(name)] for _, cells in rows] for column, name in called.items()}
@@ -234,7 +262,8 @@ def _decoded(path: Path, content: bytes, error: type[InputError]) -> str:
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as fault:
-        line, byte = content.count(b"\n", 0, fault.start) + 1, content[fault.start : fault.start + 1]
+        line = content.count(b"\n", 0, fault.start) + 1
+        byte = content[fault.start : fault.start + 1]
         found = f"no UTF-8 text: byte {byte.hex()}, in Windows-1252 '{byte.decode('cp1252', 'replace')}'"
         raise error(f"{path}, line {line}", found, "UTF-8 (in Excel: save as CSV UTF-8)") from None
 

@@ -1,8 +1,11 @@
 """The types that the rooms exchange: frozen, with slots, shapes checked once when made.
 
-Letters in shapes: k firing sequences in a batch, L lasers in **wire order** (16 on a VLP-16), m surfaces, n anything else.
-Frames: `world` is local east-north-up in metres; `body` is x forward, y left, z up, and so is `sensor`, whose azimuth 0 is forward
-and grows clockwise seen from above. `world_T_body` takes body to world coordinates; `world_T_body @ body_T_sensor` reads left to right.
+Letters in shapes: k firing sequences in a batch, L lasers in **wire order** (16 on a VLP-16), m surfaces, n
+anything else.
+Frames: `world` is local east-north-up in metres; `body` is x forward, y left, z up, and so is `sensor`, whose
+azimuth 0 is forward
+and grows clockwise seen from above. `world_T_body` takes body to world coordinates; `world_T_body @
+body_T_sensor` reads left to right.
 """
 
 from collections.abc import Callable, Hashable
@@ -100,7 +103,9 @@ SURFACE = np.dtype(
 """One row of a window's surface table."""
 
 NO_SURFACE = np.uint32(0xFFFFFFFF)  # Surface of a pulse that hit nothing
-FIRST_FREE_INSTANCE = 0xFFFF0000  # First instance of the user's objects and of people; worlds number theirs below
+FIRST_FREE_INSTANCE = (
+    0xFFFF0000  # First instance of the user's objects and of people; worlds number theirs below
+)
 ShapeKey = Hashable  # Key of a shape: equal keys mean equal bytes of geometry
 
 
@@ -117,7 +122,9 @@ def _check(owner: object, dtype: str, **shapes: tuple[int | None, ...]) -> None:
         if not fits:
             want = "(" + ", ".join("n" if axis is None else str(axis) for axis in shape) + ")"
             found = f"{array.shape} {array.dtype}" if isinstance(array, np.ndarray) else type(array).__name__
-            raise ValueError(f"{type(owner).__name__}.{name}: found {found}, expected {want} {np.dtype(dtype)}")
+            raise ValueError(
+                f"{type(owner).__name__}.{name}: found {found}, expected {want} {np.dtype(dtype)}"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +153,8 @@ class Firings:
     origin_m: F8  # (k, L, 3) world; the point on the spin axis from which the range is measured
     direction: F8  # (k, L, 3) world, unit length
     beam_axis: F8 | None
-    """(k, L, 3) as `direction`, perpendicular to it, level in the sensor, towards greater azimuths; None for single rays."""
+    """(k, L, 3) as `direction`, perpendicular to it, level in the sensor, towards greater azimuths; None for
+    single rays."""
 
     def __post_init__(self) -> None:
         k, lasers = self.t_ns.shape
@@ -161,8 +169,11 @@ class Firings:
         """Make rays without a sensor, all at one instant; origins and directions broadcast to (k, L, 3)."""
         origin_m, direction = (np.ascontiguousarray(of) for of in np.broadcast_arrays(origin_m, direction))
         shape = direction.shape[:2]
-        angle_deg, n = np.zeros(shape), np.zeros(shape[0], np.int64)
-        return cls(0, np.full(shape, t_ns, np.int64), n, angle_deg, angle_deg[:, 0].copy(), origin_m, direction, None)
+        angle_deg = np.zeros(shape)
+        n = np.zeros(shape[0], np.int64)
+        return cls(
+            0, np.full(shape, t_ns, np.int64), n, angle_deg, angle_deg[:, 0].copy(), origin_m, direction, None
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,7 +231,9 @@ class Packet:
     unit: int = 0  # Index in the rig of its sensor, from 0
     fired_ns: int | None = None  # UTC of the first pulse in an emulated data packet
     number: int = 0  # of a position packet: count of its unit's earlier ones, also unsent; part of the frame
-    slots: NDArray[np.void] | None = None  # (384,) of a data packet: ground truth of each record, only on request
+    slots: NDArray[np.void] | None = (
+        None  # (384,) of a data packet: ground truth of each record, only on request
+    )
 
 
 class PacketSink(Protocol):
@@ -258,21 +271,24 @@ class Scan:
     A revolution begins with the first azimuth reading (one in two firing sequences) that has passed
     0. In dual return each echo is present once, the last one first.
 
-    Each point is in the sensor's frame at the instant of its own pulse. `world_T_sensor` is the pose at `start_ns`
+    Each point is in the sensor's frame at the instant of its own pulse. `world_T_sensor` is the pose at
+    `start_ns`
     alone: on a moving sensor it is valid only for the scan's first points. The poses of all points are
     `Emulator.world_T_sensor(scan.t_ns)`.
     """
 
     start_ns: int  # UTC of the revolution's first pulse, whether or not it has a return
     t_ns: I8
-    """(n,) UTC of the pulse. For a capture: by the clock chosen for `decode`, in whole microseconds for each packet."""
+    """(n,) UTC of the pulse. For a capture: by the clock chosen for `decode`, in whole microseconds for each
+    packet."""
     xyz_m: F4  # (n, 3) in the sensor: x forward at azimuth 0, y left, z up
     distance_m: F4  # (n,) from the centre of the sensor
     azimuth_deg: F8  # (n,) at the instant of the pulse, [0, 360)
     ring: U2  # (n,) by elevation, 0 the lowest
     reflectivity: U1  # (n,) 0..100 diffuse, 101..255 retroreflective
     is_last: NDArray[np.bool_]
-    """(n,) True for a last return; else the strongest, or in dual return, if that is the last, the second strongest."""
+    """(n,) True for a last return; else the strongest, or in dual return, if that is the last, the second
+    strongest."""
     world_T_sensor: F8 | None = None
     """(4, 4) transform of `xyz_m` to the world (local east, north, up) at `start_ns`; None for a capture."""
     labels: Labels | None = None  # Only with `truth`
@@ -322,7 +338,8 @@ class Sway:
 class Window:
     """Placed shapes and their surfaces within reach of a stretch of the walk.
 
-    A shape is a tuple of meshes that share one frame. Mesh j of placement i shows surface `first_surface[i] + j`.
+    A shape is a tuple of meshes that share one frame. Mesh j of placement i shows surface `first_surface[i] +
+    j`.
     """
 
     origin_m: F8  # (3,) world; the caster's geometry is relative to it

@@ -11,7 +11,9 @@ US_NS = 1_000
 MS_NS = 1_000_000
 S_NS = 1_000_000_000
 HOUR_NS = 3_600 * S_NS
-FOREVER_NS = 2**62  # end of what lasts until the run ends; half of int64, so that the sum of two times fits too
+FOREVER_NS = (
+    2**62
+)  # end of what lasts until the run ends; half of int64, so that the sum of two times fits too
 INCLUSIVE = 1.0 + 2.0**-21
 """Factor on a greatest range, so that a surface exactly there is included in spite of float32 rounding."""
 

@@ -22,7 +22,9 @@ DATA = data_header(FACTORY_LINK) + PAYLOAD
 POSITION = position_frame(FACTORY_LINK, bytes(512), 77)
 IP = DATA[14:]
 UDP = DATA[34:]
-IP6 = bytes.fromhex("60000000") + struct.pack(">HBB", len(UDP), 17, 64) + bytes(15) + b"\1" + bytes(15) + b"\2"
+IP6 = (
+    bytes.fromhex("60000000") + struct.pack(">HBB", len(UDP), 17, 64) + bytes(15) + b"\1" + bytes(15) + b"\2"
+)
 TSHARK = pytest.mark.skipif(shutil.which("tshark") is None, reason="no tshark, which is the authority here")
 
 
@@ -48,7 +50,10 @@ def pcapng(*frames, order="<", options=b"", link_types=(1,), stamp=1_700_000_000
         out += block(order, 1, struct.pack(f"{order}HHI", link_type, 0, 0) + options)
     for interface, frame in frames:
         stamps = struct.pack(f"{order}IIII", stamp >> 32, stamp & 0xFFFFFFFF, len(frame), len(frame))
-        before = {6: struct.pack(f"{order}I", interface) + stamps, 2: struct.pack(f"{order}HH", interface, 0) + stamps}
+        before = {
+            6: struct.pack(f"{order}I", interface) + stamps,
+            2: struct.pack(f"{order}HH", interface, 0) + stamps,
+        }
         out += block(order, kind, before.get(kind, struct.pack(f"{order}I", len(frame))) + frame)
     return out
 
@@ -164,7 +169,9 @@ def shown_by_tshark(path):
 def test_frames_that_tshark_reads_are_read(tmp_path):
     """In a capture with an interface for each link, number and payload of each datagram are those that tshark shows."""
     rows = [(name, link, frame) for name, (link, *frames) in FRAMES.items() for frame in frames]
-    content = pcapng(*((i, frame) for i, (_, _, frame) in enumerate(rows)), link_types=[link for _, link, _ in rows])
+    content = pcapng(
+        *((i, frame) for i, (_, _, frame) in enumerate(rows)), link_types=[link for _, link, _ in rows]
+    )
     datagrams, _ = read(tmp_path, content, repeats=True)
     shown = dict(line.split("\t") for line in shown_by_tshark(tmp_path / "some.pcap"))
     found = {str(d.number): d.payload.hex() for d in datagrams}
@@ -186,7 +193,9 @@ def test_frames_that_tshark_reads_are_read(tmp_path):
             id="sections with all kinds of blocks",
         ),
         pytest.param(modified(DATA, POSITION), id="modified pcap: dpkt#632, ntopng#2443"),
-        pytest.param(pcap(DATA, POSITION) + bytes(4096), id="zeros behind the end, by a loss of power: tcpreplay#405"),
+        pytest.param(
+            pcap(DATA, POSITION) + bytes(4096), id="zeros behind the end, by a loss of power: tcpreplay#405"
+        ),
     ],
 )
 def test_containers_that_tshark_reads_are_read(tmp_path, content):
@@ -202,7 +211,8 @@ def test_containers_that_tshark_reads_are_read(tmp_path, content):
         pytest.param(DATA[:23] + b"\x04" + DATA[24:34] + IP, id="IP in IP"),
         pytest.param(DATA[:23] + b"\x2f" + DATA[24:34] + b"\0\0\x08\0" + IP, id="GRE"),
         pytest.param(
-            DATA[:23] + b"\x2f" + DATA[24:34] + b"\x20\0\x65\x58\0\0\0\7" + DATA, id="Ethernet in GRE with a key"
+            DATA[:23] + b"\x2f" + DATA[24:34] + b"\x20\0\x65\x58\0\0\0\7" + DATA,
+            id="Ethernet in GRE with a key",
         ),
         pytest.param(DATA[:36] + b"\x12\xb5" + DATA[38:42] + b"\x08" + bytes(7) + DATA, id="VXLAN"),
         pytest.param(tunnel(17, GENEVE), id="Geneve with an option"),
@@ -217,7 +227,9 @@ def test_tunnels_options_and_padding(tmp_path, frame):
     assert datagram.source == bytes([192, 168, 1, 201])
 
 
-@pytest.mark.parametrize("pack", [gzip.compress, partial(bz2.compress, compresslevel=1), lzma.compress, "zstd"])
+@pytest.mark.parametrize(
+    "pack", [gzip.compress, partial(bz2.compress, compresslevel=1), lzma.compress, "zstd"]
+)
 def test_archives_are_read_also_when_cut(tmp_path, pack):
     """A compressed capture gives the same datagrams; one that ends early those before, and says so."""
     if pack == "zstd":
@@ -289,8 +301,14 @@ def test_empty_capture_is_a_capture(tmp_path, empty):
             gzip.compress(bytes(257) + b"ustar" + bytes(300), mtime=0),
             "some.pcap: a tar archive; expected .* `tar xOf some.pcap > some.pcap`",
         ),
-        (pcap() + struct.pack("<IIII", 0, 0, 2**31, 9), "packet 1: a length of 2147483648 bytes; expected at most"),
-        (pcapng() + struct.pack("<II", 6, 13), "block 3: a length of 13 bytes; expected 12 to 16777216, in steps of 4"),
+        (
+            pcap() + struct.pack("<IIII", 0, 0, 2**31, 9),
+            "packet 1: a length of 2147483648 bytes; expected at most",
+        ),
+        (
+            pcapng() + struct.pack("<II", 6, 13),
+            "block 3: a length of 13 bytes; expected 12 to 16777216, in steps of 4",
+        ),
         (b"\x1f\x8b\x08\0" + bytes(40), r"some\.pcap: "),
         (lzma.compress(pcap(DATA))[:40] + bytes(400), r"some\.pcap: "),
     ],
@@ -307,7 +325,10 @@ def test_other_files_are_refused_in_one_line(tmp_path, content, line):
     [
         (pcap(DATA, DATA, link_type=147), "2 frames of link type 147, which is not read"),
         (pcap(next(fragments(IP)), link_type=101), r"1 datagrams whose other IP fragments .* 0x1fff != 0"),
-        (pcap(DATA[:68]).replace(struct.pack("<II", 68, 68), struct.pack("<II", 68, 1248)), r"1 frames .*tcpdump -s 0"),
+        (
+            pcap(DATA[:68]).replace(struct.pack("<II", 68, 68), struct.pack("<II", 68, 1248)),
+            r"1 frames .*tcpdump -s 0",
+        ),
     ],
 )
 def test_what_cannot_be_had_is_said_with_the_remedy(tmp_path, content, cause):
@@ -336,8 +357,14 @@ def test_what_comes_twice_is_read_once(tmp_path):
 
 def test_files_behind_each_other_are_one_capture(tmp_path):
     """What `cat` makes of captures is read as tenzir#3513 asks, each with its own link type; tshark stops at the second header."""
-    datagrams, capture = read(tmp_path, pcap(DATA) + pcap(IP, link_type=101) + pcap() + pcap(POSITION), repeats=True)
-    assert [(d.number, d.link_type, len(d.payload)) for d in datagrams] == [(1, 1, 1206), (2, 101, 1206), (3, 1, 512)]
+    datagrams, capture = read(
+        tmp_path, pcap(DATA) + pcap(IP, link_type=101) + pcap() + pcap(POSITION), repeats=True
+    )
+    assert [(d.number, d.link_type, len(d.payload)) for d in datagrams] == [
+        (1, 1, 1206),
+        (2, 101, 1206),
+        (3, 1, 512),
+    ]
     assert not capture.cut
 
 
@@ -346,7 +373,11 @@ def test_data_packets_that_the_host_has_merged_are_taken_apart(tmp_path):
     payloads = [b"\xff\xee" + bytes([i]) * 1204 for i in range(3)]
     whole = tunnel(17, DATA[34:38] + struct.pack(">HH", 8 + 3 * 1206, 0) + b"".join(payloads))
     datagrams, capture = read(tmp_path, pcap(whole))
-    assert ([d.payload for d in datagrams], {d.number for d in datagrams}, capture.frames) == (payloads, {1}, 1)
+    assert ([d.payload for d in datagrams], {d.number for d in datagrams}, capture.frames) == (
+        payloads,
+        {1},
+        1,
+    )
     assert {d.captured_bytes for d in datagrams} == {1248}
 
 
@@ -381,5 +412,7 @@ def test_units_of_one_address_differ_by_mac(tmp_path):
 
 def test_names_of_captures():
     """Rotated and compressed captures are known by their names; scenes are no captures."""
-    assert all(map(is_capture_name, ("a.pcap", "a.PCAPNG", "a.pcap12", "a.cap.gz", "a.pcap.zst", "walk*.pcap")))
+    assert all(
+        map(is_capture_name, ("a.pcap", "a.PCAPNG", "a.pcap12", "a.cap.gz", "a.pcap.zst", "walk*.pcap"))
+    )
     assert not any(map(is_capture_name, ("a.toml", "birch_walk", "a.pcap.toml", "pcap")))

@@ -24,7 +24,11 @@ REAL = Path(__file__).resolve().parents[3] / "shared" / "captures" / "mrpt_vlp16
         ([3599.9, 3600.1], [3599.9, 0.1], [3599.9, 3600.1]),  # over the hour
         ([3600.04, 3600.05], [3599.98, 3599.99], [3599.98, 3599.99]),  # velodyne#462: 60 ms behind the host
         ([3599.9, 3600.1], [3599.9, 3600.02], [3599.9, 3600.02]),  # velodyne#218: stamps that run on
-        ([1799.9, 1800.1, 1799.95], [0.0, 0.2, 0.3], [0.0, 0.2, 0.3]),  # velodyne#524: host jitters across half an hour
+        (
+            [1799.9, 1800.1, 1799.95],
+            [0.0, 0.2, 0.3],
+            [0.0, 0.2, 0.3],
+        ),  # velodyne#524: host jitters across half an hour
         ([10.0, 9010.0], [10.0, 1810.0], [10.0, 9010.0]),  # suspended: both clocks go on by 2.5 h
         ([10.0, 18010.1], [10.0, 10.1], [10.0, 10.1]),  # ouster-sdk#176: NTP steps the host by 5 h
         ([10.0, 10.1, 10.2], [10.1, 10.0, 10.2], [10.1, 10.0, 10.2]),  # a packet that comes late

@@ -22,7 +22,9 @@ ROOT = Path(__file__).resolve().parents[2]
 def _kernels():
     """Compile what is not on disk: a run that does it says so on stderr."""
     if not all(map(_is_kept, table())):
-        subprocess.run([sys.executable, "-m", "vlp16emu", "cache", "--compile"], capture_output=True, check=True)
+        subprocess.run(
+            [sys.executable, "-m", "vlp16emu", "cache", "--compile"], capture_output=True, check=True
+        )
 
 
 @dataclass

@@ -26,7 +26,9 @@ def test_a_run_tells_its_error(cli, tmp_path):
     audit = cli(*run, *wide, "--json").tree["audit"]
     assert audit["pulses"] == 11 * 16  # at a place of each block; the last one ends before that
     assert audit["range_rmse_low_m"] < audit["range_rmse_m"] < audit["range_rmse_high_m"]
-    assert f"range error       RMSE {1e3 * audit['range_rmse_m']:.1f} mm before noise (" in cli(*run, *wide).out
+    assert (
+        f"range error       RMSE {1e3 * audit['range_rmse_m']:.1f} mm before noise (" in cli(*run, *wide).out
+    )
     assert "range error       rounding to float32 only" in cli(*run, "0.1").out
     assert "range error" not in cli(*run, "0.1", "--no-audit").out
     assert cli(*run, "0.1", "--no-audit", "--json").tree["audit"] is None

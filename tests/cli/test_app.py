@@ -55,7 +55,10 @@ def test_the_version_is_that_of_the_package(cli):
 RECORD, STREAM = "record static_bench {tmp}/x.pcap", "stream static_bench"
 WRONG = [
     # command line, option, what it is given, what is expected
-    *((RECORD, "--duration", found, "a number above 0 and at most 604800") for found in ("-1", "nan", "inf", "ten")),
+    *(
+        (RECORD, "--duration", found, "a number above 0 and at most 604800")
+        for found in ("-1", "nan", "inf", "ten")
+    ),
     (RECORD, "--start", "-1", "a number from 0 to 604800"),
     (RECORD, "--start", "11", "less than the scene's 10 s, or a --duration"),
     (RECORD, "--threads", "1.5", "a whole number from 0 to 1024"),
@@ -181,10 +184,14 @@ def test_warnings_are_lines_on_stderr(main_here, tmp_path):
     with (tmp_path / "out").open("w") as stdout:
         code, said = main_here("plan", "static_bench", *settings, stdout=stdout)
     assert (code, said.count("\n")) == (0, 1)
-    assert said.startswith("warning: hall: the path of the sensor leaves it at (100, 0) m; expected x between")
+    assert said.startswith(
+        "warning: hall: the path of the sensor leaves it at (100, 0) m; expected x between"
+    )
 
 
-@pytest.mark.parametrize("error", [MemoryError("Unable to allocate 9 EiB"), RuntimeError("can't start new thread")])
+@pytest.mark.parametrize(
+    "error", [MemoryError("Unable to allocate 9 EiB"), RuntimeError("can't start new thread")]
+)
 def test_memory_that_runs_out_is_reported(cli, monkeypatch, error):
     """A run that finds no memory or no thread left ends with code 1 and one line."""
 

@@ -7,7 +7,12 @@ import pytest
 from vlp16emu import Emulator
 from vlp16emu.scenario import load
 
-UNIT = ["noise.preset=unit", "sensor.preset=unit", "sensor.azimuth_noise_deg=0.0014", "capture.preset=quiet_pc"]
+UNIT = [
+    "noise.preset=unit",
+    "sensor.preset=unit",
+    "sensor.azimuth_noise_deg=0.0014",
+    "capture.preset=quiet_pc",
+]
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +41,9 @@ def test_a_fitted_unit_goes_into_a_scene(cli, captures, tmp_path):
     """What `fit` prints is what it writes, and its tables are settings of a scene."""
     printed = cli("fit", captures / "a.pcap").out
     assert cli("fit", captures / "a.pcap", "--out", tmp_path / "unit.toml").code == 0
-    assert (tmp_path / "unit.toml").read_text() == printed == cli("fit", captures / "a.pcap", "--out", "-").out
+    assert (
+        (tmp_path / "unit.toml").read_text() == printed == cli("fit", captures / "a.pcap", "--out", "-").out
+    )
     tables = tomllib.loads(printed)
     settings = {f"{table}.{key}": value for table, keys in tables.items() for key, value in keys.items()}
     assert load("birch_walk", settings).noise.range_beat_m == tables["noise"]["range_beat_m"]

@@ -45,14 +45,22 @@ def test_a_dry_run_says_what_is_made_and_makes_nothing(cli, spec, tmp_path):
 @pytest.mark.parametrize(
     ("scheduler", "said"),
     [
-        ("", "error: scheduler: found ''; expected tcp://HOST:PORT of a Dask scheduler, or its scheduler file\n"),
+        (
+            "",
+            "error: scheduler: found ''; expected tcp://HOST:PORT of a Dask scheduler, or its scheduler file\n",
+        ),
         ("127.0.0.1", "error: scheduler: found '127.0.0.1'; expected tcp://HOST:PORT "),
         ("spec.toml", "error: spec.toml: is no scheduler file; expected tcp://HOST:PORT "),
-        ("foo://127.0.0.1:1", "error: foo://127.0.0.1:1: no Dask scheduler answers (unknown address scheme 'foo'"),
+        (
+            "foo://127.0.0.1:1",
+            "error: foo://127.0.0.1:1: no Dask scheduler answers (unknown address scheme 'foo'",
+        ),
         ("tcp://127.0.0.1:9", "error: tcp://127.0.0.1:9: no Dask scheduler answers (Timed out "),
     ],
 )
-def test_a_scheduler_that_cannot_be_reached_is_one_line(refused, spec, tmp_path, monkeypatch, scheduler, said):
+def test_a_scheduler_that_cannot_be_reached_is_one_line(
+    refused, spec, tmp_path, monkeypatch, scheduler, said
+):
     """What is no address, no scheduler file or does not answer is refused before anything is made."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(cluster, "_REACHED_WITHIN_S", 0.1)

@@ -98,7 +98,10 @@ def test_csv_names_its_units(cli, bench, tmp_path):
     tree = cli("decode", bench, "--out", out, "--clock", "sensor", "--json").tree
     with out.open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert ",".join(rows[0]) == "t_utc_s,clock_s,x_m,y_m,z_m,distance_m,azimuth_deg,reflectivity,ring,laser,is_last"
+    assert (
+        ",".join(rows[0])
+        == "t_utc_s,clock_s,x_m,y_m,z_m,distance_m,azimuth_deg,reflectivity,ring,laser,is_last"
+    )
     assert len(rows) == tree["points"]
     points = decode_data(payloads(bench), keep_no_returns=False)
     for column, values, step in (("x_m", points.xyz_m[:, 0], 1e-4), ("clock_s", points.time_ns / 1e9, 1e-9)):
@@ -140,7 +143,9 @@ def test_points_that_cannot_be_written_are_reported(cli, bench, tmp_path, verb, 
     if "full" in name:
         out.symlink_to("/dev/full")
     line = (
-        ("decode", bench, "--out", out) if verb == "decode" else ("points", "static_bench", out, "--duration", "0.02")
+        ("decode", bench, "--out", out)
+        if verb == "decode"
+        else ("points", "static_bench", out, "--duration", "0.02")
     )
     outcome = cli(*line)
     assert outcome.code == code
@@ -170,7 +175,10 @@ def test_another_sensor_is_refused_with_its_place(cli, bench, tmp_path):
 @pytest.mark.parametrize("suffix", [".npz", ".ply", ".csv"])
 def test_a_broken_packet_leaves_the_points_before_it(cli, bench, tmp_path, suffix):
     """A last packet with a broken flag is named by its frame, and the points of all others can be read."""
-    broken, out = changed(bench, tmp_path / "broken.pcap", 300, 0xFE, slice(-1, None)), tmp_path / f"x{suffix}"
+    broken, out = (
+        changed(bench, tmp_path / "broken.pcap", 300, 0xFE, slice(-1, None)),
+        tmp_path / f"x{suffix}",
+    )
     outcome = cli("decode", broken, "--out", out)
     number = data_frames(bench)[-1]
     assert outcome.code == 2
@@ -186,7 +194,9 @@ def test_packets_before_a_damaged_record_are_reported(bench, tmp_path):
     read = []
     with CaptureReader(damaged) as reader, pytest.raises(CaptureError, match="a length of 4294967295 bytes"):
         read.extend(points.xyz_m for points, *_ in reader.points())
-    np.testing.assert_array_equal(np.concatenate(read), decode_data(payloads(bench), keep_no_returns=False).xyz_m)
+    np.testing.assert_array_equal(
+        np.concatenate(read), decode_data(payloads(bench), keep_no_returns=False).xyz_m
+    )
 
 
 def test_a_clock_that_is_set_on_the_way_adds_no_time(cli, bench, tmp_path):
@@ -226,7 +236,9 @@ def test_ctrl_c_leaves_the_points_so_far(cli, bench, tmp_path, monkeypatch, suff
     outcome = cli("decode", bench, "--out", out, "--json")
     assert outcome.code == 130
     assert (outcome.tree["packets"], outcome.tree["interrupted"]) == (28, True)
-    np.testing.assert_allclose(xyz_in(out), decode_data(payloads(bench)[:28], keep_no_returns=False).xyz_m, atol=5.1e-5)
+    np.testing.assert_allclose(
+        xyz_in(out), decode_data(payloads(bench)[:28], keep_no_returns=False).xyz_m, atol=5.1e-5
+    )
 
 
 @pytest.mark.parametrize("size", [7, 2_000])
@@ -234,7 +246,10 @@ def test_another_model_is_refused_at_any_packet(bench, tmp_path, monkeypatch, si
     """A Puck Hi-Res from the eighth packet on is refused, whether or not a chunk ends before it."""
     monkeypatch.setattr("vlp16emu.captures.reading._CHUNK", size)
     mixed = changed(bench, tmp_path / "mixed.pcap", 1205, 0x24, slice(7, None))
-    with CaptureReader(mixed) as reader, pytest.raises(PacketError, match="0x24; expected the first packet's"):
+    with (
+        CaptureReader(mixed) as reader,
+        pytest.raises(PacketError, match="0x24; expected the first packet's"),
+    ):
         for _ in reader.points():
             pass
 

@@ -11,7 +11,10 @@ from vlp16emu.raycast import embree
 NAMES = [
     *("cores", "kernel cache", "Embree", "data port", "position port", "sensor address", "interface right"),
     *("clock resolution", "wake-ups", "receive buffer"),
-    *(f"extra {name}" for name in ("cloud", "cluster", "data", "dem", "picture", "plot", "ros", "score", "viewer")),
+    *(
+        f"extra {name}"
+        for name in ("cloud", "cluster", "data", "dem", "picture", "plot", "ros", "score", "viewer")
+    ),
     "world cache",
 ]
 

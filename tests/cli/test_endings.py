@@ -194,7 +194,9 @@ def test_a_closed_standard_output_takes_no_capture():
 def test_a_file_does_not_take_the_place_of_a_closed_output(cli, tmp_path):
     """A capture that is written while standard output is closed holds its packets and nothing else."""
     path = tmp_path / "x.pcap"
-    command = f"exec {sys.executable} -m vlp16emu record static_bench {path} --duration 0.1 --json 2>/dev/null >&-"
+    command = (
+        f"exec {sys.executable} -m vlp16emu record static_bench {path} --duration 0.1 --json 2>/dev/null >&-"
+    )
     assert subprocess.run(["sh", "-c", command], check=False).returncode == 0
     assert cli("verify", path, "--json").tree["clean"]
 

@@ -23,7 +23,12 @@ def written(tmp_path_factory):
     from vlp16emu.cli.app import run
 
     folder = tmp_path_factory.mktemp("forest")
-    files = {"--inventory": "trees.csv", "--stems": "stems.csv", "--ground": "ground.asc", "--glb": "twin.glb"}
+    files = {
+        "--inventory": "trees.csv",
+        "--stems": "stems.csv",
+        "--ground": "ground.asc",
+        "--glb": "twin.glb",
+    }
     options = [word for option, name in files.items() for word in (option, str(folder / name))]
     with pytest.MonkeyPatch.context() as patch, (folder / "out.json").open("w") as out:
         patch.setattr(sys, "stdout", out)
@@ -42,7 +47,9 @@ def test_the_inventory_has_every_tree_in_reach_once(written, rows):
     """One line per tree of the sensor's reach, its units in the header, and no tree twice."""
     assert len(rows) == written[1]["trees_in_reach"]
     assert len({row["id"] for row in rows}) == len(rows)
-    assert {"species", "x_m", "dbh_m", "height_m", "top_m", "stem_m3", "leaf_m2", "biomass_kg"} <= set(rows[0])
+    assert {"species", "x_m", "dbh_m", "height_m", "top_m", "stem_m3", "leaf_m2", "biomass_kg"} <= set(
+        rows[0]
+    )
 
 
 def test_stems_are_circles_with_the_diameter_of_the_inventory(written, rows):
@@ -159,7 +166,9 @@ def test_files_take_their_names_together(cli, tmp_path):
     """A full disk for the last of several files leaves all earlier ones as they were, and nothing beside them."""
     (tmp_path / "trees.csv").write_text("earlier")
     (tmp_path / "ground.asc").symlink_to("/dev/full")
-    outcome = cli("forest", "static_bench", "--inventory", tmp_path / "trees.csv", "--ground", tmp_path / "ground.asc")
+    outcome = cli(
+        "forest", "static_bench", "--inventory", tmp_path / "trees.csv", "--ground", tmp_path / "ground.asc"
+    )
     assert outcome.code == 1
     assert "ground.asc: No space left on device" in outcome.err
     assert (tmp_path / "trees.csv").read_text() == "earlier"

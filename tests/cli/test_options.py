@@ -68,7 +68,9 @@ def test_python_refuses_what_the_command_line_refuses(tmp_path):
     """A run of no length is no empty file: record, stream and replay refuse it, and names of no option."""
     emulator = Emulator("static_bench", threads=1)
     for call in (lambda **o: emulator.record(tmp_path / "x.pcap", **o), emulator.stream):
-        with pytest.raises(InputError, match=r"^duration_s: found 0; expected a number above 0 and at most 604800$"):
+        with pytest.raises(
+            InputError, match=r"^duration_s: found 0; expected a number above 0 and at most 604800$"
+        ):
             call(duration_s=0)
         with pytest.raises(InputError, match=r"^length_s: found no such option; expected one of "):
             call(length_s=1)
@@ -93,11 +95,16 @@ def test_options_that_are_settings_agree_with_the_page():
     keys = schema()["$defs"]["Sensor"]["properties"]
     for one in options_of(runs.StreamOptions):
         if one.field.endswith("_port"):
-            key = next(kind for kind in (keys[one.field], *keys[one.field].get("anyOf", ())) if "maximum" in kind)
+            key = next(
+                kind for kind in (keys[one.field], *keys[one.field].get("anyOf", ())) if "maximum" in kind
+            )
             assert (one.option.ge, one.option.le) == (0, key["maximum"])  # 0 asks for a free port
             assert key["minimum"] == 1
     duration = next(one for one in options_of(runs.Span) if one.field == "duration_s")
     key = schema()["properties"]["duration_s"]
     assert (duration.option.gt, duration.option.le) == (key["exclusiveMinimum"], key["maximum"])
     assert runs.StreamOptions(to="10.0.0.1:2370").receiver == ("10.0.0.1", 2370)
-    assert runs.StreamOptions(to="").receiver == ("", None)  # an empty variable of a script; `UdpSink` refuses it
+    assert runs.StreamOptions(to="").receiver == (
+        "",
+        None,
+    )  # an empty variable of a script; `UdpSink` refuses it

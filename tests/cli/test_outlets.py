@@ -92,7 +92,9 @@ def test_samples_leave_at_their_time(cli, receiver):
     emulator = Emulator("static_bench", [f"{k}={v}" for k, v in WALK.items()] + ["imu.preset=consumer"])
     read = emulator.parts.imu.read(0, 300)
     assert [int(frame["t_ns"]) - moved_ns for frame in frames] == read.t_ns.tolist()
-    np.testing.assert_array_equal([frame["specific_force_m_s2"] for frame in frames], read.specific_force_m_s2)
+    np.testing.assert_array_equal(
+        [frame["specific_force_m_s2"] for frame in frames], read.specific_force_m_s2
+    )
     row = {"to": to, "messages": 300, "bytes": 21600, "dropped": 0, "away": [], "line": None, "pulses": None}
     assert (outcome.tree["imu_out"], outcome.tree["gps_out"]) == (row, None)
 
@@ -101,7 +103,9 @@ def test_sentences_are_those_of_the_position_packets(cli, receiver, cable):
     """Live and moved into the present, the port gives the bytes that position packets echo; the report has a row for it."""
     port, _, passed = cable
     position = ["--data-port", "9", "--position-port", port_of(receiver)]
-    outcome = cli("stream", "static_bench", *position, *OPTIONS, "--duration", "2", "--now", "--gps-out", port)
+    outcome = cli(
+        "stream", "static_bench", *position, *OPTIONS, "--duration", "2", "--now", "--gps-out", port
+    )
     assert outcome.code == 0
     assert f"sentences         2 to {port}; no pulses, as it has no line DTR" in outcome.out
     echoed, last_ns = [], 0
@@ -142,7 +146,16 @@ def test_gpsd_follows_the_walk(program, cable, tmp_path):
     with subprocess.Popen([shutil.which("gpsd"), "-N", "-n", "-S", str(tcp), other_end], **quiet) as gpsd:
         try:
             running = program(
-                "stream", "static_bench", *SILENT, *OPTIONS, "--duration", "600", "--now", "--gps-out", port, "--json"
+                "stream",
+                "static_bench",
+                *SILENT,
+                *OPTIONS,
+                "--duration",
+                "600",
+                "--now",
+                "--gps-out",
+                port,
+                "--json",
             )
             reports = {}
             for report in watched(tcp, 300.0):

@@ -19,7 +19,9 @@ def _measured_shortly(monkeypatch):
 
 def on(scene, *settings):
     """Names of what is on."""
-    return {need.name for need in needs(Engine.of(load(scene, settings), threads=1), audited=False) if need.on}
+    return {
+        need.name for need in needs(Engine.of(load(scene, settings), threads=1), audited=False) if need.on
+    }
 
 
 def test_the_audit_is_named_where_it_looks(cli):
@@ -79,7 +81,11 @@ def test_a_walk_is_counted_and_measured(cli):
 
 @pytest.mark.parametrize(
     ("factor", "line"),
-    [(3.1, "yes"), (1.1, "yes, with next to nothing left for other programs"), (0.9, "no, packets will be late")],
+    [
+        (3.1, "yes"),
+        (1.1, "yes, with next to nothing left for other programs"),
+        (0.9, "no, packets will be late"),
+    ],
 )
 def test_people_read_whether_a_stream_keeps_up(factor, line):
     """The page says yes or no; a speed that leaves nothing to spare is called that."""

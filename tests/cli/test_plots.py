@@ -55,7 +55,10 @@ def test_lists_of_numbers_are_printed_on_one_line(cli, bench):
             ("score", "t", "--map", "m.ply", "--plot", "a.png"),
             "--plot a.png: found nothing to draw; expected --trajectory",
         ),
-        (("score", "t", "--map", "m.ply", "--out", "a.htm"), "--out a.htm: found the ending '.htm'; expected .html"),
+        (
+            ("score", "t", "--map", "m.ply", "--out", "a.htm"),
+            "--out a.htm: found the ending '.htm'; expected .html",
+        ),
         (("plot", "no.json", "a.png"), "no.json: no such file or directory; expected a report in JSON"),
     ],
 )
@@ -74,7 +77,10 @@ def test_a_missing_matplotlib_is_named_before_any_work(cli, tmp_path, monkeypatc
     """Without matplotlib one line names it and the extra, for plots and pages."""
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.setattr("vlp16emu.cli.about.compile_first", None)
-    for words in (("accuracy", "static_bench", "--plot", "a.png"), ("score", "t", "--map", "m.ply", "--out", "a.html")):
+    for words in (
+        ("accuracy", "static_bench", "--plot", "a.png"),
+        ("score", "t", "--map", "m.ply", "--out", "a.html"),
+    ):
         monkeypatch.chdir(tmp_path)
         outcome = cli(*words)
         assert outcome.code == 2

@@ -41,7 +41,9 @@ def test_people_get_a_summary(cli, tmp_path):
     sets = "noise.preset=datasheet", "beam.model=adaptive", "weather={visibility_m=60.0,rain_mm_h=10.0}"
     run = "record", "static_bench", tmp_path / "x.pcap", "--duration", "0.1"
     out, ideal = cli(*run, *(word for one in sets for word in ("--set", one))).out, cli(*run, "--ideal")
-    assert out.startswith(f"wrote {tmp_path}/x.pcap\n  scene             static_bench\n  seed              1\n")
+    assert out.startswith(
+        f"wrote {tmp_path}/x.pcap\n  scene             static_bench\n  seed              1\n"
+    )
     for line in (
         "beam              adaptive: at most 64 sub-rays, error of ",
         "noise             datasheet: 11 mm white, 10 mm bias per laser, ",
@@ -49,7 +51,10 @@ def test_people_get_a_summary(cli, tmp_path):
         "data packets      75\n",
     ):
         assert f"\n  {line}" in out
-    assert "\n  beam              none: one ray, without width\n  noise             ideal: 0 mm white" in ideal.out
+    assert (
+        "\n  beam              none: one ray, without width\n  noise             ideal: 0 mm white"
+        in ideal.out
+    )
     assert ("\n  weather " in ideal.out, ideal.err) == (False, "")
 
 
@@ -160,7 +165,12 @@ def test_ctrl_c_does_not_wait_for_the_world(cli, monkeypatch, tmp_path):
     monkeypatch.setattr("vlp16emu.engine.windows.window_of", grow)
     outcome = cli("record", "static_bench", path, "--truth", truth, "--json")
     end.set()
-    assert (outcome.code, outcome.out, outcome.err, sorted(tmp_path.iterdir())) == (130, "", "", [truth, path])
+    assert (outcome.code, outcome.out, outcome.err, sorted(tmp_path.iterdir())) == (
+        130,
+        "",
+        "",
+        [truth, path],
+    )
     assert [file.read_bytes() for file in (path, *sorted(truth.iterdir()))] == before
 
 
@@ -189,4 +199,8 @@ def test_a_recording_tells_revolutions_and_azimuth_steps(cli, tmp_path):
     assert "; 2 revolutions of 1 808 firing sequences, 0.1991 deg apart\n" in cli(*arguments).out
     rig = "rig=[{rpm=600,address='192.168.1.202'},{rpm=1200,address='192.168.1.203'}]"
     units = cli(*arguments, "--set", rig, "--json").tree["units"]
-    assert [[unit["turn"][key] for key in TURNED] for unit in units] == [[2.0, 3616], [2.0, 3616], [4.0, 3616]]
+    assert [[unit["turn"][key] for key in TURNED] for unit in units] == [
+        [2.0, 3616],
+        [2.0, 3616],
+        [4.0, 3616],
+    ]

@@ -43,7 +43,9 @@ def ports(listeners):
 
 def test_the_web_interface_is_where_the_line_says(cli, ports):
     """A stream with --http prints the address of its web interface."""
-    lines = cli("stream", "static_bench", "--duration", "0.05", "--http", "127.0.0.1:0", *ports).out.splitlines()
+    lines = cli(
+        "stream", "static_bench", "--duration", "0.05", "--http", "127.0.0.1:0", *ports
+    ).out.splitlines()
     assert lines[0].startswith("streaming static_bench to 127.0.0.1")
     assert re.fullmatch(r"web interface at http://127\.0\.0\.1:\d+/", lines[1])
 
@@ -73,7 +75,19 @@ def test_people_read_where_it_goes_and_how_it_went(cli, ports):
     assert lines[1] == "done: static_bench to 127.0.0.1"
     names = [line.split("  ")[1] for line in lines[2:]]
     assert [name for name in names if name not in ("delay", "to keep up")] == [
-        *("scene", "seed", "beam", "noise", "to", "speed", "late", "unit 1", "lateness", "simulated", "run time"),
+        *(
+            "scene",
+            "seed",
+            "beam",
+            "noise",
+            "to",
+            "speed",
+            "late",
+            "unit 1",
+            "lateness",
+            "simulated",
+            "run time",
+        ),
         *("fell behind", "ran at", "range error", "data packets", "position packets"),
     ]
 
@@ -154,7 +168,9 @@ def test_a_stopped_stream_goes_on_without_a_burst(program, arrivals, late):
     port, receive = arrivals
     ports = "--to", f"127.0.0.1:{port}", "--position-port", 9  # discard
     strict = ["--strict"] if late == "skip" else []
-    process = program("stream", "static_bench", "--duration", "3600", "--late", late, *ports, *strict, "--json")
+    process = program(
+        "stream", "static_bench", "--duration", "3600", "--late", late, *ports, *strict, "--json"
+    )
     stamps_ns = receive(200)
     process.send_signal(signal.SIGSTOP)
     time.sleep(STOPPED_S)  # the fact to prove is one of real time

@@ -32,7 +32,14 @@ def test_the_truth_alone_is_that_of_a_recording(cli, tmp_path):
         "start_utc=2026-05-20T09:00:00.25Z",
         "gps.connected=true",
     )
-    run = ["--start", "0.7", "--duration", "0.3", "--json", *(word for one in sets for word in ("--set", one))]
+    run = [
+        "--start",
+        "0.7",
+        "--duration",
+        "0.3",
+        "--json",
+        *(word for one in sets for word in ("--set", one)),
+    ]
     options = [*run, "--truth-rate", "50", "--truth-packets"]
     made = cli("record", "static_bench", tmp_path / "x.pcap", *options, "--truth", tmp_path / "a").tree
     assert len(rows(tmp_path / "a" / "trajectory.tum")) in {16, 17}
@@ -45,7 +52,9 @@ def test_the_truth_alone_is_that_of_a_recording(cli, tmp_path):
         assert (tmp_path / "b" / path.name).read_bytes() == path.read_bytes(), path.name
         assert report["files"].pop(path.name) == path.stat().st_size
     assert report["files"] == {}
-    assert "\n  packets_2.tum " in cli("truth", "static_bench", tmp_path / "b", *options[:4], *options[5:]).out
+    assert (
+        "\n  packets_2.tum " in cli("truth", "static_bench", tmp_path / "b", *options[:4], *options[5:]).out
+    )
 
 
 def test_ctrl_c_ends_the_truth_alone(cli, signal_at, tmp_path):

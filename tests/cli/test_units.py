@@ -22,7 +22,9 @@ def rig(tmp_path_factory):
 
 def test_the_recording_counts_each_unit(cli, tmp_path):
     """Totals are the sums of the units', which are told with addresses and ports."""
-    tree = cli("record", "static_bench", tmp_path / "x.pcap", "--duration", "0.2", "--set", RIG, "--json").tree
+    tree = cli(
+        "record", "static_bench", tmp_path / "x.pcap", "--duration", "0.2", "--set", RIG, "--json"
+    ).tree
     units = tree["units"]
     assert [(unit["unit"], unit["address"], unit["data_port"]) for unit in units] == [
         (1, "192.168.1.201", 2368),

@@ -18,7 +18,9 @@ STREAM = ("stream", "static_bench", "--no-keep-up", "--data-port", "0", "--posit
 def page_of(process):
     """Process identifier of the page of a stream."""
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text(encoding="ascii").split()
-    (child,) = (int(child) for child in children if b"live_page" in Path(f"/proc/{child}/cmdline").read_bytes())
+    (child,) = (
+        int(child) for child in children if b"live_page" in Path(f"/proc/{child}/cmdline").read_bytes()
+    )
     return child
 
 
@@ -63,7 +65,10 @@ def test_a_port_in_use_is_one_line(refused):
 
 def test_a_port_needs_its_page(refused):
     """--view-port alone is refused."""
-    assert refused([*STREAM, "--view-port", "8017"]) == "error: --view-port: found without --view; expected both\n"
+    assert (
+        refused([*STREAM, "--view-port", "8017"])
+        == "error: --view-port: found without --view; expected both\n"
+    )
 
 
 def test_without_the_extra_one_line_names_it(refused, monkeypatch):

@@ -145,7 +145,9 @@ def test_windows_are_let_go_with_their_owner():
 
     gc.disable()
     try:
-        of = Windows(lambda _segment: World(), SimpleNamespace(block_ns=1, segment=4, parts=1), moves=True, threads=1)
+        of = Windows(
+            lambda _segment: World(), SimpleNamespace(block_ns=1, segment=4, parts=1), moves=True, threads=1
+        )
         alive = weakref.ref(of.at_block(0).result())
         assert alive() is not None
         del of

@@ -45,9 +45,15 @@ def test_the_best_rung_that_leaves_a_fifth_free_is_forecast(speed, rung):
 
 @pytest.mark.parametrize(
     ("speeds", "taken", "enough", "cores"),
-    [([1.3], None, True, 2), ([1.0, 1.1, 1.9], "one ray", True, 3), ([0.1, 0.6], "one ray, to 45 m", False, 25)],
+    [
+        ([1.3], None, True, 2),
+        ([1.0, 1.1, 1.9], "one ray", True, 3),
+        ([0.1, 0.6], "one ray, to 45 m", False, 25),
+    ],
 )
-def test_a_stream_takes_the_first_rung_that_is_measured_to_be_enough(monkeypatch, speeds, taken, enough, cores):
+def test_a_stream_takes_the_first_rung_that_is_measured_to_be_enough(
+    monkeypatch, speeds, taken, enough, cores
+):
     """Rungs are measured from the best one that may be enough down; the emulator then has the settings of the one taken."""
     left = iter(speeds)
     monkeypatch.setattr(keep_up, "_speed", lambda _run: next(left))
@@ -68,4 +74,8 @@ def test_the_line_names_rung_settings_error_and_cores(monkeypatch):
         "reference_forest): measured 1.4 x real time on 2 cores; as it is with 3 cores"
     )
     monkeypatch.setattr(keep_up, "_speed", lambda _run: 8.0)
-    assert Emulator("static_bench").keep_up().line.startswith("keep-up: the scene as it is: measured 8 x real time on ")
+    assert (
+        Emulator("static_bench")
+        .keep_up()
+        .line.startswith("keep-up: the scene as it is: measured 8 x real time on ")
+    )

@@ -78,7 +78,9 @@ def test_bent_stems_from_afar_are_those_of_the_mesh(workers, both):
 def test_the_ground_from_afar_is_that_of_the_mesh(both):
     """Ranges to the ground equal those of its triangles within 2 mm in the median, incidence alike; labels agree."""
     window, far, near = both
-    ours, true = (cast(scene, *around(40_000, AT_M[0], low_deg=-60.0, high_deg=-2.0)) for scene in (far, near))
+    ours, true = (
+        cast(scene, *around(40_000, AT_M[0], low_deg=-60.0, high_deg=-2.0)) for scene in (far, near)
+    )
     ground = (true.surface != NO_SURFACE) & (part_of(window, true.surface) == PlantPart.NONE)
     assert ground.sum() > 20_000
     same = ours.surface == true.surface
@@ -166,8 +168,13 @@ def test_batches_threads_and_revolutions_do_not_matter_in_a_medium(workers, mode
 def test_cold_and_warm_caches_give_the_same(workers):
     """A window opened after others, whose blocks and clouds are kept, is that of a fresh caster, bit by bit."""
     world = lab.Tiles(2.0, across=3)
-    elsewhere = world.window(AT_M + [[-20.0, 0.0, 0.0]], [(ix, iy) for ix in (-3, -2, -1, 0) for iy in (-1, 0, 1)])
-    window, warm = (world.window(AT_M, [(ix, iy) for ix in (-1, 0, 1) for iy in (-1, 0, 1)]), FarCaster(world, workers))
+    elsewhere = world.window(
+        AT_M + [[-20.0, 0.0, 0.0]], [(ix, iy) for ix in (-3, -2, -1, 0) for iy in (-1, 0, 1)]
+    )
+    window, warm = (
+        world.window(AT_M, [(ix, iy) for ix in (-1, 0, 1) for iy in (-1, 0, 1)]),
+        FarCaster(world, workers),
+    )
     kept = warm.open(elsewhere)
     scenes = warm.open(window), FarCaster(world, workers).open(window)
     ours, fresh = (cast(scene, *around(4000, AT_M[0])) for scene in scenes)
@@ -247,7 +254,10 @@ def test_things_that_sway_are_faces_at_any_range(workers):
     foot_z_m = window.world_T_shape[crowns, 2, 3] - 5.0
     swaying = replace(window, far=still, sway=Sway(0, 1_000_000_000, crowns, foot_z_m, shear))
 
-    scenes = FarCaster(lab.Tiles(8.0, crowns_far=False), workers).open(swaying), FarCaster(near, workers).open(swaying)
+    scenes = (
+        FarCaster(lab.Tiles(8.0, crowns_far=False), workers).open(swaying),
+        FarCaster(near, workers).open(swaying),
+    )
     origin_m, direction = around(16_000, AT_M[0], low_deg=0.0, high_deg=40.0)
     firings = lab.rays(origin_m, direction)
     for t_ns in (0, 500_000_000, 1_000_000_000):

@@ -48,7 +48,9 @@ def test_a_pulse_meets_the_same_in_the_windows_that_hold_it(forest, stood, worke
     tracks = [np.concatenate([at_m, at_m + [[dx, 1.0, 0.0]]]) for dx in (8.0, -8.0)]
     windows = [forest.world.window(track) for track in tracks]
     assert np.linalg.norm(windows[0].origin_m - windows[1].origin_m) > 4
-    hits = [caster(forest.world, workers).open(w).cast(firings, unit.head.beams.near_m, REACH_M) for w in windows]
+    hits = [
+        caster(forest.world, workers).open(w).cast(firings, unit.head.beams.near_m, REACH_M) for w in windows
+    ]
     (ours, _), (other, part) = (met(*pair) for pair in zip(windows, hits, strict=True))
     hit = np.isfinite(hits[0].range_m) & np.isfinite(hits[1].range_m)
     same = (ours == other) & (np.isfinite(hits[0].range_m) == np.isfinite(hits[1].range_m))

@@ -97,7 +97,12 @@ class Slab(lab.Tiles):
             return stems, placed, first, surfaces
         surfaces = np.concatenate([surfaces, surfaces])
         surfaces["part"][1] = PlantPart.LEAF
-        return stems, [("slab", np.column_stack([np.eye(3), [2.0, 2.0, 4.0]]))], np.ones(1, np.int64), surfaces
+        return (
+            stems,
+            [("slab", np.column_stack([np.eye(3), [2.0, 2.0, 4.0]]))],
+            np.ones(1, np.int64),
+            surfaces,
+        )
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +119,9 @@ def leaves(workers):
 
 
 DENSE_UPRIGHT = pytest.param(
-    90.0, 1.0, marks=pytest.mark.xfail(reason="upright light through dense leaves goes 7 % less deep than it should")
+    90.0,
+    1.0,
+    marks=pytest.mark.xfail(reason="upright light through dense leaves goes 7 % less deep than it should"),
 )
 
 

@@ -175,7 +175,14 @@ def stand(workers):
     return world, window, far.medium(window, far.tiles(window))
 
 
-DIRECTIONS = {"x": (1, 0, 0), "-x": (-1, 0, 0), "y": (0, 1, 0), "-y": (0, -1, 0), "z": (0, 0, 1), "-z": (0, 0, -1)}
+DIRECTIONS = {
+    "x": (1, 0, 0),
+    "-x": (-1, 0, 0),
+    "y": (0, 1, 0),
+    "-y": (0, -1, 0),
+    "z": (0, 0, 1),
+    "-z": (0, 0, -1),
+}
 
 
 def some_rays(world, towards, count, seed=1):
@@ -276,7 +283,12 @@ def test_pulses_meet_the_stems_of_their_sector_as_those_of_the_whole_window(stan
         for line in axes:
             alone, together = lanes(), lanes()
             for L in (alone, together):
-                L.origin_m[:, 0], L.direction[:, 0], L.range_m[0], L.surface[0] = line[:3], line[3:], FAR_M, NO_SURFACE
+                L.origin_m[:, 0], L.direction[:, 0], L.range_m[0], L.surface[0] = (
+                    line[:3],
+                    line[3:],
+                    FAR_M,
+                    NO_SURFACE,
+                )
             lab.march_through(medium, alone, 1, line, FAR_M)
             lab.march_through(medium, together, 1, line, FAR_M, ahead=ahead)
             assert (alone.range_m[0], alone.surface[0]) == (together.range_m[0], together.surface[0])

@@ -86,11 +86,15 @@ def test_a_cloud_is_where_its_faces_are(monkeypatch):
         corners = mesh.vertices_m[mesh.faces].astype(float)
         if corners.shape[1] == 3:
             corners = corners[:, [0, 1, 2, 2]]
-        area_m2 = np.linalg.norm(np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]), axis=1) / 2
+        area_m2 = (
+            np.linalg.norm(np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]), axis=1) / 2
+        )
         middle_m = np.average(corners.mean(axis=1), axis=0, weights=area_m2)
         own = cloud.mesh == number
         assert cloud.area_m2[own].sum() == pytest.approx(share * area_m2.sum(), rel=1e-5)
-        assert np.abs(np.average(cloud.place_m[own], axis=0, weights=cloud.area_m2[own]) - middle_m).max() < 1e-3
+        assert (
+            np.abs(np.average(cloud.place_m[own], axis=0, weights=cloud.area_m2[own]) - middle_m).max() < 1e-3
+        )
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +104,9 @@ def blocks():
     clouds = [cloud_of(world.shape("crown"), PARTS), cloud_of(world.shape("stone"), PARTS[:1])]
     library, shape_of = Library.of(clouds), {"crown": 0, "stone": 1}
     tiles = {place: world.far_tile(*place) for place in itertools.product(range(-2, 3), repeat=2)}
-    made = {place: block_of(library, shape_of, tiles, *place) for place in itertools.product((-1, 0, 1), repeat=2)}
+    made = {
+        place: block_of(library, shape_of, tiles, *place) for place in itertools.product((-1, 0, 1), repeat=2)
+    }
     return world, library, tiles, made
 
 
@@ -157,7 +163,9 @@ def test_owners_have_their_shares(blocks):
             scale = abs(np.linalg.det(place[:, :3])) ** (2 / 3)
             for mesh in (0, 1):
                 own = inside & (library.mesh[: library.first_cell[1]] == mesh)
-                true = scale * library.area_m2[: library.first_cell[1]][own].sum() * library.projection[mesh, 1]
+                true = (
+                    scale * library.area_m2[: library.first_cell[1]][own].sum() * library.projection[mesh, 1]
+                )
                 if true > 1.0:
                     assert area_of[number, int(row) + mesh] == pytest.approx(true, rel=0.1)
                     checked += 1

@@ -21,7 +21,9 @@ BARE = settings.Forest(**TREES)
 FULL = settings.Forest(
     **TREES,
     regeneration=settings.Regeneration(stems_per_ha=900.0, pattern=YOUNG),
-    shrubs=settings.Shrubs(per_ha=200.0, species=["hazel", "elder"], pattern=settings.Scattered(kind="random")),
+    shrubs=settings.Shrubs(
+        per_ha=200.0, species=["hazel", "elder"], pattern=settings.Scattered(kind="random")
+    ),
     stones=settings.Stones(cover=0.05),
     logs=settings.Logs(per_ha=150.0, species=["norway_spruce"], diameter_m=(0.2, 0.5), length_m=(3.0, 12.0)),
     stumps=settings.Stumps(per_ha=150.0, species=["silver_birch"], diameter_m=(0.2, 0.5)),

@@ -7,7 +7,13 @@ from scipy.spatial import ConvexHull
 
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.floor_shapes import _outline_m2
-from vlp16emu.forest.stand.scatter import _STONE_M, _STONE_MEDIAN_M, _STONE_SHARES, _STONE_SIGMA, normal_quantile
+from vlp16emu.forest.stand.scatter import (
+    _STONE_M,
+    _STONE_MEDIAN_M,
+    _STONE_SHARES,
+    _STONE_SIGMA,
+    normal_quantile,
+)
 from vlp16emu.forest.stand.stand import class_scale
 from vlp16emu.random import _EXPONENTIAL_TAIL, _NORMAL_TAIL, generator
 
@@ -36,7 +42,11 @@ def test_what_follows_from_ziggurats_is_that_of_numpy() -> None:
     """Normal, Rayleigh and beta numbers are numpy's own to a step of 2**-24, one by one and from the same state on."""
     own, true = generator(7, Growth.TREE, 3, -4), _plain()
     modes = np.linspace(0.1, 2.0, 5000)
-    for name, arguments in (("normal", (1.0, 0.4, (2, 5000))), ("rayleigh", (modes,)), ("beta", (0.95, 3.76, 5000))):
+    for name, arguments in (
+        ("normal", (1.0, 0.4, (2, 5000))),
+        ("rayleigh", (modes,)),
+        ("beta", (0.95, 3.76, 5000)),
+    ):
         assert np.abs(getattr(own, name)(*arguments) - getattr(true, name)(*arguments)).max() < 2.0**-24, name
     assert own.poisson(30.0, 1000).tolist() == true.poisson(30.0, 1000).tolist()
     assert isinstance(own.normal(), float)

@@ -148,7 +148,9 @@ def test_other_types_have_files_of_their_own(folder):
     assert len(list(folder.glob("*.kernel"))) == 2
 
 
-@pytest.mark.parametrize("damage", [lambda data: data[:-9] + bytes([data[-9] ^ 1]) + data[-8:], lambda _: b""])
+@pytest.mark.parametrize(
+    "damage", [lambda data: data[:-9] + bytes([data[-9] ^ 1]) + data[-8:], lambda _: b""]
+)
 def test_a_damaged_file_is_compiled_again(folder, damage):
     """A file with a flipped bit and an empty one are known, and replaced without a word."""
     is_compiled_anew()

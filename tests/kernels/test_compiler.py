@@ -101,7 +101,10 @@ def test_without_a_safe_folder_nothing_is_compiled_before(tmp_path):
 
 def test_processes_that_are_killed_are_not_waited_for(tmp_path):
     """The system kills a process that has no memory left: the run goes on without it."""
-    assert compiled_by_a_program(tmp_path, tmp_path / "kernels", KILLS) == (["(0, 3)", "(0, 3)", "(0, 4)"], "")
+    assert compiled_by_a_program(tmp_path, tmp_path / "kernels", KILLS) == (
+        ["(0, 3)", "(0, 3)", "(0, 4)"],
+        "",
+    )
 
 
 PLAIN = """
@@ -120,7 +123,12 @@ def test_without_private_interfaces_the_numbers_are_the_same(tmp_path):
     for how in ("plain", ""):
         environment = os.environ | {"VLP16EMU_NUMBA": how, "NUMBA_CACHE_DIR": str(tmp_path)}
         done = subprocess.run(
-            [sys.executable, "-c", PLAIN], env=environment, capture_output=True, text=True, check=True, timeout=300
+            [sys.executable, "-c", PLAIN],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=300,
         )
         found.append(done.stdout.splitlines())
     plain, usual = found

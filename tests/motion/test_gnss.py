@@ -73,7 +73,9 @@ def test_a_receiver_reports_at_most_999_knots(speed_m_s, reported_m_s):
 def test_wander_has_the_autocovariance_it_states(lag_s):
     """Over 2000 seeds the product of two seconds a lag apart has the mean exp(-lag / 120 s), within 5 sigma."""
     first_s = 1_780_000_000
-    pairs = [wander(seed, 0, first_s, 120.0) * wander(seed, 0, first_s + lag_s, 120.0) for seed in range(2000)]
+    pairs = [
+        wander(seed, 0, first_s, 120.0) * wander(seed, 0, first_s + lag_s, 120.0) for seed in range(2000)
+    ]
     # The product of two standard normal numbers with correlation r has the variance 1 + r^2.
     r = math.exp(-lag_s / 120.0)
     assert np.mean(pairs) == pytest.approx(r, abs=5 * math.sqrt((1 + r * r) / 2000))
@@ -147,7 +149,9 @@ def test_any_second_can_be_had_alone():
     fixes = [forward.fix(at(s)) for s in range(40) for _ in range(2)][::2]
     assert len(looks) == len(set(looks))
     assert not all(fix.valid for fix in fixes)
-    backward = [receiver(NOISY, velocity_m_s=(1.0, 0.5, 0.0), sky=sky).fix(at(s)) for s in reversed(range(40))]
+    backward = [
+        receiver(NOISY, velocity_m_s=(1.0, 0.5, 0.0), sky=sky).fix(at(s)) for s in reversed(range(40))
+    ]
     assert backward[::-1] == fixes
 
 
@@ -160,7 +164,9 @@ ORIGINS = [
 
 
 @pytest.mark.parametrize("origin", ORIGINS)
-@pytest.mark.parametrize("offset_m", [(300.0, 0.0, 2.0), (0.0, 30_000.0, -40.0), (-100_000.0, 100_000.0, 9000.0)])
+@pytest.mark.parametrize(
+    "offset_m", [(300.0, 0.0, 2.0), (0.0, 30_000.0, -40.0), (-100_000.0, 100_000.0, 9000.0)]
+)
 def test_a_point_lies_where_pymap3d_puts_it(origin, offset_m):
     """The geodetic point of an offset to the east, north and up is that of pymap3d, and leads back to it, within 1 um."""
     place = pymap3d.enu2geodetic(*offset_m, origin.latitude_deg, origin.longitude_deg, origin.height_m)

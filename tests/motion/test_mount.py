@@ -46,7 +46,9 @@ def test_spinning_device_on_a_tripod_has_the_rate_of_its_stage():
     """It reads the stage's rate about its own tilted axis, steadily, and moves nowhere."""
     device = mounted(tripod(), Mount(lever_arm_m=(0.3, 0.0, 0.0), pitch_deg=30.0, spin_hz=0.5), START_NS)
     k = device.kinematics_at(START_NS + np.arange(0, 2 * 10**9, 1_000_003))
-    np.testing.assert_allclose(k.body_w_rad_s, np.tile(np.pi * np.array([-0.5, 0, np.sqrt(0.75)]), (len(k.t_ns), 1)))
+    np.testing.assert_allclose(
+        k.body_w_rad_s, np.tile(np.pi * np.array([-0.5, 0, np.sqrt(0.75)]), (len(k.t_ns), 1))
+    )
     assert not k.body_alpha_rad_s2.any()
     assert not k.world_a_body_m_s2.any()
 
@@ -72,12 +74,16 @@ def test_rates_are_the_derivatives_of_poses(spins):
     motion = walking(harness=straps((2.5, 3.0, 2.0, 3.0, 3.0, 2.5), 0.2))
     if spins:
         turns = {"yaw_deg": 20.0, "pitch_deg": 30.0, "roll_deg": -10.0, "spin_hz": 0.5}
-        motion = mounted(motion, Mount(lever_arm_m=(0.1, -0.2, 0.5), spin_axis=(0.2, 0.0, 1.0), **turns), START_NS)
+        motion = mounted(
+            motion, Mount(lever_arm_m=(0.1, -0.2, 0.5), spin_axis=(0.2, 0.0, 1.0), **turns), START_NS
+        )
     t_ns, h_ns = START_NS + np.arange(0, 25 * 10**9, 12_345_678), 20_000
     before, at, after = (motion.kinematics_at(t_ns + d) for d in (-h_ns, 0, h_ns))
     per_s = 0.5e9 / h_ns
     turned = Rotation.from_matrix(before.world_R_body.swapaxes(1, 2) @ after.world_R_body).as_rotvec()
-    np.testing.assert_allclose((after.world_p_body_m - before.world_p_body_m) * per_s, at.world_v_body_m_s, atol=1e-7)
+    np.testing.assert_allclose(
+        (after.world_p_body_m - before.world_p_body_m) * per_s, at.world_v_body_m_s, atol=1e-7
+    )
     np.testing.assert_allclose(turned * per_s, at.body_w_rad_s, atol=1e-6)
     v, w = (getattr(after, of) - getattr(before, of) for of in ("world_v_body_m_s", "body_w_rad_s"))
     np.testing.assert_allclose(v * per_s, at.world_a_body_m_s2, atol=1e-4)

@@ -5,7 +5,9 @@ import numpy as np
 from vlp16emu.types import Firings, Returns
 
 
-def make_returns(sequences, *, clock_ns=0, t_ns=0, reading_deg=None, distance_m=None, reflectivity=None, lasers=16):
+def make_returns(
+    sequences, *, clock_ns=0, t_ns=0, reading_deg=None, distance_m=None, reflectivity=None, lasers=16
+):
     """Firing sequences of what the packer looks at; the rest is zero."""
     steps_ns, none = np.arange(sequences) * 55_296, np.zeros((sequences, lasers, 3))
     firings = Firings(

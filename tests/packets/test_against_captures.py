@@ -32,14 +32,18 @@ def repacked(payloads, mode):
         len(distance_m),
         distance_m=np.concatenate([distance_m[..., order], none], axis=2),
         reflectivity=np.concatenate([reflectivity[..., order], none.astype(np.uint8)], axis=2),
-        reading_deg=np.repeat(data_fields(payloads)["blocks"]["azimuth_cdeg"][:, :: shape[2]].ravel() / 100, 2),
+        reading_deg=np.repeat(
+            data_fields(payloads)["blocks"]["azimuth_cdeg"][:, :: shape[2]].ravel() / 100, 2
+        ),
     )
     stamps_ns = data_fields(payloads)["timestamp_us"].astype(np.int64) * 1000
     returns.firings.clock_ns[:: len(distance_m) // len(payloads)] = stamps_ns
     return data_payloads(returns, mode, SensorModel.VLP_16)
 
 
-@pytest.mark.parametrize(("capture", "mode"), [("real_single", ReturnMode.STRONGEST), ("real_dual", ReturnMode.DUAL)])
+@pytest.mark.parametrize(
+    ("capture", "mode"), [("real_single", ReturnMode.STRONGEST), ("real_dual", ReturnMode.DUAL)]
+)
 def test_packed_again(request, capture, mode):
     """Decoded and packed again the payloads of real units are the same, to the last byte."""
     payloads = request.getfixturevalue(capture)

@@ -94,7 +94,9 @@ def test_scans():
     np.testing.assert_array_equal(theirs, -(-ours // 384) * 384)
 
 
-@pytest.mark.parametrize(("latitude_deg", "longitude_deg"), [(62.24, 25.75), (-33.85, 151.21), (37.1, -121.65)])
+@pytest.mark.parametrize(
+    ("latitude_deg", "longitude_deg"), [(62.24, 25.75), (-33.85, 151.21), (37.1, -121.65)]
+)
 @pytest.mark.parametrize("valid", [True, False])
 def test_position(latitude_deg, longitude_deg, valid):
     """It finds state, time and place in our position packets."""

@@ -88,7 +88,9 @@ def test_every_azimuth_code():
 
 def test_distance_codes():
     """Distances are rounded to 2 mm; less than 0.5 m or more than 16 bits is no return; reflectivity stays."""
-    sent_m = np.array([0, 0.002, 0.498, 0.5, 0.501, 0.5011, 1.2345, 99.9989, 131.07, 131.072, 500], np.float32)
+    sent_m = np.array(
+        [0, 0.002, 0.498, 0.5, 0.501, 0.5011, 1.2345, 99.9989, 131.07, 131.072, 500], np.float32
+    )
     codes = [0, 0, 0, 250, 250, 251, 617, 49999, 65535, 0, 0]
     distance_m = np.zeros((24, 16, 3), np.float32)
     distance_m[0, : len(codes)] = sent_m[:, None]

@@ -8,7 +8,14 @@ import pytest
 from packets.kit import make_returns, random_returns
 
 from vlp16emu.errors import PacketError
-from vlp16emu.packets import data_fields, data_payloads, decode_data, decode_position, pack_position, scan_starts
+from vlp16emu.packets import (
+    data_fields,
+    data_payloads,
+    decode_data,
+    decode_position,
+    pack_position,
+    scan_starts,
+)
 from vlp16emu.packets.layout import DATA_PAYLOAD
 from vlp16emu.sensor.beams import BEAM_TABLES
 from vlp16emu.types import PpsState, ReturnMode, SensorModel
@@ -37,7 +44,9 @@ def slow_points(payloads, model):
         step = ((azimuths[-1] - azimuths[0]) % 36000) / (len(azimuths) - 1)
         for r in range(32):
             j = r % 16
-            azimuth_deg = (azimuths[b // stride] + step * (r // 16 * 55.296 + j * 2.304) / 110.592) / 100 % 360
+            azimuth_deg = (
+                (azimuths[b // stride] + step * (r // 16 * 55.296 + j * 2.304) / 110.592) / 100 % 360
+            )
             a, w = math.radians(azimuth_deg), math.radians(BEAM_TABLES[model].elevation_deg[j])
             for twin in range(stride):
                 distance = packets[p]["blocks"][b + twin]["records"][r // 16, j]["distance_lsb"] * 0.002

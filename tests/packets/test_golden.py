@@ -63,7 +63,9 @@ def test_second_writer_agrees(tmp_path):
     """The writer in tools/golden, which shares no line with the packer, makes the same files."""
     for path in GOLDEN.glob("*.toml"):
         shutil.copy(path, tmp_path)
-    subprocess.run([sys.executable, ROOT / "tools" / "golden", tmp_path], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run(
+        [sys.executable, ROOT / "tools" / "golden", tmp_path], check=True, stdout=subprocess.DEVNULL
+    )
     written = {path.name: path.read_text() for path in tmp_path.glob("*.hex")}
     assert written == {path.name: path.read_text() for path in GOLDEN.glob("*.hex")}
     assert len(written) == len(MEANINGS)

@@ -18,7 +18,12 @@ from vlp16emu.types import GnssFix
 REAL = b"$GPRMC,081802.00,A,3649.7478558,N,00224.4542928,W,0.034,212.5,210116,0.0,E,A*2E\r\n"
 OTHER = b"$GPRMC,214106,A,3707.8178,N,12139.2690,W,010.3,188.2,230715,013.8,E,D*05\r\n"
 FIX = GnssFix(
-    t_ns=1_453_364_282 * 10**9, valid=True, latitude_deg=62.24, longitude_deg=25.75, speed_m_s=1.2, course_deg=90.0
+    t_ns=1_453_364_282 * 10**9,
+    valid=True,
+    latitude_deg=62.24,
+    longitude_deg=25.75,
+    speed_m_s=1.2,
+    course_deg=90.0,
 )
 
 
@@ -57,7 +62,8 @@ def test_by_hand():
 
 
 @pytest.mark.parametrize(
-    ("knots", "field"), [(0, "0.000"), (99.998, "99.998"), (99.9996, "100.00"), (100, "100.00"), (999, "999.00")]
+    ("knots", "field"),
+    [(0, "0.000"), (99.998, "99.998"), (99.9996, "100.00"), (100, "100.00"), (999, "999.00")],
 )
 def test_speed_takes_six_characters_at_most(knots, field):
     """From 100 knots on a speed has two decimals, so that the longest sentence has the 82 characters of NMEA 0183."""

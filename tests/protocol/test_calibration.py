@@ -12,7 +12,13 @@ sensors = pytest.mark.parametrize("model", SENSORS)
 
 
 ZERO = (
-    *("rot_correction", "dist_correction", "dist_correction_x", "dist_correction_y", "horiz_offset_correction"),
+    *(
+        "rot_correction",
+        "dist_correction",
+        "dist_correction_x",
+        "dist_correction_y",
+        "horiz_offset_correction",
+    ),
     *("min_intensity", "focal_distance", "focal_slope"),
 )
 
@@ -22,11 +28,14 @@ def veloview_calibration(path):
     database = ET.parse(path).getroot()
     assert database.tag == "boost_serialization"
     database = database.find("DB")
-    colors = [[float(item.text) for item in rgb.findall("item")] for rgb in database.findall("colors_/item/rgb")]
+    colors = [
+        [float(item.text) for item in rgb.findall("item")] for rgb in database.findall("colors_/item/rgb")
+    ]
     assert all(len(color) == 3 and all(0 <= part <= 1 for part in color) for color in colors)
     enabled = sum(item.text == "1" for item in database.findall("enabled_/item"))
     intensity = [
-        [int(item.text) for item in database.findall(f"{name}/item")] for name in ("minIntensity_", "maxIntensity_")
+        [int(item.text) for item in database.findall(f"{name}/item")]
+        for name in ("minIntensity_", "maxIntensity_")
     ]
     assert [len(colors), *map(len, intensity)] == [enabled] * 3
     lasers = {}
@@ -40,7 +49,9 @@ def veloview_calibration(path):
 @sensors
 def test_ros_file(protocol, timing, data_packet, model):
     """The YAML file has all keys that velodyne_pointcloud reads: elevations (rad), vertical corrections (m), the scale, else zeros."""
-    document = yaml.safe_load((protocol / "calibration" / f"{SENSORS[model]}.yaml").read_text(encoding="utf-8"))
+    document = yaml.safe_load(
+        (protocol / "calibration" / f"{SENSORS[model]}.yaml").read_text(encoding="utf-8")
+    )
     scale_m = next(row for row in data_packet["record"] if row["name"] == "distance")["scale"]
     assert (document["num_lasers"], document["distance_resolution"]) == (16, scale_m)
     table = timing["beams"][model]

@@ -19,7 +19,9 @@ FIELDS = ("flag", "azimuth", "return", *PER_RECORD, "timestamp", "return_mode", 
 pytestmark = pytest.mark.skipif(shutil.which("tshark") is None, reason="tshark is not installed")
 
 
-def data_payload(seed, mode=0x37, factory=0x22, azimuths=AZIMUTHS, timestamp=1_082_340_595, code=None, flag=0xEEFF):
+def data_payload(
+    seed, mode=0x37, factory=0x22, azimuths=AZIMUTHS, timestamp=1_082_340_595, code=None, flag=0xEEFF
+):
     """Build 1206 bytes; one laser in four has no return, and `code` replaces the first distance."""
     draw = random.Random(seed)
     codes = [0 if draw.random() < 0.25 else draw.randint(250, 65_535) for _ in range(384)]
@@ -59,7 +61,10 @@ BAD = {
     "product": (data_payload(11, factory=0x21), "Unknown product"),
     "pair": (data_payload(12, mode=0x39), "Blocks of a dual pair differ in azimuth"),
     "short": (data_payload(13)[:-1], "Neither a data packet (1206 bytes) nor a position packet (512 bytes)"),
-    "long": (data_payload(14) + b"\0", "Neither a data packet (1206 bytes) nor a position packet (512 bytes)"),
+    "long": (
+        data_payload(14) + b"\0",
+        "Neither a data packet (1206 bytes) nor a position packet (512 bytes)",
+    ),
     "one byte": (b"\xff", "Neither a data packet (1206 bytes) nor a position packet (512 bytes)"),
     "pps": (position_payload(pps=4), "Unknown state of the pulse per second"),
     "position time": (position_payload(timestamp=2**32 - 1), "Time stamp is not below one hour"),
@@ -109,11 +114,14 @@ def seen(tmp_path_factory, protocol):
         file.write(struct.pack("<IIII", 0, 0, 200, len(whole)) + whole[:200])
         writer.writepkt(frame(b"", 2368), ts=0)
     columns = [argument for name in FIELDS for argument in ("-e", f"velodyne.{name}")]
-    rows = tshark(folder, protocol, folder / "made.pcap", *columns, "-e", "_ws.col.Info", "-e", "_ws.expert.message")
+    rows = tshark(
+        folder, protocol, folder / "made.pcap", *columns, "-e", "_ws.col.Info", "-e", "_ws.expert.message"
+    )
     names = [*payloads, "cut", "empty"]
     assert len(rows) == len(names)
     return {
-        name: dict(zip((*FIELDS, "info", "expert"), row, strict=True)) for name, row in zip(names, rows, strict=True)
+        name: dict(zip((*FIELDS, "info", "expert"), row, strict=True))
+        for name, row in zip(names, rows, strict=True)
     }
 
 
@@ -128,16 +136,24 @@ def test_records(seen, oracle, name):
     assert numbers(shown["laser"]) == [record["laser"] for record in records]
     assert numbers(shown["elevation"]) == [record["elevation_deg"] for record in records]
     assert numbers(shown["time"]) == [record["time_ns"] / 1000 for record in records]
-    assert numbers(shown["distance"]) == pytest.approx([record["distance_m"] for record in records], rel=1e-12)
+    assert numbers(shown["distance"]) == pytest.approx(
+        [record["distance_m"] for record in records], rel=1e-12
+    )
     assert numbers(shown["reflectivity"]) == [record["reflectivity"] for record in records]
     assert shown["flag"] == ";".join(["0xeeff"] * 12)
-    assert numbers(shown["azimuth"]) == pytest.approx([record["azimuth_deg"] for record in records[::32]], rel=1e-12)
+    assert numbers(shown["azimuth"]) == pytest.approx(
+        [record["azimuth_deg"] for record in records[::32]], rel=1e-12
+    )
     assert shown["return"].split(";") == [record["return"] for record in records[::32]]
 
 
 def test_tail(seen):
     """Time stamp and factory bytes are those in the bytes."""
-    assert [seen["dual"][name] for name in ("timestamp", "return_mode", "factory")] == ["3599999999", "0x39", "0x22"]
+    assert [seen["dual"][name] for name in ("timestamp", "return_mode", "factory")] == [
+        "3599999999",
+        "0x39",
+        "0x22",
+    ]
     assert [seen["hi-res"][name] for name in ("return_mode", "factory")] == ["0x37", "0x24"]
 
 
@@ -183,14 +199,25 @@ def test_ports_are_preferences(tmp_path, protocol):
         for name, port in (("strongest", 2369), ("gps", 8309), ("last", 2368)):
             writer.writepkt(frame(GOOD[name], port), ts=0)
     preferences = ("-o", "velodyne.data_port:2369", "-o", "velodyne.position_port:8309")
-    rows = tshark(tmp_path, protocol, tmp_path / "ports.pcap", *preferences, "-Y", "velodyne", "-e", "udp.dstport")
+    rows = tshark(
+        tmp_path, protocol, tmp_path / "ports.pcap", *preferences, "-Y", "velodyne", "-e", "udp.dstport"
+    )
     assert rows == [["2369"], ["8309"]]
 
 
 def test_against_a_real_capture(tmp_path, protocol, oracle, capture):
     """The first 100 packets of a real sensor show the distances in their bytes, and none raises an alarm."""
     path = capture("mrpt_vlp16_gps.pcap")
-    columns = ("-e", "velodyne.distance", "-e", "velodyne.timestamp", "-e", "velodyne.pps", "-e", "_ws.expert.message")
+    columns = (
+        "-e",
+        "velodyne.distance",
+        "-e",
+        "velodyne.timestamp",
+        "-e",
+        "velodyne.pps",
+        "-e",
+        "_ws.expert.message",
+    )
     rows = tshark(tmp_path, protocol, path, "-c", "100", *columns)
     with path.open("rb") as file:
         payloads = [real[42:] for _, real in islice(dpkt.pcap.Reader(file), 100)]

@@ -7,7 +7,16 @@ from vlp16emu.packets import layout
 from vlp16emu.packets.frames import FACTORY_LINK, data_header, position_frame
 from vlp16emu.types import PpsState, ReturnMode, SensorModel
 
-DTYPES = {"u1": "u1", "u2": "<u2", "u4": "<u4", "i2": "<i2", "S3": "S3", "u8": "<u8", "i8": "<i8", "f8": "<f8"}
+DTYPES = {
+    "u1": "u1",
+    "u2": "<u2",
+    "u4": "<u4",
+    "i2": "<i2",
+    "S3": "S3",
+    "u8": "<u8",
+    "i8": "<i8",
+    "f8": "<f8",
+}
 UNIT_SUFFIXES = ("_us", "_cdeg", "_lsb")
 
 

@@ -25,7 +25,9 @@ def golden(name):
 def test_golden_data(oracle, name):
     """Read by the tables alone, a golden data packet holds what its meaning says, and no other return."""
     payload, meaning = golden(name)
-    assert oracle.field("payload", "return_mode", payload) == oracle.code("return_mode", meaning["return_mode"])
+    assert oracle.field("payload", "return_mode", payload) == oracle.code(
+        "return_mode", meaning["return_mode"]
+    )
     assert oracle.field("payload", "factory", payload) == oracle.code("factory", meaning["model"])
     assert oracle.field("payload", "timestamp", payload) == meaning["wire"]["timestamp_us"]
     records = oracle.records(payload)

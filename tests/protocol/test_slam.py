@@ -44,7 +44,9 @@ def test_the_folder_is_made_of_the_table(protocol, tool_named):
 @pytest.mark.parametrize("program", programs().values(), ids=str)
 def test_names_are_those_of_the_source(program):
     """No parameter has a name that its program does not read: such a value would be ignored without a word."""
-    unknown = {value.key for file in program.files for value in file.values} - set(NAMES[program.name]["names"])
+    unknown = {value.key for file in program.files for value in file.values} - set(
+        NAMES[program.name]["names"]
+    )
     assert not unknown
 
 
@@ -106,7 +108,9 @@ def test_launch_files_read_as_written(name):
     assert kinds == sorted(kinds, key=["remap", "include", "param"].index)
     (include,) = root.findall("include")
     assert re.fullmatch(r"\$\(find \w+\)/launch/\w+\.launch", include.get("file"))
-    written = [f"{child.tag}/{child.get('from') or child.get('name')}" for child in root if child.tag != "include"]
+    written = [
+        f"{child.tag}/{child.get('from') or child.get('name')}" for child in root if child.tag != "include"
+    ]
     assert set(written) <= set(NAMES[name]["names"])
     assert written
 
@@ -117,7 +121,9 @@ def test_shell_sets_what_mola_reads(tmp_path):
     shell = shutil.which("sh")
     if not shell:
         pytest.skip("there is no shell")
-    ran = subprocess.run([shell, "-c", ". ./mola.sh; env"], cwd=tmp_path, capture_output=True, text=True, check=True)
+    ran = subprocess.run(
+        [shell, "-c", ". ./mola.sh; env"], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
     assert {"MOLA_LIDAR_TOPIC=/velodyne_points", "MOLA_GNSS_TOPIC=/fix"} <= set(ran.stdout.splitlines())
 
 

@@ -50,7 +50,9 @@ def test_beam_table(timing):
         assert made.vertical_offset_m == pytest.approx(stated_m, rel=1e-12), model
 
 
-@pytest.mark.parametrize(("model", "tolerance_mm"), [(SensorModel.VLP_16, 0.06), (SensorModel.PUCK_HI_RES, 0.5)])
+@pytest.mark.parametrize(
+    ("model", "tolerance_mm"), [(SensorModel.VLP_16, 0.06), (SensorModel.PUCK_HI_RES, 0.5)]
+)
 def test_all_beams_pass_the_lens(timing, model, tolerance_mm):
     """The stated lens radius explains every vertical correction of the VLP-16 to the last digit of the table."""
     radius_mm = timing["beams"]["lens"]["radius_mm"]

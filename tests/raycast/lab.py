@@ -33,7 +33,9 @@ def soup(key):
     corners_m = rng.uniform(-1, 1, (200, 1, 3)) + rng.normal(0, 0.2, (200, 4, 3))
     corners_m[:, 3] = corners_m[:, 0] + corners_m[:, 2] - corners_m[:, 1]
     triangles = Mesh(corners_m[:, :3].reshape(-1, 3).astype("f4"), np.arange(600, dtype="u4").reshape(-1, 3))
-    quads = Mesh((corners_m + [0, 0, 1]).reshape(-1, 3).astype("f4"), np.arange(800, dtype="u4").reshape(-1, 4))
+    quads = Mesh(
+        (corners_m + [0, 0, 1]).reshape(-1, 3).astype("f4"), np.arange(800, dtype="u4").reshape(-1, 4)
+    )
     return triangles, quads
 
 
@@ -92,7 +94,10 @@ def level_pulses(y_m):
 def upright(*rectangles, reflectance=0.5):
     """Window of upright rectangles (x, y from, y to, z from, z to), each a surface, and its shapes."""
     meshes = tuple(
-        Mesh(np.array([[x, y0, z0], [x, y1, z0], [x, y1, z1], [x, y0, z1]], "f4"), np.array([[0, 1, 2, 3]], "u4"))
+        Mesh(
+            np.array([[x, y0, z0], [x, y1, z0], [x, y1, z1], [x, y0, z1]], "f4"),
+            np.array([[0, 1, 2, 3]], "u4"),
+        )
         for x, y0, y1, z0, z1 in rectangles
     )
     surfaces = np.zeros(len(meshes), SURFACE)
@@ -104,7 +109,9 @@ def upright(*rectangles, reflectance=0.5):
 
 def world(shape):
     """What a caster needs of a world of faces alone."""
-    return SimpleNamespace(shape=shape, near_m=math.inf, far_tile=None, seed=0, name="", shape_name=lambda _: "")
+    return SimpleNamespace(
+        shape=shape, near_m=math.inf, far_tile=None, seed=0, name="", shape_name=lambda _: ""
+    )
 
 
 def opened(workers, window=None, shape=soup):
@@ -118,7 +125,9 @@ def square_leaves(rng, middle_m, half_m):
     v -= (u * v).sum(1)[:, None] / (u * u).sum(1)[:, None] * u
     u, v = (half_m * w / np.linalg.norm(w, axis=1)[:, None] for w in (u, v))
     corners_m = np.stack([middle_m - u - v, middle_m + u - v, middle_m + u + v, middle_m - u + v], axis=1)
-    return Mesh(corners_m.reshape(-1, 3).astype("f4"), np.arange(4 * len(middle_m), dtype="u4").reshape(-1, 4))
+    return Mesh(
+        corners_m.reshape(-1, 3).astype("f4"), np.arange(4 * len(middle_m), dtype="u4").reshape(-1, 4)
+    )
 
 
 SIDES = 96  # of the polygons that stand for circles
@@ -158,7 +167,11 @@ def crown():
 
     def ball(count):
         at_m = rng.normal(size=(count, 3))
-        return 2 * at_m / np.linalg.norm(at_m, axis=1)[:, None] * rng.random((count, 1)) ** (1 / 3) + [0, 0, 3]
+        return 2 * at_m / np.linalg.norm(at_m, axis=1)[:, None] * rng.random((count, 1)) ** (1 / 3) + [
+            0,
+            0,
+            3,
+        ]
 
     leaf = square_leaves(rng, ball(1500), 0.06)
     rings_m = ball(twigs)[:, None] + [[0.0, 0.0, 0.0], [0.5, 0.1, 0.2]]
@@ -184,9 +197,24 @@ class Tiles:
     parts = MappingProxyType({"crown": CROWN_PARTS, "stone": (PlantPart.NONE,)})
 
     def __init__(
-        self, near_m=2.0, across=1, *, per_tile=4, things=True, crowns_far=True, height_m=bumpy, seed=99, bow_m=0.0
+        self,
+        near_m=2.0,
+        across=1,
+        *,
+        per_tile=4,
+        things=True,
+        crowns_far=True,
+        height_m=bumpy,
+        seed=99,
+        bow_m=0.0,
     ):
-        self.near_m, self.seed, self.height_m, self.across, self._bow_m = near_m, seed, height_m, across, bow_m
+        self.near_m, self.seed, self.height_m, self.across, self._bow_m = (
+            near_m,
+            seed,
+            height_m,
+            across,
+            bow_m,
+        )
         self._kept, self._per_tile, self._things, self._crowns_far = {}, per_tile, things, crowns_far
         self._shapes = {"crown": crown(), "stone": stone()}
 
@@ -313,7 +341,10 @@ def no_medium():
         cosine=np.zeros((0, len(KNOTS), QUANTILES), np.float32),
         ground=Ground(np.zeros((2, 2), np.float32), np.zeros((1, 1), np.uint32), 0.0, 0.0, 0.0),
         stems=stems_of(
-            np.zeros((0, 8)), np.zeros((0, 5, 16), np.float32), np.zeros((0, 2), np.uint32), np.zeros(0, np.float32)
+            np.zeros((0, 8)),
+            np.zeros((0, 5, 16), np.float32),
+            np.zeros((0, 2), np.uint32),
+            np.zeros(0, np.float32),
         ),
         seed=0,
     )

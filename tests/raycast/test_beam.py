@@ -72,9 +72,14 @@ def test_the_beam_is_as_wide_as_said(distance_m):
     assert np.abs(np.linalg.norm(direction, axis=-1) - 1).max() < 3e-7
     # Where sub-rays pierce the plane square to the beam at that distance.
     along = np.einsum("klsa,kla->kls", direction, firings.direction)
-    offset_m = origin_m + lab.UTM_M - firings.origin_m[:, :, None] + direction * (distance_m / along)[..., None]
+    offset_m = (
+        origin_m + lab.UTM_M - firings.origin_m[:, :, None] + direction * (distance_m / along)[..., None]
+    )
     up = np.cross(firings.direction, firings.beam_axis)
-    for axis, width_m in ((firings.beam_axis, 0.0127 + 0.003 * distance_m), (up, 0.0095 + 0.0015 * distance_m)):
+    for axis, width_m in (
+        (firings.beam_axis, 0.0127 + 0.003 * distance_m),
+        (up, 0.0095 + 0.0015 * distance_m),
+    ):
         assert 4 * np.einsum("klsa,kla->kls", offset_m, axis).std() == pytest.approx(width_m, rel=0.01)
 
 
@@ -85,7 +90,9 @@ def test_offset_displaces_evenly_inside_the_beam():
     displace(range_m, lab.beam("offset"), 5)
     assert np.isinf(range_m[:, 1]).all()
     sequence, laser = 5 + np.arange(20_000), np.zeros(20_000, np.int64)
-    sideways_m = 20.0 * offset_tangents(np.full(20_000, 20.0, np.float32), lab.beam("offset"), sequence, laser, 2)
+    sideways_m = 20.0 * offset_tangents(
+        np.full(20_000, 20.0, np.float32), lab.beam("offset"), sequence, laser, 2
+    )
     half_m = np.array([0.0127 + 0.06, 0.0095 + 0.03]) / 2
     along_m = np.sqrt(range_m[:, 0].astype(float) ** 2 - (sideways_m**2).sum(axis=1)) - 20.0
     parts = np.column_stack([sideways_m / half_m, along_m / np.sqrt(half_m.prod())])

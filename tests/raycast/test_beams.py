@@ -7,7 +7,12 @@ import pytest
 from raycast import lab
 from raycast.reference import ReferenceScene
 
-WIDE = ["fixed", "adaptive", "angle", "offset"]  # all but the line, of which `test_embree` says the same of more pulses
+WIDE = [
+    "fixed",
+    "adaptive",
+    "angle",
+    "offset",
+]  # all but the line, of which `test_embree` says the same of more pulses
 
 
 @pytest.mark.parametrize("model", WIDE)

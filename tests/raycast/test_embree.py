@@ -48,7 +48,13 @@ def test_shapes_are_kept_from_window_to_window(workers):
 
 @pytest.mark.parametrize(
     ("wall_m", "reach_m", "is_seen"),
-    [(0.02, 100.0, False), (0.5, 100.0, True), (100.0, 100.0, True), (100.001, 100.0, False), (131.07, 131.07, True)],
+    [
+        (0.02, 100.0, False),
+        (0.5, 100.0, True),
+        (100.0, 100.0, True),
+        (100.001, 100.0, False),
+        (131.07, 131.07, True),
+    ],
 )
 def test_light_begins_at_the_lens_and_ends_at_its_reach(workers, wall_m, reach_m, is_seen):
     """A wall nearer than the lens or farther than the reach is not seen; one between or just there is, at its distance."""

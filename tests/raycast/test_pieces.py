@@ -139,7 +139,9 @@ def test_no_piece_that_light_may_meet_is_left_out(moves):
         window = replace(window, sway=Sway(0, 1000, np.arange(n), window.world_T_shape[:, 2, 3] - 2.0, shear))
     low_m = rng.uniform(-1, 0, (n, 3))
     boxes_m = np.stack([low_m, low_m + rng.uniform(0, 2, (n, 3))], axis=1)
-    met, level = within_reach(SimpleNamespace(window=window, placement=np.arange(n), boxes_m=boxes_m), track_m, reach_m)
+    met, level = within_reach(
+        SimpleNamespace(window=window, placement=np.arange(n), boxes_m=boxes_m), track_m, reach_m
+    )
     assert 0.05 < level.mean() < met.mean() - 0.05 < 0.9
     stray_m = rng.normal(size=(200, 3))
     stray_m *= STRAY_M * rng.uniform(0, 1, (200, 1)) / np.linalg.norm(stray_m, axis=1)[:, None]
@@ -165,7 +167,9 @@ def test_pieces_are_left_out_without_loss(workers, monkeypatch, model):
     whole = FarCaster(world, workers).open(world.window(track_m))
     for rise in (0.2 * mixed, 0.4 * mixed, mixed):
         azimuth = np.sort(rng.uniform(0, 2 * np.pi, len(rise)))
-        direction = np.column_stack([np.cos(azimuth) * np.cos(rise), np.sin(azimuth) * np.cos(rise), np.sin(rise)])
+        direction = np.column_stack(
+            [np.cos(azimuth) * np.cos(rise), np.sin(azimuth) * np.cos(rise), np.sin(rise)]
+        )
         firings = lab.rays(np.broadcast_to(track_m[0] + 0.3, direction.shape), direction)
         hits, of_whole = (each.cast(firings, np.zeros(1), 60.0, *beam) for each in (scene, whole))
         assert np.isfinite(hits.range_m).mean() > 0.3

@@ -52,7 +52,9 @@ def test_a_moving_window_stands_still_at_an_instant(workers):
     for t_ns in (window.sway.start_ns + STEP_NS * 9 // 4, 0, 2**62):
         at_once = replace(firings, t_ns=np.full_like(firings.t_ns, t_ns))
         moving = scene.cast(at_once, lab.NEAR_M, lab.FAR_M)
-        assert_meet_alike(moving, lab.opened(workers, frozen(window, t_ns)).cast(at_once, lab.NEAR_M, lab.FAR_M))
+        assert_meet_alike(
+            moving, lab.opened(workers, frozen(window, t_ns)).cast(at_once, lab.NEAR_M, lab.FAR_M)
+        )
 
 
 def test_a_shear_moves_points_level_by_their_height_over_the_foot():

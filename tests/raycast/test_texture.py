@@ -52,7 +52,9 @@ def test_pieces_of_a_surface_differ_in_their_contrast():
     """Over pieces of 1.6 m the logarithm of the deviation of the patches has a spread near one, as over the surfaces of real rooms."""
     rng = np.random.default_rng(4)
     middles_m = rng.uniform(-FAR_M, FAR_M, (300, 1, 3))
-    factor = factors((middles_m + rng.uniform(-0.4, 0.4, (300, 200, 3))).reshape(-1, 3), 0.03).reshape(300, 200)
+    factor = factors((middles_m + rng.uniform(-0.4, 0.4, (300, 200, 3))).reshape(-1, 3), 0.03).reshape(
+        300, 200
+    )
     assert 0.6 < np.log(factor.std(axis=1)).std() < 1.1
 
 
@@ -136,7 +138,10 @@ def shine(cosine, roughness, reflectance=0.3):
 
 def test_gloss_is_the_light_of_the_facets_that_face_the_sensor():
     """Gloss equals the light of random facets within 1.5 degrees of the pulse, which reflect 4 % of it into a cone four times as large."""
-    slope, within_rad = np.random.default_rng(5).normal(0.0, 0.2 / np.sqrt(2.0), (2_000_000, 2)), np.radians(1.5)
+    slope, within_rad = (
+        np.random.default_rng(5).normal(0.0, 0.2 / np.sqrt(2.0), (2_000_000, 2)),
+        np.radians(1.5),
+    )
     normal = np.concatenate([-slope, np.ones((len(slope), 1))], axis=1) / np.sqrt(
         1.0 + (slope**2).sum(axis=1, keepdims=True)
     )

@@ -61,7 +61,9 @@ def test_range_noise_is_gaussian_and_reflectivity_has_heavy_tails():
     even = Noise(preset="ideal").model_dump() | {"range_noise_m": 0.02, "reflectivity_noise": 4.0}
     plain, real = (wall(even | {"preset": preset}, 3000, reflectance=0.5) for preset in ("ideal", "unit"))
     plain_m, real_m = (of.distance_m[..., 0].astype(float) for of in (plain, real))
-    assert np.log(real_m.std(axis=0)).std() == pytest.approx(0.08, rel=0.5)  # its lasers are not equally noisy
+    assert np.log(real_m.std(axis=0)).std() == pytest.approx(
+        0.08, rel=0.5
+    )  # its lasers are not equally noisy
     z, plain_z = ((of - of.mean(axis=0)) / of.std(axis=0) for of in (real_m, plain_m))
     assert stats.kurtosis(z.ravel(), fisher=False) == pytest.approx(3.0, abs=0.07)
     assert stats.ks_2samp(z.ravel(), plain_z.ravel()).pvalue > 0.01
@@ -81,7 +83,9 @@ def test_neighbours_in_elevation_have_the_gain_that_is_set():
         assert apart.mean() == pytest.approx(0.08, rel=0.03)
         assert apart.std() == pytest.approx(0.008, rel=0.15)
         assert drawn.std() == pytest.approx(0.08, rel=0.05)
-    assert np.std(np.log([gain(seed, 0.08, np.zeros(1))[0] for seed in range(400)])) == pytest.approx(0.08, rel=0.1)
+    assert np.std(np.log([gain(seed, 0.08, np.zeros(1))[0] for seed in range(400)])) == pytest.approx(
+        0.08, rel=0.1
+    )
 
 
 def test_units_differ_in_their_white_errors():
@@ -93,7 +97,9 @@ def test_units_differ_in_their_white_errors():
         ([unit.reflectivity_noise_share for unit in units], 0.043),
     ):
         assert stats.kstest(np.log(np.array(values) / middle) / 0.2, "norm").pvalue > 0.01
-    assert {detector(noise | {"unit_spread": 0.0}, seed=s).constants.range_noise_m for s in range(9)} == {0.005}
+    assert {detector(noise | {"unit_spread": 0.0}, seed=s).constants.range_noise_m for s in range(9)} == {
+        0.005
+    }
 
 
 def test_no_returns_wander_through_multiples():
@@ -108,7 +114,9 @@ def test_no_returns_wander_through_multiples():
         assert set(codes[:, laser]) <= set(np.floor(times * own[laser]).clip(0, 100).astype(int))
     assert ((codes > np.floor(own)) & (codes < 100)).mean() > 0.02
     np.testing.assert_array_equal(codes[1800:3600], codes[:1800])
-    np.testing.assert_array_equal(codes[1111:], wall(noise, 2889, index=1111, range_m=np.inf).reflectivity[..., 0])
+    np.testing.assert_array_equal(
+        codes[1111:], wall(noise, 2889, index=1111, range_m=np.inf).reflectivity[..., 0]
+    )
     alike = []
     for seed in range(1, 6):
         around = wall(noise, 1800, range_m=np.inf, seed=seed).reflectivity[..., 0]

@@ -25,7 +25,14 @@ def split(range_m, reflectance, **own):
 @pytest.mark.parametrize("max_range_m", [100.0, 131.07])
 def test_range_limits(max_range_m):
     """What is nearer than the least range, farther than the greatest, or nowhere gives no return; what is just there does."""
-    for range_m, is_seen in ((0.49, 0), (0.5, 1), (20, 1), (max_range_m, 1), (max_range_m + 0.001, 0), (np.inf, 0)):
+    for range_m, is_seen in (
+        (0.49, 0),
+        (0.5, 1),
+        (20, 1),
+        (max_range_m, 1),
+        (max_range_m + 0.001, 0),
+        (np.inf, 0),
+    ):
         distance_m = lone(range_m, 0.9, max_range_m=max_range_m).distance_m[..., :2]
         assert (distance_m == (np.float32(range_m) if is_seen else 0)).all()
 
@@ -44,7 +51,9 @@ def test_what_is_measured_beyond_the_greatest_range_is_lost():
     assert not out.reflectivity[lost].any()
     assert (out.distance_m[kept][:, :2] > 99.9).all()
     unit, surfaces = detector({"range_noise_m": 0.01}), table(0.5, 0.5)
-    of = [detect(firings(500), pulses(500, m), surfaces, unit, truth=False) for m in ([99.999], [99.9, 100.098])]
+    of = [
+        detect(firings(500), pulses(500, m), surfaces, unit, truth=False) for m in ([99.999], [99.9, 100.098])
+    ]
     one, two = ((each.distance_m[..., 1] > 0).mean() for each in of)
     assert one == pytest.approx(two, abs=0.03)
 
@@ -76,7 +85,15 @@ def test_lone_echo_is_strongest_and_last():
 
 @pytest.mark.parametrize(
     ("reflectance", "cosine", "byte"),
-    [(0.5, 1.0, 50), (0.5, 0.5, 25), (1.0, 1.0, 100), (0, 1, 0), (1.2, 1, 105), (1000, 1, 255), (1e6, 1, 255)],
+    [
+        (0.5, 1.0, 50),
+        (0.5, 0.5, 25),
+        (1.0, 1.0, 100),
+        (0, 1, 0),
+        (1.2, 1, 105),
+        (1000, 1, 255),
+        (1e6, 1, 255),
+    ],
 )
 def test_reflectivity_scale(reflectance, cosine, byte):
     """The byte is reflectance times cosine in percent up to 100, and grows to 255 at a thousand times white."""
@@ -89,7 +106,9 @@ def test_truth_is_kept_only_on_request():
     kept = lone(7.0, truth=True)
     assert (kept.surface[..., :2] == 0).all()
     assert (kept.surface[..., 2] == NO_SURFACE).all()
-    assert (lone(7.0, 0.01, truth=True, noise={"range_noise_m": 0.1}, pulse_ns=1.0).surface[..., 0] == 0).all()
+    assert (
+        lone(7.0, 0.01, truth=True, noise={"range_noise_m": 0.1}, pulse_ns=1.0).surface[..., 0] == 0
+    ).all()
     assert (lone(0.3, truth=True).surface == NO_SURFACE).all()
 
 
@@ -108,7 +127,8 @@ def test_two_surfaces_far_apart_are_two_returns():
 
 
 @pytest.mark.parametrize(
-    ("mode", "columns"), [(ReturnMode.STRONGEST, [4, 0, 0]), (ReturnMode.LAST, [4, 9, 6]), (ReturnMode.DUAL, [4, 9, 6])]
+    ("mode", "columns"),
+    [(ReturnMode.STRONGEST, [4, 0, 0]), (ReturnMode.LAST, [4, 9, 6]), (ReturnMode.DUAL, [4, 9, 6])],
 )
 def test_only_what_the_mode_needs(mode, columns):
     """Strongest return leaves last and second strongest empty; the other modes have all three."""

@@ -141,7 +141,12 @@ anything = st.lists(
 @given(st.lists(anything, min_size=24, max_size=24), st.booleans(), st.sampled_from([None, 60.0]))
 def test_every_dual_pair_is_lawful(batch, noisy, visibility_m):
     """Whatever is hit: even blocks hold the last return, odd ones no farther one, 1 m apart if two, and one alone twice."""
-    noise = {"range_noise_m": 0.0065, "range_bias_m": 0.01, "reflectivity_noise": 1.5, "weak_echoes_lost": True}
+    noise = {
+        "range_noise_m": 0.0065,
+        "range_bias_m": 0.01,
+        "reflectivity_noise": 1.5,
+        "weak_echoes_lost": True,
+    }
     unit = detector(noise if noisy else None, visibility_m=visibility_m)
     returns = detect_pulses(unit, 12, batch * 8)
     payload = data_payloads(returns, ReturnMode.DUAL, SensorModel.VLP_16).tobytes()

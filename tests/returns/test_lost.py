@@ -31,7 +31,8 @@ def test_an_even_wall_is_nearly_whole():
     """Between equal ranges and codes 0.04 to 0.25 % are lost where it is bright, and more where it is black and near."""
     range_m = np.full((4000, LASERS, 1), 3.0)
     bright, black = (
-        np.mean([lost(seen(table(one), range_m, 0, seed=seed)).mean() for seed in range(5)]) for one in (0.7, 0.02)
+        np.mean([lost(seen(table(one), range_m, 0, seed=seed)).mean() for seed in range(5)])
+        for one in (0.7, 0.02)
     )
     assert 0.0003 < bright < 0.0025
     assert 0.005 < black < 0.025
@@ -52,7 +53,9 @@ def test_a_step_of_brightness_costs_a_record():
     assert 0.4 < up.max() < 0.95
     assert 0.01 < down.mean() < 0.5 * up.max()
     assert 0.01 < np.mean([lost(out)[10::20].mean() for out in few]) < 0.04
-    codes, last = (np.concatenate([out.reflectivity[10::20, :, i][lost(out)[10::20]] for out in many]) for i in (0, 1))
+    codes, last = (
+        np.concatenate([out.reflectivity[10::20, :, i][lost(out)[10::20]] for out in many]) for i in (0, 1)
+    )
     assert 40 < np.median(codes) <= codes.max() <= 100
     assert (last >= codes).all()
     assert 0.05 < (last > codes).mean() < 0.36

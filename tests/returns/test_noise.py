@@ -35,7 +35,8 @@ def test_noise_is_independent_between_pulses_and_lasers():
 
 
 @pytest.mark.parametrize(
-    ("reflectance", "sigma_m"), [(0.025, 0.0105), (0.11, 0.0072), (0.25, 0.0059), (0.52, 0.0049), (0.9, 0.0043)]
+    ("reflectance", "sigma_m"),
+    [(0.025, 0.0105), (0.11, 0.0072), (0.25, 0.0059), (0.52, 0.0049), (0.9, 0.0043)],
 )
 def test_noise_grows_on_dark_targets(reflectance, sigma_m):
     """A unit with 6.2 mm at a reflectivity of 20 shows what a real one does without its beat, from below 4 to above 80."""
@@ -52,7 +53,9 @@ def test_noise_grows_where_light_is_short():
 
 def test_bias_is_constant_per_laser_and_gaussian_over_units():
     """Each laser keeps its error, another seed is another unit, none exceeds the data sheet; over many lasers they are normal but for the cut."""
-    early, late = (seen({"range_bias_m": 0.01}, k=8, index=n).distance_m[..., 0] - np.float32(10) for n in (0, 10**6))
+    early, late = (
+        seen({"range_bias_m": 0.01}, k=8, index=n).distance_m[..., 0] - np.float32(10) for n in (0, 10**6)
+    )
     assert (early == early[0]).all()
     assert (late == early).all()
     assert len(np.unique(early[0])) == 16

@@ -46,7 +46,10 @@ def test_an_unknown_name_is_answered_with_the_nearest_or_with_all(names, expecte
     for name in names:
         with pytest.raises(ScenarioError) as caught:
             find(name)
-        assert str(caught.value) == f"scene '{name}': unknown name; expected {expected}, or a path ending in .toml"
+        assert (
+            str(caught.value)
+            == f"scene '{name}': unknown name; expected {expected}, or a path ending in .toml"
+        )
 
 
 KITTI = """\

@@ -267,13 +267,33 @@ def test_a_bad_setting_is_reported_in_one_line(tmp_path, setting, line):
         (b"seed = " + b"9" * 5000, "no valid TOML: Exceeds the limit (4300 digits)"),
         (b"\nseed = 0x" + b"f" * 5000, "no valid TOML: too long a number (at line 2)"),
         (b"seed = " + b"[" * 5000, "no valid TOML: maximum recursion depth exceeded"),
-        (b"seed = 1\n" + b"a." * 100_000 + b"a = 1", "no valid TOML: a key with more than 100 names (at line 2)"),
+        (
+            b"seed = 1\n" + b"a." * 100_000 + b"a = 1",
+            "no valid TOML: a key with more than 100 names (at line 2)",
+        ),
         (b'[ "a\\""' + b" . b" * 100_000 + b"]", "no valid TOML: a key with more than 100 names (at line 1)"),
-        (b"x = { " + b"'a'." * 100_000 + b"a = 1 }", "no valid TOML: a key with more than 100 names (at line 1)"),
+        (
+            b"x = { " + b"'a'." * 100_000 + b"a = 1 }",
+            "no valid TOML: a key with more than 100 names (at line 1)",
+        ),
         (b"x = " + b"[" * 150 + b"]" * 150, "tables or lists in one another, 100 deep; expected the tables"),
-        (b"x = " + b"{a=" * 120 + b"1" + b"}" * 120, "tables or lists in one another, 100 deep; expected the"),
+        (
+            b"x = " + b"{a=" * 120 + b"1" + b"}" * 120,
+            "tables or lists in one another, 100 deep; expected the",
+        ),
     ],
-    ids=["syntax", "encoding", "integer", "hex", "nesting", "key", "table", "inline", "deep lists", "deep tables"],
+    ids=[
+        "syntax",
+        "encoding",
+        "integer",
+        "hex",
+        "nesting",
+        "key",
+        "table",
+        "inline",
+        "deep lists",
+        "deep tables",
+    ],
 )
 def test_a_file_that_is_no_toml_is_reported(tmp_path, content, said):
     """A file that the TOML parser refuses, for whatever reason, gives one error with its place."""
@@ -307,7 +327,9 @@ def test_half_a_character_in_json_is_refused(tmp_path):
     assert str(caught.value) == f"{path}: found '\\ud800'; expected text in Unicode"
 
 
-@pytest.mark.parametrize("setting", ["a." * 100_000 + "a=1", "seed={" + "a." * 100_000 + "a=1}", "seed=" + "[" * 5000])
+@pytest.mark.parametrize(
+    "setting", ["a." * 100_000 + "a=1", "seed={" + "a." * 100_000 + "a=1}", "seed=" + "[" * 5000]
+)
 def test_a_setting_is_no_deeper_than_a_scene(tmp_path, setting):
     """A key of 100 000 names, and a value of as many, are refused in a line of bounded length."""
     with pytest.raises(ScenarioError) as caught:

@@ -20,7 +20,12 @@ def test_the_schema_speaks_the_files_language():
     }
     rpm = tree["$defs"]["Sensor"]["properties"]["rpm"]
     assert (rpm["minimum"], rpm["maximum"], rpm["multipleOf"], rpm["default"]) == (300, 1200, 60, 600)
-    assert set(tree["properties"]["motion"]["discriminator"]["mapping"]) == {"live", "recorded", "static", "walk"}
+    assert set(tree["properties"]["motion"]["discriminator"]["mapping"]) == {
+        "live",
+        "recorded",
+        "static",
+        "walk",
+    }
     assert len(TABLES) > 10
     assert all(table["additionalProperties"] is False for table in TABLES.values())
 

@@ -113,7 +113,9 @@ def test_rigs_that_cannot_be_are_refused():
 
 
 def box(finish):
-    table = f"{{ name = 'sign', centre_m = [8.0, 0.0, 1.5], size_m = [0.1, 1.0, 1.0]{finish and f', {finish}'} }}"
+    table = (
+        f"{{ name = 'sign', centre_m = [8.0, 0.0, 1.5], size_m = [0.1, 1.0, 1.0]{finish and f', {finish}'} }}"
+    )
     return load("static_bench", [f"world.boxes=[{table}]"]).world.boxes[0]
 
 
@@ -216,7 +218,8 @@ AMPLITUDES = set(Gait.model_fields) - {"preset", "step_hz", "variation"}
 
 
 @pytest.mark.parametrize(
-    ("section", "word"), [(Gait, {"preset": "natural"}), (Imu, {"preset": "ideal"}), (Terrain, {"relief": "rolling"})]
+    ("section", "word"),
+    [(Gait, {"preset": "natural"}), (Imu, {"preset": "ideal"}), (Terrain, {"relief": "rolling"})],
 )
 def test_a_table_without_keys_is_its_default_preset(section, word):
     """What the default preset gives are the defaults; a preset that does not exist, or is no word, is an error of its key."""
@@ -230,8 +233,15 @@ def test_a_table_without_keys_is_its_default_preset(section, word):
 
 def test_gaits_are_what_their_names_say():
     """Without gait no amplitude is left; the paper's has two sines; each amplitude of the strong gait exceeds the natural one."""
-    moving = {preset: {name for name in AMPLITUDES if getattr(Gait(preset=preset), name)} for preset in Gait.presets}
-    assert moving == {"none": set(), "paper": {"vertical_m", "sideways_m"}, "natural": AMPLITUDES, "strong": AMPLITUDES}
+    moving = {
+        preset: {name for name in AMPLITUDES if getattr(Gait(preset=preset), name)} for preset in Gait.presets
+    }
+    assert moving == {
+        "none": set(),
+        "paper": {"vertical_m", "sideways_m"},
+        "natural": AMPLITUDES,
+        "strong": AMPLITUDES,
+    }
     assert (Gait(preset="paper").step_hz, Gait(preset="paper").variation) == (1.8, 0.0)
     assert all(getattr(Gait(preset="strong"), name) > getattr(Gait(), name) for name in AMPLITUDES)
 

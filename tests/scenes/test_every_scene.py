@@ -46,7 +46,9 @@ def test_a_scene_gives_valid_packets(path):
         settings += [f"world.{one}" for one in FEW] if kind == "forest" else []
     scenario = load(str(path), settings)
     # A whole revolution: a single packet may look at the sky, or between stems.
-    sent = [packet.payload for packet in Emulator(scenario).packets(0.0, 0.1) if packet.kind is PacketKind.DATA]
+    sent = [
+        packet.payload for packet in Emulator(scenario).packets(0.0, 0.1) if packet.kind is PacketKind.DATA
+    ]
     payload = np.frombuffer(b"".join(sent), np.uint8).reshape(-1, DATA_BYTES)
     modes = {"strongest": 0x37, "last": 0x38, "dual": 0x39}
     assert set(data_fields(payload)["return_mode"].tolist()) == {modes[scenario.sensor.return_mode]}

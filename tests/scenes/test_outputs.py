@@ -60,7 +60,9 @@ def test_the_columns_of_points_are_given_in_each_format(number, columns):
     given = [tuple(tuple(names(cell)) for cell in row[:3]) for row in table("Points", number)]
     assert given == [((column.name,), tuple(column.csv), tuple(column.ply)) for column in columns]
     returns = [row[3] for row in table("Points", number) if names(row[0]) == ["return_number"]]
-    assert returns == [", ".join(f"{i} {name.replace('_', ' ')}" for i, name in enumerate(RETURN_NAMES))] * len(returns)
+    assert returns == [
+        ", ".join(f"{i} {name.replace('_', ' ')}" for i, name in enumerate(RETURN_NAMES))
+    ] * len(returns)
 
 
 @pytest.mark.parametrize(
@@ -80,7 +82,9 @@ def test_the_columns_of_the_truth_are_given(heading, columns):
 def test_labels_and_their_numbers_are_given():
     """Every class and part is in its table under its number, each part with its leaf or wood, and every species."""
     for number, labels in ((3, Semantic), (4, PlantPart)):
-        assert {int(row[0]): row[1] for row in table("Labels", number)} == {int(x): x.name.lower() for x in labels}
+        assert {int(row[0]): row[1] for row in table("Labels", number)} == {
+            int(x): x.name.lower() for x in labels
+        }
     assert [int(row[2]) for row in table("Labels", 4)] == LEAF_OR_WOOD.tolist()
     assert {int(number): name for number, name in table("Species")} == flora().names
 

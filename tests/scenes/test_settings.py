@@ -21,7 +21,9 @@ def tool(tool_named):
 
 def test_the_page_is_as_its_script_makes_it(tool):
     """The page in the repository is what `tools/settings_table` makes of the definitions."""
-    assert (ROOT / "scenes" / "SETTINGS.md").read_text(encoding="utf-8") == tool.page(), "run tools/settings_table"
+    assert (ROOT / "scenes" / "SETTINGS.md").read_text(encoding="utf-8") == tool.page(), (
+        "run tools/settings_table"
+    )
 
 
 def test_every_key_is_on_the_page(tool):
@@ -31,7 +33,11 @@ def test_every_key_is_on_the_page(tool):
     assert len({table.title for table in tables.values()}) == len(tables)
     for name, table in tables.items():
         text = tool.section(table, tables, said)
-        shared = [key for keys in re.findall(r"((?:`\w+`,? )+)as in \[", text) for key in re.findall(r"`(\w+)`", keys)]
+        shared = [
+            key
+            for keys in re.findall(r"((?:`\w+`,? )+)as in \[", text)
+            for key in re.findall(r"`(\w+)`", keys)
+        ]
         own = [line.split("`")[1] for line in text.splitlines() if line.startswith("| `")]
         assert sorted(own + shared) == sorted(SECTIONS[name or "scene"]["properties"])
     assert len(said) <= 400

@@ -16,7 +16,24 @@ def free(**settings):
 def test_elevations_and_rings_are_those_of_the_data_sheet():
     """The VLP-16's lasers look from -15 to 15 degrees in steps of 2, rings counted from below; lasers of one elevation keep their order."""
     assert np.sort(BEAM_TABLES[SensorModel.VLP_16].elevation_deg).tolist() == list(range(-15, 16, 2))
-    assert BEAM_TABLES[SensorModel.VLP_16].ring.tolist() == [0, 8, 1, 9, 2, 10, 3, 11, 4, 12, 5, 13, 6, 14, 7, 15]
+    assert BEAM_TABLES[SensorModel.VLP_16].ring.tolist() == [
+        0,
+        8,
+        1,
+        9,
+        2,
+        10,
+        3,
+        11,
+        4,
+        12,
+        5,
+        13,
+        6,
+        14,
+        7,
+        15,
+    ]
     level = free(elevations_deg=[5.0, 0.0, 0.0, -5.0])
     assert level.ring.tolist() == [3, 1, 2, 0]
 
@@ -30,7 +47,9 @@ def test_angle_errors_are_normal_and_as_wide_as_set():
     assert abs(np.corrcoef(unit.elevation_error_deg, unit.azimuth_error_deg)[0, 1]) < 0.05
 
 
-@pytest.mark.parametrize(("beams", "resolution_deg", "rpm"), [(1, 2.0, 60), (64, 0.2, 600), (256, 0.05, 3600)])
+@pytest.mark.parametrize(
+    ("beams", "resolution_deg", "rpm"), [(1, 2.0, 60), (64, 0.2, 600), (256, 0.05, 3600)]
+)
 def test_a_free_sensor_fires_evenly_once_per_step(beams, resolution_deg, rpm):
     """A sequence lasts as long as the rotor takes for the step, and its lasers share that time evenly."""
     table = free(beams=beams, azimuth_resolution_deg=resolution_deg, rpm=rpm)

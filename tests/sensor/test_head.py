@@ -80,7 +80,9 @@ def test_the_beam_axis_is_where_the_beam_moves(head):
 
 def test_angle_errors_turn_the_beams_and_nothing_else(head):
     """A laser looks by its own errors higher and farther round; rotor, encoder and times know nothing of it."""
-    unit = replace(head, beams=with_angle_errors(head.beams, elevation_error_deg=0.03, azimuth_error_deg=0.05, seed=3))
+    unit = replace(
+        head, beams=with_angle_errors(head.beams, elevation_error_deg=0.03, azimuth_error_deg=0.05, seed=3)
+    )
     reported, true = head.aim(0, 8, pose()), unit.aim(0, 8, pose())
     # Body x is forward at azimuth 0 and y is left, so azimuths count from x to -y.
     azimuth_deg = np.degrees(np.arctan2(-true.direction[..., 1], true.direction[..., 0]))

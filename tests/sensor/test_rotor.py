@@ -113,10 +113,14 @@ def test_a_motor_swings_about_its_speed():
 def test_an_encoder_of_lines_reads_as_real_ones_do():
     """Codes modulo five and twenty and steps between blocks have the shares of real units, and on a line readings are exact."""
     clock_ns = 110_592 * np.arange(60_000)
-    read_deg = Encoder(1, noise_deg=0.00145, hum_deg=0.0019, **LINES).read(angles_deg(60_000), 0, clock_ns, 600.0)
+    read_deg = Encoder(1, noise_deg=0.00145, hum_deg=0.0019, **LINES).read(
+        angles_deg(60_000), 0, clock_ns, 600.0
+    )
     code = np.floor(read_deg * 100 + 1e-6).astype(int)
     shares = np.bincount((code - 2) % 5) / len(code)
-    np.testing.assert_allclose(shares, [0.223, 0.225, 0.215, 0.194, 0.143], atol=0.012)  # mean of mrpt, nebula, einride
+    np.testing.assert_allclose(
+        shares, [0.223, 0.225, 0.215, 0.194, 0.143], atol=0.012
+    )  # mean of mrpt, nebula, einride
     last_of_four = np.bincount((code - 2) % 20)[4::5] / len(code)
     np.testing.assert_allclose(
         20 * last_of_four, [0.08, 0.56, 1.28, 0.94], atol=0.12
@@ -140,7 +144,10 @@ def test_no_unit_has_steps_that_real_units_lack():
         swings = Swing.sample(seed, section.speed_error_rpm, section.speed_wander_rpm)
         assert abs(swings[0].rate_at(0)) <= 0.95 / 600
         true_deg = rotor_of(swings=swings).angle_deg(clock_ns)
-        step = np.diff(np.floor(Encoder.of_unit(section, seed).read(true_deg, 0, clock_ns, 600.0) * 100)) % 36_000
+        step = (
+            np.diff(np.floor(Encoder.of_unit(section, seed).read(true_deg, 0, clock_ns, 600.0) * 100))
+            % 36_000
+        )
         part = step.mean() % 1
         assert 0.494 < step.var() - part * (1 - part) < 0.592
         assert (step < 38).mean() < 2.5e-4

@@ -39,7 +39,9 @@ with UdpSink(host="192.168.1.255", as_sensor=True) as sink:
 
 pytestmark = [
     pytest.mark.skipif(os.geteuid() != 0, reason="a private network needs root"),
-    pytest.mark.skipif(not (shutil.which("ip") and shutil.which("unshare")), reason="needs iproute2 and unshare"),
+    pytest.mark.skipif(
+        not (shutil.which("ip") and shutil.which("unshare")), reason="needs iproute2 and unshare"
+    ),
 ]
 
 

@@ -66,7 +66,9 @@ def test_broadcast_is_asked_for_only_where_it_is_meant():
     """The loopback's broadcast address gets sockets that may broadcast, an ordinary address does not."""
     for host, allowed in (("127.255.255.255", 1), ("127.0.0.1", 0), ("127.0.0.7", 0)):
         with UdpSink(host=host) as sink:
-            options = {s.getsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST) for s in sink._sockets[0].values()}
+            options = {
+                s.getsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST) for s in sink._sockets[0].values()
+            }
         assert options == {allowed}
 
 
@@ -113,7 +115,9 @@ def test_what_cannot_be_sent_is_an_error():
     """A datagram that the system refuses ends the run and reports what had been sent before; NMEA by Ethernet is a programming error."""
     with UdpSink() as sink:
         sink.send(Packet(PacketKind.DATA, 0, bytes(1206)))
-        with pytest.raises(RunError, match=r"127\.0\.0\.1:2368: Message too long at packet 2; those before it"):
+        with pytest.raises(
+            RunError, match=r"127\.0\.0\.1:2368: Message too long at packet 2; those before it"
+        ):
             sink.send(Packet(PacketKind.DATA, 1, bytes(70_000)))
     assert sink.sent[0].total() == 1
     with UdpSink() as sink, pytest.raises(ValueError, match="nmea"):

@@ -9,7 +9,9 @@ from vlp16emu.types import Semantic
 from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.settings import Hall, HallBox, HallPole, HallSphere
 
-CRATE = HallBox(name="crate", centre_m=(-6.0, -5.0, 0.5), size_m=(2.0, 1.0, 1.0), reflectance=0.3, roughness=0.1)
+CRATE = HallBox(
+    name="crate", centre_m=(-6.0, -5.0, 0.5), size_m=(2.0, 1.0, 1.0), reflectance=0.3, roughness=0.1
+)
 POLE = HallPole(name="pole", foot_m=(6.0, 0.0, 0.0), diameter_m=0.35, height_m=6.0)
 BALL = HallSphere(name="ball", centre_m=(4.0, -5.0, 1.5), diameter_m=1.0, reflectance=0.8)
 TRACK_M = np.array([[0.2, 0.1, 1.5]])
@@ -17,13 +19,17 @@ TRACK_M = np.array([[0.2, 0.1, 1.5]])
 
 def make_hall(boxes=(CRATE,), poles=(POLE,), spheres=(BALL,)):
     size = {"length_m": 30.0, "width_m": 18.0, "height_m": 6.0}
-    return HallWorld(Hall(kind="hall", **size, wall_roughness=0.2, boxes=[*boxes], poles=[*poles], spheres=[*spheres]))
+    return HallWorld(
+        Hall(kind="hall", **size, wall_roughness=0.2, boxes=[*boxes], poles=[*poles], spheres=[*spheres])
+    )
 
 
 def solid_of(key, offset=(0, 0, 0)):
     parts = []
     for mesh in make_hall().shape(key):
-        faces = mesh.faces if mesh.faces.shape[1] == 3 else mesh.faces[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
+        faces = (
+            mesh.faces if mesh.faces.shape[1] == 3 else mesh.faces[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
+        )
         parts.append(trimesh.Trimesh(mesh.vertices_m.astype(np.float64) + offset, faces))
     whole = trimesh.util.concatenate(parts)
     whole.merge_vertices()
@@ -40,7 +46,13 @@ def test_everything_has_a_surface_of_its_own_and_a_name():
     assert window.surfaces["reflectance"] == pytest.approx([0.6, 0.6, 0.3, 0.5, 0.8])
     assert window.surfaces["roughness"] == pytest.approx([0.2, 0.2, 0.1, 0.0, 0.0])
     assert hall.names == {1: "walls", 2: "crate", 3: "pole", 4: "ball"}
-    assert [hall.materials[m] for m in window.surfaces["material"]] == ["room", "room", "box", "pole", "sphere"]
+    assert [hall.materials[m] for m in window.surfaces["material"]] == [
+        "room",
+        "room",
+        "box",
+        "pole",
+        "sphere",
+    ]
     assert window.world_T_shape[:, :, 3].tolist() == [[0, 0, 3], [-6, -5, 0.5], [6, 0, 0], [4, -5, 1.5]]
     assert [len(hall.shape(key)) for key in window.shapes] == [2, 1, 1, 1]
 
@@ -66,7 +78,9 @@ def test_sphere_is_round_to_a_tenth_of_a_millimetre(diameter_m):
     """Vertices and the middles of all faces lie within 0.1 mm of the true sphere; the ball is closed."""
     solid = solid_of(HallSphere(name="ball", centre_m=(0.0, 0.0, 0.0), diameter_m=diameter_m))
     assert solid.is_watertight
-    places = np.concatenate([solid.vertices, solid.triangles_center, solid.vertices[solid.edges].mean(axis=1)])
+    places = np.concatenate(
+        [solid.vertices, solid.triangles_center, solid.vertices[solid.edges].mean(axis=1)]
+    )
     assert np.abs(np.linalg.norm(places, axis=1) - diameter_m / 2).max() < 1e-4
     assert solid.volume == pytest.approx(np.pi / 6 * diameter_m**3, rel=1e-3)
 

@@ -21,5 +21,9 @@ with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as driver:
             payload = driver.recv(2000)
             (stamp_us,) = struct.unpack_from("<I", payload, 1200)  # time of the first pulse past the hour
             packets += 1
-        print(f"{packets} packets of {len(payload)} bytes, the last one at {stamp_us / 1e6:.3f} s past the hour")
-        print(f"truth of its first record: {live.truth(payload)[0]['range_m']:.3f} m; web interface at {live.http}")
+        print(
+            f"{packets} packets of {len(payload)} bytes, the last one at {stamp_us / 1e6:.3f} s past the hour"
+        )
+        print(
+            f"truth of its first record: {live.truth(payload)[0]['range_m']:.3f} m; web interface at {live.http}"
+        )

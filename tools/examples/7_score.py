@@ -12,7 +12,9 @@ from vlp16emu import Emulator, write_truth
 from vlp16emu.cli.app import run
 
 seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 20.0
-emulator = Emulator("birch_walk", {"gps.canopy_loss": False})  # else the trees above the antenna must grow first
+emulator = Emulator(
+    "birch_walk", {"gps.canopy_loss": False}
+)  # else the trees above the antenna must grow first
 write_truth(emulator, "truth", duration_s=seconds)  # no pulse is cast for it
 poses = np.loadtxt("truth/trajectory.tum")[::20]  # t x y z qx qy qz qw, ten a second
 poses[:, 1:4] += np.random.default_rng(1).normal(scale=0.05, size=(len(poses), 3))

@@ -66,5 +66,7 @@ class Pendulum:
 if __name__ == "__main__":
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 5.0
     settings = {"motion": {"kind": "swing", "rope_m": 2.0}, "imu": {"preset": "consumer"}}
-    recording = Emulator("static_bench", settings).record("swing.pcap", duration_s=seconds, truth="swing_truth")
+    recording = Emulator("static_bench", settings).record(
+        "swing.pcap", duration_s=seconds, truth="swing_truth"
+    )
     print(recording.returns, "returns; samples of its IMU in swing_truth/imu.csv")

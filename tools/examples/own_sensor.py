@@ -38,5 +38,7 @@ class Dense32(FreeSensor):
 
 if __name__ == "__main__":
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 1.0
-    cloud = write_points(Emulator("static_bench", {"sensor": {"model": "dense-32"}}), "dense.ply", duration_s=seconds)
+    cloud = write_points(
+        Emulator("static_bench", {"sensor": {"model": "dense-32"}}), "dense.ply", duration_s=seconds
+    )
     print(cloud.points, "points in dense.ply")

@@ -25,26 +25,37 @@ from vlp16emu.units import S_NS, US_NS
 EXPECTED = "a pcap or pcapng file, also as .gz, .bz2, .xz or .zst (`editcap` converts others)"
 PCAP = {
     magic.to_bytes(4, order): ("<" if order == "little" else ">", unit_ns, record)
-    for magic, unit_ns, record in ((0xA1B2C3D4, US_NS, "4I"), (0xA1B23C4D, 1, "4I"), (0xA1B2CD34, US_NS, "4I8x"))
+    for magic, unit_ns, record in (
+        (0xA1B2C3D4, US_NS, "4I"),
+        (0xA1B23C4D, 1, "4I"),
+        (0xA1B2CD34, US_NS, "4I8x"),
+    )
     for order in ("little", "big")
 }
-"""Byte order, nanoseconds per unit of a stamp's fraction, and format of a record's header, by the first bytes of a file.
-Source: IETF draft-ietf-opsawg-pcap; the last magic number is the "modified" pcap of routers, as Wireshark's wiki describes it."""
+"""Byte order, nanoseconds per unit of a stamp's fraction, and format of a record's header, by the first bytes
+of a file.
+Source: IETF draft-ietf-opsawg-pcap; the last magic number is the "modified" pcap of routers, as Wireshark's
+wiki describes it."""
 _PCAP_HEADER_BYTES = 24
 _LONGEST_FRAME_BYTES = 262_144  # a longer record means damage (MAXIMUM_SNAPLEN of libpcap)
 _ENDING = re.compile(r"\.(pcap|pcapng|cap)\d*(\.(gz|bz2|xz|zst))?$", re.IGNORECASE)
 
 _ETHERNET = 1
 _MAC_AT = {_ETHERNET: 6, 113: 6, 276: 12}
-"""Offset of the sender's address by link type: Ethernet, Linux cooked (SLL, SLL2). Source: www.tcpdump.org/linktypes.html."""
-_IP_AT, _UDP_AT, _UDP_START = 14, 34, struct.Struct(">3H")
+"""Offset of the sender's address by link type: Ethernet, Linux cooked (SLL, SLL2). Source:
+www.tcpdump.org/linktypes.html."""
+_IP_AT = 14
+_UDP_AT = 34
+_UDP_START = struct.Struct(">3H")
 """Offsets of both headers in a plain frame; source port, destination port and length of UDP (RFC 768)."""
 _UNFRAGMENTED = b"\x40\0", b"\0\0"
 _TUNNELS = (4789).to_bytes(2), (6081).to_bytes(2)  # UDP ports of VXLAN and Geneve (RFC 7348, RFC 8926)
 _FLAG = BLOCK_FLAG.to_bytes(2, "little")
 _RECENT = 512
-"""Packets among which a repeat is found: 0.7 s of one sensor. Bridges, bonds and `-i any` repeat within milliseconds."""
-_STRAY = 0.02  # smallest share of the data packets of the busiest unit that counts as a unit; fewer are an accident
+"""Packets among which a repeat is found: 0.7 s of one sensor. Bridges, bonds and `-i any` repeat within
+milliseconds."""
+# smallest share of the data packets of the busiest unit that counts as a unit; fewer are an accident
+_STRAY = 0.02
 _POLL_S = 0.1  # interval at which a wait for a pipe checks its stop event
 _NAMED = 16  # units listed in an error line; as many as a rig may have
 _CUT_SHORT = "frames that were captured in part (capture with `tcpdump -s 0`)"
@@ -63,7 +74,8 @@ class Datagram(NamedTuple):
     """A captured UDP datagram; fragments are reassembled."""
 
     number: int
-    """Frame number (of the last fragment), from 1, as in Wireshark; it counts on over the files of one capture."""
+    """Frame number (of the last fragment), from 1, as in Wireshark; it counts on over the files of one
+    capture."""
     stamp_ns: int  # UTC
     captured_bytes: int  # Length of the frame in the file
     wire_bytes: int  # Length of the frame on the wire
@@ -105,12 +117,14 @@ def is_capture_name(name: str | Path) -> bool:
 class Capture:
     """UDP datagrams of a capture: pcap or pcapng, plain or compressed, of any link type that carries IP.
 
-    A context manager to be iterated over once. Other frames, and packets that the capture holds twice, are skipped and
+    A context manager to be iterated over once. Other frames, and packets that the capture holds twice, are
+    skipped and
     counted.
 
     Parameters
     ----------
-    path : the file; a pattern with `*` or `?` in its name stands for the files of one walk, read in order of their first stamps
+    path : the file; a pattern with `*` or `?` in its name stands for the files of one walk, read in order of
+        their first stamps
     repeats : also yield repeated packets
     stop : an event that ends the wait for the bytes of a pipe, as if the pipe ended there
 
@@ -118,14 +132,17 @@ class Capture:
     """
 
     def __init__(self, path: Path, *, repeats: bool = False, stop: Event | None = None) -> None:
-        self.path, self._keeps_repeats, self._stop = path, repeats, stop or Event()
+        self.path = path
+        self._keeps_repeats = repeats
+        self._stop = stop or Event()
         self.frames = 0  # Frames read so far, of all kinds
         self.cut = False  # True if a file ended in the middle of a record; what came before it is whole
         self.repeated = 0  # Repeated packets that were skipped
         self._files = _files(path)
         self._unwrapper: Any = None  # made for the first frame that is not plain
         self._cut_short = 0
-        self._recent, self._order = set[tuple[bytes, int, bytes]](), deque[tuple[bytes, int, bytes]]()
+        self._recent = set[tuple[bytes, int, bytes]]()
+        self._order = deque[tuple[bytes, int, bytes]]()
 
     def __enter__(self) -> Self:
         return self
@@ -147,7 +164,9 @@ class Capture:
     @property
     def missed(self) -> str:
         """Reason why packets could not be read, with the remedy; empty if all were read."""
-        counts = Counter(self._unwrapper.missed if self._unwrapper else ()) + Counter({_CUT_SHORT: self._cut_short})
+        counts = Counter(self._unwrapper.missed if self._unwrapper else ()) + Counter(
+            {_CUT_SHORT: self._cut_short}
+        )
         return "; ".join(f"{number} {what}" for what, number in counts.items())
 
     def no_data(self) -> CaptureError:
@@ -158,7 +177,8 @@ class Capture:
     def _datagram(self, frame: Frame) -> Datagram | None:
         """Parse one frame; None if it completes no UDP datagram."""
         _, link_type, wire_bytes, content = frame
-        at, body = _IP_AT, _UDP_AT
+        at = _IP_AT
+        body = _UDP_AT
         if not _is_plain(link_type, content):
             if self._unwrapper is None and has_door("unwrapper"):
                 self._unwrapper = door("unwrapper")()
@@ -172,7 +192,8 @@ class Capture:
         source_port, destination_port, udp_bytes = _UDP_START.unpack_from(content, body)
         end = body + udp_bytes if udp_bytes else len(content)
         self._cut_short += end > len(content) < wire_bytes
-        lengths, ports = (len(content), wire_bytes), (source_port, destination_port)
+        lengths = (len(content), wire_bytes)
+        ports = (source_port, destination_port)
         parts = content[: body + 8], content[body + 8 : end]
         return Datagram(self.frames, frame.stamp_ns, *lengths, at, *ports, *parts, link_type)
 
@@ -207,7 +228,8 @@ def _merged(datagram: Datagram | None) -> Iterable[Datagram]:
     """Yield a datagram, or each data packet in it if the network card has merged several (UDP GRO of Linux)."""
     if datagram is None:
         return ()
-    payload, size = datagram.payload, DATA_BYTES
+    payload = datagram.payload
+    size = DATA_BYTES
     if len(payload) <= size or len(payload) % size or not payload.startswith(_FLAG):
         return (datagram,)
     own_bytes = len(datagram.header) + size
@@ -229,7 +251,8 @@ class _Pipe(io.RawIOBase):
     """A pipe that ends when an event is set: Python's own read resumes its wait after a signal (PEP 475)."""
 
     def __init__(self, path: Path, stop: Event) -> None:
-        self._opened, self._stop = os.open(path, os.O_RDONLY | os.O_NONBLOCK), stop
+        self._opened = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+        self._stop = stop
 
     def readable(self) -> bool:
         return True
@@ -264,7 +287,9 @@ def pcap_frames(path: Path, file: BinaryIO) -> Iterator[Frame | None]:
     if len(header) < _PCAP_HEADER_BYTES:
         raise not_a_capture(path, header)
     order, unit_ns, form = PCAP[header[:4]]
-    record, word, number = struct.Struct(order + form), struct.Struct(f"{order}I"), 0
+    record = struct.Struct(order + form)
+    word = struct.Struct(f"{order}I")
+    number = 0
     link_type = word.unpack_from(header, 20)[0] & 0xFFFF  # the upper bits describe the frame check sequence
     while head := read(file, record.size):
         if head.startswith(header[:8]):  # a second file appended to this one with `cat`
@@ -340,7 +365,8 @@ def units_in(path: Path, *, required: bool = False) -> list[CapturedUnit]:
     If two sensors share an address, as behind a router, the one with the lower data port has the lower
     position port.
 
-    Raises CaptureError if the file is not a capture or is damaged, or if one is `required` and it holds no sensor.
+    Raises CaptureError if the file is not a capture or is damaged, or if one is `required` and it holds no
+    sensor.
     """
     return _units_and_others(path, required=required)[0]
 
@@ -353,7 +379,8 @@ def chosen_unit(path: Path, unit: str | None, *, where: str = "unit") -> Capture
     unit : its number from 1, or its address and data port, as `192.168.1.201:2368`
     where : the option's name in error lines
 
-    Raises CaptureError if the file is not a capture or is damaged; InputError if there is no such unit, if there are
+    Raises CaptureError if the file is not a capture or is damaged; InputError if there is no such unit, if
+    there are
     several and none is named, or if one of a pipe is named, as a pipe can be read only once.
     """
     if path.is_fifo() and unit is not None:

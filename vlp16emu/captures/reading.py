@@ -1,7 +1,9 @@
 """Captures read back: the UTC of packets, points chunk by chunk, and a summary in numbers.
 
-The time stamp of a packet counts from a full hour that the packet does not name, on a clock that follows UTC only if it is
-locked to GPS. So UTC comes from the sensor's clock, the sentences of its GPS receiver, or the host that captured the packets.
+The time stamp of a packet counts from a full hour that the packet does not name, on a clock that follows UTC
+only if it is
+locked to GPS. So UTC comes from the sensor's clock, the sentences of its GPS receiver, or the host that
+captured the packets.
 """
 
 from collections.abc import Iterator, Sequence
@@ -38,8 +40,12 @@ from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
 _STEADY_NS = S_NS  # up to this step of the sensor's clock its hour is kept, even if the host's clock jumps
 _CLOSE_NS = S_NS  # without position packets, a clock this close to the host's is taken as UTC
-_LOOKED_AT = 10_000  # the first position packet is looked for among this many packets of a unit: 7 s in dual return
-_PERIOD_NS = {layout.RETURN_MODE_BYTE[mode]: count * SEQUENCE_NS for mode, count in layout.SEQUENCES_PER_PACKET.items()}
+_LOOKED_AT = (
+    10_000  # the first position packet is looked for among this many packets of a unit: 7 s in dual return
+)
+_PERIOD_NS = {
+    layout.RETURN_MODE_BYTE[mode]: count * SEQUENCE_NS for mode, count in layout.SEQUENCES_PER_PACKET.items()
+}
 _CHUNK = 2_000  # packets decoded at once: 0.8 million records, some 50 MB of points
 _BLOCK_RECORDS = 32
 
@@ -60,10 +66,12 @@ class PacketClock:
     """
 
     def __init__(self, clock: Clock = Clock.SENSOR, host_behind_ns: int = 0) -> None:
-        self.clock, self._host_behind_ns = clock, host_behind_ns
+        self.clock = clock
+        self._host_behind_ns = host_behind_ns
         self._before: tuple[int, int] | None = None
         self.host_ahead_ns: int | None = None
-        """Capture stamp of the first packet minus its end on the sensor's clock; None before the first packet."""
+        """Capture stamp of the first packet minus its end on the sensor's clock; None before the first
+        packet."""
 
     def sensor_ns(self, stamp_ns: int, timestamp_us: int) -> int:
         """Return UTC of a packet's first pulse by the sensor's clock; after each gap the hour is determined again."""
@@ -79,7 +87,8 @@ class PacketClock:
 
     def packet_ns(self, stamp_ns: int, timestamp_us: int, mode: int) -> tuple[int, int]:
         """Return UTC of a packet's first pulse, by the sensor's clock and by the chosen one; `mode` is its return-mode byte."""
-        sensor_ns, fired_ns = self.sensor_ns(stamp_ns, timestamp_us), stamp_ns - _PERIOD_NS.get(mode, 0)
+        sensor_ns = self.sensor_ns(stamp_ns, timestamp_us)
+        fired_ns = stamp_ns - _PERIOD_NS.get(mode, 0)
         if self.host_ahead_ns is None:
             self.host_ahead_ns = fired_ns - sensor_ns
         return sensor_ns, fired_ns if self.clock is Clock.HOST else sensor_ns
@@ -110,11 +119,14 @@ def unit_clocks(
     Parameters
     ----------
     units : None stands for all packets
-    name : "sensor", "gps" or "host"; by default the sensor's clock if the unit is locked to GPS, or if it has no position
-        packets and is within a second of the host; else the host's clock, which stamps everything else of a recording
+    name : "sensor", "gps" or "host"; by default the sensor's clock if the unit is locked to GPS, or if it has
+        no position
+        packets and is within a second of the host; else the host's clock, which stamps everything else of a
+        recording
     where : name of the option in error lines
 
-    Raises CaptureError if the file is not a capture; InputError if there is no such clock, or no valid sentence for "gps".
+    Raises CaptureError if the file is not a capture; InputError if there is no such clock, or no valid
+    sentence for "gps".
     """
     if name not in (None, *Clock):
         raise InputError(where, f"found {name}", ", ".join(Clock))
@@ -168,7 +180,9 @@ class _Seen:
         """Return whether further packets cannot change the choice."""
         if self.data is None:
             return False
-        return self.behind_ns is not None if wants_sentence else self.pps is not None or self.count > _LOOKED_AT
+        return (
+            self.behind_ns is not None if wants_sentence else self.pps is not None or self.count > _LOOKED_AT
+        )
 
     def clock(self, path: Path, name: str | None, where: str) -> UnitClock:
         locked = None if self.pps is None else self.pps is PpsState.LOCKED
@@ -189,7 +203,8 @@ class PacketChunk(NamedTuple):
     """Data packets decoded at once."""
 
     points: Points  # Without no-returns
-    clock_ns: I8  # (n,) sensor's clock of the points, counted from the full hour before the capture, without wrapping
+    # (n,) sensor's clock of the points, counted from the full hour before the capture, without wrapping
+    clock_ns: I8
     packet_ns: I8  # (p,) sensor's clock of the packets' first pulses, counted likewise
     utc_ns: I8  # (p,) UTC of the packets' first pulses, by the reader's clock
     fields: NDArray[np.void]  # (p,) `DATA_PAYLOAD`, the packets themselves
@@ -220,13 +235,17 @@ class Summary:
     points: int
     no_returns: int
     scans: int  # Revolutions, including the incomplete ones at both ends
-    records_per_scan: int | None  # Median of complete revolutions, no-returns included; None without a complete one
+    records_per_scan: (
+        int | None
+    )  # Median of complete revolutions, no-returns included; None without a complete one
     range_m: dict[str, float] | None  # Minimum, median and maximum of the returns; None without returns
     start_utc: str  # Stamp of the first data packet in the capture
     duration_s: float
     """From the first data packet to the last, by the sensor's clock; by the host's if the sensor's jumps."""
     clock: Clock  # Time source of UTC
-    host_ahead_s: float  # Capture stamp minus the sensor's clock in the nearest hour, at the first data packet
+    host_ahead_s: (
+        float  # Capture stamp minus the sensor's clock in the nearest hour, at the first data packet
+    )
     gps: dict[str, str] | None  # Pulse and sentence of the last position packet
     cut: bool  # True if the file ends in the middle of a packet
     repeats: int  # Repeated packets that were skipped
@@ -260,11 +279,16 @@ class CaptureReader:
         stop: Event | None = None,
     ) -> None:
         self.clock = clock or PacketClock()
-        self._model, self._passes_over = model, passes_over
-        self._path, self._unit, self._frame = path, unit, frame
+        self._model = model
+        self._passes_over = passes_over
+        self._path = path
+        self._unit = unit
+        self._frame = frame
         self._capture = Capture(path, stop=stop)
         self._codes = np.zeros(2**16, np.int64)
-        self._azimuth_cdeg, self._packet_ns, self._modes = list[U2](), list[I8](), list[U1]()
+        self._azimuth_cdeg = list[U2]()
+        self._packet_ns = list[I8]()
+        self._modes = list[U1]()
         self._factory: int | None = None
         self._positions = self._others = self._zero_ns = 0
         self._gps: PositionFields | None = None
@@ -279,7 +303,8 @@ class CaptureReader:
     def points(self) -> Iterator[PacketChunk]:
         """Read chunk by chunk; all points before a faulty packet or record are yielded before the error is raised.
 
-        Raises CaptureError if a record is damaged or there is no data packet; PacketError if a packet is not from a VLP-16.
+        Raises CaptureError if a record is damaged or there is no data packet; PacketError if a packet is not
+        from a VLP-16.
         """
         for held in self._chunks():
             payloads = np.frombuffer(b"".join(datagram.payload for datagram in held), np.uint8)
@@ -292,7 +317,8 @@ class CaptureReader:
             if sound.any():
                 numbers = np.array([(datagram.number, datagram.stamp_ns) for datagram in held])
                 yield self._decoded(payloads[sound], *numbers[sound].T)
-            # If all packets are faulty the capture is not from this sensor: skipping them would give an empty result.
+            # If all packets are faulty the capture is not from this sensor: skipping them would give an empty
+            # result.
             if faults and not (self._passes_over and self._azimuth_cdeg):
                 where = f"{self._path}: frame {held[faults[0].packet].number}: {faults[0].what}"
                 raise PacketError(where, *faults[0][2:])
@@ -302,9 +328,11 @@ class CaptureReader:
     @property
     def summary(self) -> Summary:
         """Summary of what has been read; complete once all points have been yielded."""
-        azimuth_cdeg, modes = np.concatenate(self._azimuth_cdeg), np.concatenate(self._modes)
+        azimuth_cdeg = np.concatenate(self._azimuth_cdeg)
+        modes = np.concatenate(self._modes)
         packet_ns, host_ns = np.concatenate(self._packet_ns, axis=1)
-        step_ns, host_step_ns = np.diff(packet_ns), np.diff(host_ns)
+        step_ns = np.diff(packet_ns)
+        host_step_ns = np.diff(host_ns)
         is_jump = (step_ns < 0) | (np.abs(host_step_ns) < np.abs(step_ns))  # the host's clock may be set too
         is_jump &= np.abs(step_ns - host_step_ns) > JUMP_NS
         block_ns = np.arange(layout.BLOCKS_PER_PACKET) * layout.BLOCK_PERIOD_NS
@@ -312,7 +340,8 @@ class CaptureReader:
         whole = np.diff(starts)[1:] * _BLOCK_RECORDS
         names = {code: mode for mode, code in layout.RETURN_MODE_BYTE.items()}
         points = int(self._codes[1:].sum())
-        start, gps = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=self.first_stamp_ns // US_NS), self._gps
+        start = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=self.first_stamp_ns // US_NS)
+        gps = self._gps
         return Summary(
             model=next(
                 (model for model in SensorModel if layout.FACTORY_BYTE[model] == self._factory),
@@ -363,11 +392,14 @@ class CaptureReader:
 
     def _decoded(self, payloads: U1, number: I8, stamp_ns: I8) -> PacketChunk:
         """Decode packets, (n, 1206), and count them."""
-        points, fields = (decode_data(payloads, keep_no_returns=False, model=self._model), data_fields(payloads))
+        points = decode_data(payloads, keep_no_returns=False, model=self._model)
+        fields = data_fields(payloads)
         if self._frame is PointFrame.MANUAL:
             turned_m = matvec(SENSOR_R_MANUAL.T, points.xyz_m.astype(np.float64))
             points = replace(points, xyz_m=turned_m.astype(np.float32))
-        stamps = zip(stamp_ns.tolist(), fields["timestamp_us"].tolist(), fields["return_mode"].tolist(), strict=True)
+        stamps = zip(
+            stamp_ns.tolist(), fields["timestamp_us"].tolist(), fields["return_mode"].tolist(), strict=True
+        )
         sensor_ns, utc_ns = np.array([self.clock.packet_ns(*each) for each in stamps]).T
         if not self._packet_ns:
             self._zero_ns = int(sensor_ns[0]) // HOUR_NS * HOUR_NS

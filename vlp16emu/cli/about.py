@@ -69,11 +69,17 @@ _TOO_SLOW = (
 
 
 def plan(
-    scene: SceneName, making: RunOptions, *, duration_s: Duration = None, plot: PlotFile = None, as_json: AsJson = False
+    scene: SceneName,
+    making: RunOptions,
+    *,
+    duration_s: Duration = None,
+    plot: PlotFile = None,
+    as_json: AsJson = False,
 ) -> None:
     """Report what a scene needs and leaves out, what its stages and a recording cost, and whether a stream keeps up.
 
-    The world is grown, the kernels are loaded, and two seconds are recorded without a file: the speed holds for
+    The world is grown, the kernels are loaded, and two seconds are recorded without a file: the speed holds
+    for
     this machine at its present load. It does not include the new window of the world that a walk needs every
     7 s; the time of a recording does.
     """
@@ -89,7 +95,9 @@ def plan(
         if features := {need["name"]: need["costs"] for need in report["features"] if need["on"] is on}:
             print_rows(f"{scene} {title}", features)
     print_rows("in reach", rows_of(report["world"]))
-    print_rows("libraries", {name: "loaded" if on else "left out" for name, on in report["libraries"].items()})
+    print_rows(
+        "libraries", {name: "loaded" if on else "left out" for name, on in report["libraries"].items()}
+    )
     costs = {stage["name"]: f"{stage['cpu_s_per_s']:.3f}" for stage in report["stages"]}
     print_rows("cost by stage, seconds of one core per simulated second", costs)
     print_rows(f"measured now, on {report['threads']} threads", rows_of(report["measured"]))
@@ -111,7 +119,8 @@ def _plan(scene: str, making: RunOptions, duration_s: float | None) -> dict[str,
     emulator.record(os.devnull, duration_s=min(0.1, emulator.scenario.duration_s))
     started_s = time.perf_counter() - began_s
     measured = emulator.record(os.devnull, duration_s=min(_MEASURED_S, emulator.scenario.duration_s))
-    audited, engine = measured.audit is not None and not measured.audit.exact, emulator.engine
+    audited = measured.audit is not None and not measured.audit.exact
+    engine = emulator.engine
     return {
         "scene": scene,
         "seed": emulator.scenario.seed,
@@ -141,7 +150,9 @@ def doctor(*, as_json: AsJson = False) -> None:
         print_json({"checks": checks, **counts})
     else:
         mends = {check.name: f"; {check.mend}" if check.mend else "" for check in checks}
-        print_rows("this machine", {one.name: f"{one.finding:<7}  {one.found}{mends[one.name]}" for one in checks})
+        print_rows(
+            "this machine", {one.name: f"{one.finding:<7}  {one.found}{mends[one.name]}" for one in checks}
+        )
     if counts[Condition.PROBLEM]:
         raise typer.Exit(1)
 
@@ -189,9 +200,14 @@ def forest(
     *,
     settings: Settings = None,
     radius_m: Annotated[
-        float, Option("Distance from the path within which things are counted and go into the twin.", "M", ge=1, le=300)
+        float,
+        Option(
+            "Distance from the path within which things are counted and go into the twin.", "M", ge=1, le=300
+        ),
     ] = 30.0,
-    inventory: Annotated[Path | None, Option("Write all trees in the sensor's reach, one per line.", "OUT.csv")] = None,
+    inventory: Annotated[
+        Path | None, Option("Write all trees in the sensor's reach, one per line.", "OUT.csv")
+    ] = None,
     stems: Annotated[
         Path | None,
         Option(
@@ -201,19 +217,26 @@ def forest(
         ),
     ] = None,
     ground: Annotated[
-        Path | None, Option("Write the true height of the ground as an ESRI ASCII grid of 0.25 m cells.", "OUT.asc")
+        Path | None,
+        Option("Write the true height of the ground as an ESRI ASCII grid of 0.25 m cells.", "OUT.asc"),
     ] = None,
-    glb: Annotated[Path | None, Option("Write a digital twin as glTF, its nodes named by labels.", "OUT.glb")] = None,
+    glb: Annotated[
+        Path | None, Option("Write a digital twin as glTF, its nodes named by labels.", "OUT.glb")
+    ] = None,
     bark: Annotated[
         bool,
-        Option("Also find the share of each stem's bark at 1.3 m that the sensor sees from its path.", name="--seen"),
+        Option(
+            "Also find the share of each stem's bark at 1.3 m that the sensor sees from its path.",
+            name="--seen",
+        ),
     ] = False,
     plot: PlotFile = None,
     as_json: AsJson = False,
 ) -> None:
     """Report what stands along the path of the sensor.
 
-    The report lists trees by species, their spatial pattern, the relief, and objects on the ground, all within the
+    The report lists trees by species, their spatial pattern, the relief, and objects on the ground, all
+    within the
     radius of the path; for a hall, its objects.
     """
     from vlp16emu.extras.plot.sheet import plotting
@@ -250,12 +273,16 @@ _MAPPED = "stems", "ground", "profile", "hall_m"  # members that only plots and 
 
 def _print_forest(summary: dict[str, Any]) -> None:
     figures = dict(summary)
-    tables = {name: figures.pop(name, ()) for name in ("scene", "title", "trees", "things", "named", *_MAPPED)}
+    tables = {
+        name: figures.pop(name, ()) for name in ("scene", "title", "trees", "things", "named", *_MAPPED)
+    }
     print_rows(f"{summary['scene']}: {summary['title']}", rows_of(figures))
     if tables["trees"]:
         print_table(table_of(tables["trees"]))
     if seen := dict(tables["stems"] or {}).get("bark_seen"):
-        print_rows("stems within the radius, by the share of their bark at 1.3 m that the path sees", _classes(seen))
+        print_rows(
+            "stems within the radius, by the share of their bark at 1.3 m that the path sees", _classes(seen)
+        )
     if tables["things"]:
         print_rows("on the ground", {kind: text_of(things) for kind, things in tables["things"].items()})
     if tables["named"]:
@@ -285,7 +312,8 @@ def accuracy(
     """Measure the error and the cost of settings of the beam and of foliage.
 
     Pulses from the whole run are received with each setting, without noise, and compared with their converged
-    result from thousands of sub-rays. A forest cast leaf by leaf only up to some distance is compared with the fully
+    result from thousands of sub-rays. A forest cast leaf by leaf only up to some distance is compared with
+    the fully
     explicit one by means over 8 times as many pulses.
     In a rig, the first sensor is evaluated.
     """
@@ -380,7 +408,10 @@ def _print_foliage(levels: "Sequence[LevelOfDetail]") -> None:
     )
     lines = [["world", "us per pulse", *levels[-1].means]]
     for level in levels:
-        cells = (f"{mean.value:.2f} +-{mean.half:.2f}{'!' if mean.departs else ' '}" for mean in level.means.values())
+        cells = (
+            f"{mean.value:.2f} +-{mean.half:.2f}{'!' if mean.departs else ' '}"
+            for mean in level.means.values()
+        )
         lines.append([_starred(level.name, in_use=level.in_use), f"{level.us_per_pulse:.2f}", *cells])
     print_table(lines)
 

@@ -64,7 +64,8 @@ def _root(
 ) -> None:
     """Emulate a Velodyne VLP-16 that is carried through synthetic forests.
 
-    Every packet has byte for byte the format of the sensor: `record` writes a pcap file, `stream` sends over UDP in
+    Every packet has byte for byte the format of the sensor: `record` writes a pcap file, `stream` sends over
+    UDP in
     real time.
     """
     if version:
@@ -114,7 +115,9 @@ def main() -> None:
         _set_up()
         sys.unraisablehook = _unraisable
         for output in (sys.stdout, sys.stderr):
-            if isinstance(output, io.TextIOWrapper):  # file names may hold characters that a terminal cannot show
+            if isinstance(
+                output, io.TextIOWrapper
+            ):  # file names may hold characters that a terminal cannot show
                 output.reconfigure(errors="backslashreplace")
         code = run(sys.argv[1:])
         gc.freeze()  # saves the collection at exit
@@ -135,7 +138,8 @@ def main() -> None:
 
 def _set_up() -> None:
     """Set what holds for the whole process: threads of libraries, memory, standard streams, warnings."""
-    # Our own threads do the parallel work; OpenBLAS threads would spin while they wait for products of a few rows.
+    # Our own threads do the parallel work; OpenBLAS threads would spin while they wait for products of a few
+    # rows.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # searching for them reads all metadata
     gc.set_threshold(500_000)  # libraries bring 300 000 objects, none of them garbage
@@ -146,7 +150,9 @@ def _set_up() -> None:
             os.open(os.devnull, os.O_RDWR)
     logging.basicConfig(format="warning: %(message)s")
     if not sys.warnoptions:
-        warnings.simplefilter("ignore", RuntimeWarning)  # from numpy; the error line that follows says what is wrong
+        warnings.simplefilter(
+            "ignore", RuntimeWarning
+        )  # from numpy; the error line that follows says what is wrong
 
 
 def _code_of(error: OSError, code: int | None) -> int:
@@ -156,7 +162,8 @@ def _code_of(error: OSError, code: int | None) -> int:
         if error.filename is None and error.errno in _OF_WRITING:  # for a long text nothing is left to flush
             raise error
     except OSError:  # standard output cannot be written
-        # The rest of the output is discarded: Python would try to write it at exit and report the error again.
+        # The rest of the output is discarded: Python would try to write it at exit and report the error
+        # again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     else:
         where = error.filename or ("the current folder" if error.errno == errno.ENOENT else "the system")
@@ -164,7 +171,9 @@ def _code_of(error: OSError, code: int | None) -> int:
         return 1
     if was_stopped.is_set():  # its terminal is gone
         return INTERRUPTED
-    if code or isinstance(error, BrokenPipeError):  # the reason has been printed, or the reader has closed the pipe
+    if code or isinstance(
+        error, BrokenPipeError
+    ):  # the reason has been printed, or the reader has closed the pipe
         return code or 1
     _print_error(f"standard output: {error.strerror}")
     return 1

@@ -9,7 +9,9 @@ from vlp16emu.run.options import Option, Options
 _SCENE = "Name of a scene (see `vlp16emu scenes`) or path of a .toml file"
 
 SceneName = Annotated[str, Option(f"{_SCENE}.", name="SCENE")]
-SceneOrCapture = Annotated[str, Option(f"{_SCENE}; or a capture, ours or a real sensor's.", name="SCENE|FILE.pcap")]
+SceneOrCapture = Annotated[
+    str, Option(f"{_SCENE}; or a capture, ours or a real sensor's.", name="SCENE|FILE.pcap")
+]
 CaptureFile = Annotated[
     Path, Option("Capture with VLP-16 packets: pcap or pcapng, also .gz, .bz2, .xz, .zst.", name="FILE.pcap")
 ]
@@ -22,7 +24,8 @@ Settings = Annotated[
     ),
 ]
 Threads = Annotated[
-    int, Option("Workers, 0 for one per core. Changes the speed, never a byte.", "N", ge=0, le=1024, shown=False)
+    int,
+    Option("Workers, 0 for one per core. Changes the speed, never a byte.", "N", ge=0, le=1024, shown=False),
 ]
 
 
@@ -31,7 +34,9 @@ class SceneOptions(Options):
     """Options that change a scene."""
 
     settings: Settings = None
-    ideal: Annotated[bool, Option("A sensor without errors: beams without width, no noise, clear air.")] = False
+    ideal: Annotated[bool, Option("A sensor without errors: beams without width, no noise, clear air.")] = (
+        False
+    )
 
 
 @dataclass(frozen=True)
@@ -46,7 +51,8 @@ class RunOptions(EmulatorOptions):
     """Options that make an emulator, with the audit that estimates the error of each run."""
 
     audit: Annotated[
-        bool, Option("Do not cast 0.05 % of the pulses again to estimate the error of the run.", name="--no-audit")
+        bool,
+        Option("Do not cast 0.05 % of the pulses again to estimate the error of the run.", name="--no-audit"),
     ] = True
 
 
@@ -59,7 +65,9 @@ TrajectoryFile = Annotated[
 ]
 UnitName = Annotated[
     str | None,
-    Option("Sensor, if the capture holds several: its number, or its address and data port.", "N|ADDRESS:PORT"),
+    Option(
+        "Sensor, if the capture holds several: its number, or its address and data port.", "N|ADDRESS:PORT"
+    ),
 ]
 WhichClock = Annotated[
     str | None,

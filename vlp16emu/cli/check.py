@@ -40,8 +40,10 @@ def verify(
 ) -> None:
     """Check a capture against the rules of VLP-16 traffic, or a bag for SLAM programs.
 
-    Names each broken rule with the packet number, as in Wireshark. Several units are checked separately, unless
-    --unit names one. Notes are deviations that settings, receivers, old firmware or recorders explain. The exit code
+    Names each broken rule with the packet number, as in Wireshark. Several units are checked separately,
+    unless
+    --unit names one. Notes are deviations that settings, receivers, old firmware or recorders explain. The
+    exit code
     is 0 if no rule is broken, else 1; notes do not change it.
     """
     if slam is not None:
@@ -78,7 +80,9 @@ def _verify_bag(file: Path, unit: str | None, slam: str, *, as_json: bool) -> No
         raise InputError("--unit", f"found {unit}", "no unit with --for")
     result = fitness(file, slam)
     if as_json:
-        programs = {name: {"fit": not result.of(name), "findings": result.of(name)} for name in result.programs}
+        programs = {
+            name: {"fit": not result.of(name), "findings": result.of(name)} for name in result.programs
+        }
         print_json({"file": file, "fit": not result.findings, "bag": result.summary, "programs": programs})
     else:
         for finding in result.findings:
@@ -111,7 +115,9 @@ def _print(whose: str, result: "Verification") -> None:
         print(finding)
     tree = _tree(result)
     counts = tree.pop("broken_rules"), tree.pop("notes")
-    rows = rows_of({name: value for name, value in tree.items() if name not in ("clean", "findings") and value})
+    rows = rows_of(
+        {name: value for name, value in tree.items() if name not in ("clean", "findings") and value}
+    )
     for what, numbers in zip(("broken", "note"), counts, strict=True):
         rows |= {f"{what}: {rule}": str(number) for rule, number in numbers.items()}
     print_rows(f"{whose}: {'clean' if result.is_clean else 'not what a VLP-16 sends'}", rows)
@@ -126,8 +132,10 @@ def compare(
 ) -> None:
     """Compare two captures, emulated or real, by the statistics that distinguish units.
 
-    Each difference is given as a multiple of the spread of real units; real units differ by at most 1. At most a minute of
-    each capture is read. Scatter of ranges and of reflectivity also depends on the scene: compare walls with walls,
+    Each difference is given as a multiple of the spread of real units; real units differ by at most 1. At
+    most a minute of
+    each capture is read. Scatter of ranges and of reflectivity also depends on the scene: compare walls with
+    walls,
     foliage with foliage.
     """
     from vlp16emu.extras.compare import compared, histograms_of, read_sequences
@@ -147,7 +155,9 @@ def compare(
     print_rows(f"{file} and {other}", head | {row.text: _line(row) for row in rows})
     print(f"{len(apart)} of {len(rows)} statistics differ by more than real units do")
     if both := sum(all(row.unlike) for row in rows):
-        print(f"{both} are like no real unit in both captures (*): the real ones show rooms and streets, not foliage")
+        print(
+            f"{both} are like no real unit in both captures (*): the real ones show rooms and streets, not foliage"
+        )
     print_file(plot)
 
 
@@ -161,7 +171,9 @@ def _line(row: "Compared") -> str:
 
 
 def fit(
-    file: CaptureFile, *, out: Annotated[Path | None, Option("Write them to a file instead.", "UNIT.toml")] = None
+    file: CaptureFile,
+    *,
+    out: Annotated[Path | None, Option("Write them to a file instead.", "UNIT.toml")] = None,
 ) -> None:
     """Print the [noise] and [sensor] tables of the unit that made a capture, for a scene file.
 
@@ -193,7 +205,9 @@ def score(
     ] = None,
     out: Annotated[
         Path | None,
-        Option("Also write the scores as a page with pictures, to hand on; needs the extra 'plot'.", "FILE.html"),
+        Option(
+            "Also write the scores as a page with pictures, to hand on; needs the extra 'plot'.", "FILE.html"
+        ),
     ] = None,
     plot: PlotFile = None,
     as_json: AsJson = False,

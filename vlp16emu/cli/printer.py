@@ -11,7 +11,9 @@ from typing import Any
 
 import typer
 
-INTERRUPTED = 130  # exit code after Ctrl-C: 128 + SIGINT, as shells count (POSIX.1-2024, Shell, section 2.8.2)
+INTERRUPTED = (
+    130  # exit code after Ctrl-C: 128 + SIGINT, as shells count (POSIX.1-2024, Shell, section 2.8.2)
+)
 _UNITS = {"_per_s": "per s", "_s": "s", "_us": "us", "_ns": "ns", "_m": "m", "_deg": "deg", "_hz": "Hz"}
 _UNITS |= {"per_ha": "per ha", "_ha": "ha"}
 """Unit by the ending of a member's name."""
@@ -33,7 +35,9 @@ _LABELS = {
     "wall_s": "run time",
     "walk_share": "of the walk",
 }
-_NUMBERS = re.compile(r"\[\n([^][{}\"]*)\]")  # a list of numbers as `json` indents it; text never holds a line feed
+_NUMBERS = re.compile(
+    r"\[\n([^][{}\"]*)\]"
+)  # a list of numbers as `json` indents it; text never holds a line feed
 _SMALL_BYTES = 100_000
 _WIDEST = 10.0  # ratio of the ends of an interval; beyond it not even the order of magnitude is known
 
@@ -57,7 +61,9 @@ def finish(result: Any, title: str | None = None, *, as_json: bool) -> None:
 
 def print_json(result: Any) -> None:
     """Print one JSON object, each list of numbers on one line."""
-    print(_NUMBERS.sub(lambda found: f"[{' '.join(found[1].split())}]", json.dumps(tree_of(result), indent=2)))
+    print(
+        _NUMBERS.sub(lambda found: f"[{' '.join(found[1].split())}]", json.dumps(tree_of(result), indent=2))
+    )
 
 
 def report_of(verb: str, tree: Mapping[str, Any]) -> dict[str, Any]:
@@ -114,7 +120,8 @@ def rows_of(result: Any) -> dict[str, str]:
     for name, value in members(result):
         if value is None:
             continue
-        label, text = _label(name), (_WORDS.get(name) or text_of)(value)
+        label = _label(name)
+        text = (_WORDS.get(name) or text_of)(value)
         if name == "units":
             rows |= {f"unit {unit.unit}": _unit(unit) for unit in value}
         elif name == "messages":
@@ -133,7 +140,11 @@ def count(number: int) -> str:
 
 def size(number_of_bytes: int) -> str:
     """Format a file's size in MB (10^6 bytes), a small one in kB."""
-    return f"{number_of_bytes / 1e6:.1f} MB" if number_of_bytes >= _SMALL_BYTES else f"{number_of_bytes / 1e3:.1f} kB"
+    return (
+        f"{number_of_bytes / 1e6:.1f} MB"
+        if number_of_bytes >= _SMALL_BYTES
+        else f"{number_of_bytes / 1e3:.1f} kB"
+    )
 
 
 def behind_text(times: Any) -> str:
@@ -172,7 +183,9 @@ def members(result: Any) -> Iterator[tuple[str, Any]]:
         return
     yield from ((field.name, getattr(result, field.name)) for field in fields(result))
     for owner in type(result).__mro__:
-        yield from ((name, getattr(result, name)) for name, one in vars(owner).items() if isinstance(one, property))
+        yield from (
+            (name, getattr(result, name)) for name, one in vars(owner).items() if isinstance(one, property)
+        )
 
 
 def _unit_of(name: str) -> str:
@@ -198,7 +211,11 @@ def text_of(value: Any) -> str:
         pairs = ((name, text_of(one)) for name, one in members(value))
         return ", ".join(f"{_label(name)} {text}{_unit_of(name)}" for name, text in pairs if text)
     if isinstance(value, list | tuple):
-        return "; ".join(map(text_of, value)) if value and is_dataclass(value[0]) else ", ".join(map(text_of, value))
+        return (
+            "; ".join(map(text_of, value))
+            if value and is_dataclass(value[0])
+            else ", ".join(map(text_of, value))
+        )
     return str(value)
 
 
@@ -219,7 +236,8 @@ def _turn(turn: Any) -> str:
 
 def _lateness(late: Any) -> str:
     median, p99, most = (
-        f"{ns * 1e-3:.0f} us" if ns < 1e7 else f"{ns * 1e-9:.2f} s" for ns in (late.median_ns, late.p99_ns, late.max_ns)
+        f"{ns * 1e-3:.0f} us" if ns < 1e7 else f"{ns * 1e-9:.2f} s"
+        for ns in (late.median_ns, late.p99_ns, late.max_ns)
     )
     return f"median {median}, 99 % within {p99}, at most {most}"
 
@@ -231,16 +249,24 @@ def _first(first: Any) -> str:
 
 
 def _outlet(sent: Any) -> str:
-    row = f"{count(sent.messages)} to {sent.to}" + (f", {count(sent.dropped)} dropped" if sent.dropped else "")
+    row = f"{count(sent.messages)} to {sent.to}" + (
+        f", {count(sent.dropped)} dropped" if sent.dropped else ""
+    )
     if sent.line:
         line = sent.line.upper()
-        row += f"; no pulses, as it has no line {line}" if sent.pulses is None else f"; {count(sent.pulses)} on {line}"
+        row += (
+            f"; no pulses, as it has no line {line}"
+            if sent.pulses is None
+            else f"; {count(sent.pulses)} on {line}"
+        )
     return row + _away(sent.away)
 
 
 def _receiver(gps_in: Any) -> str:
     heard = gps_in.heard
-    counts = f"{count(heard.sentences)} sentences, {count(heard.pulses)} pulses, {count(heard.refused)} garbled"
+    counts = (
+        f"{count(heard.sentences)} sentences, {count(heard.pulses)} pulses, {count(heard.refused)} garbled"
+    )
     return f"{counts} from {gps_in.port}; {gps_in.state.name.lower()}{_away(gps_in.away)}"
 
 
@@ -265,7 +291,9 @@ _WORDS: dict[str, Callable[[Any], str]] = {
     "lateness": _lateness,
     "moved_s": lambda by_s: f"by {by_s:+d} s into the present" if by_s else "",
     "real_time_factor": lambda factor: f"{factor:.2f} x real time",
-    "skipped": lambda skipped: ", ".join(f"{count(number)} {kind} packets" for kind, number in skipped.items()),
+    "skipped": lambda skipped: ", ".join(
+        f"{count(number)} {kind} packets" for kind, number in skipped.items()
+    ),
     "turn": _turn,
     "walk_share": lambda share: f"{100 * share:.0f} %",
 }

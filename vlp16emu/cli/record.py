@@ -38,7 +38,8 @@ def record(
     """Record a scene into a pcap file, or a bag.
 
     The file holds data and position packets in order of sending, in the frames of a real sensor and
-    stamped with simulated time. Ctrl-C ends it early and leaves a valid file, before the first packet none. While it is
+    stamped with simulated time. Ctrl-C ends it early and leaves a valid file, before the first packet none.
+    While it is
     written, its name is OUT.xxxxxxxx.part; after kill -9 that file holds all complete packets.
     """
     from vlp16emu.output import STDOUT
@@ -59,7 +60,8 @@ def decode(
     file: CaptureFile,
     *,
     out: Annotated[
-        Path | None, Option("Write the points too: .npz, .ply, .csv, .pcd, .las or .laz by its suffix.", "FILE")
+        Path | None,
+        Option("Write the points too: .npz, .ply, .csv, .pcd, .las or .laz by its suffix.", "FILE"),
     ] = None,
     unit: UnitName = None,
     clock: WhichClock = None,
@@ -82,15 +84,18 @@ def decode(
 ) -> None:
     """Decode a capture by the formulas of the sensor's manual.
 
-    Works on recordings of real sensors too. Points are in metres in the sensor's frame: x forward (azimuth 0), y left,
-    z up, unless --frame chooses other axes. Pulses without return give no points. After Ctrl-C or a broken packet the
+    Works on recordings of real sensors too. Points are in metres in the sensor's frame: x forward (azimuth
+    0), y left,
+    z up, unless --frame chooses other axes. Pulses without return give no points. After Ctrl-C or a broken
+    packet the
     file is valid and holds the points before it.
     """
     from vlp16emu.captures import CaptureReader, chosen_unit, packet_clock
     from vlp16emu.packets import PointFrame
     from vlp16emu.types import SensorModel
 
-    axes, chosen = PointFrame(frame), chosen_unit(file, unit, where="--unit")
+    axes = PointFrame(frame)
+    chosen = chosen_unit(file, unit, where="--unit")
     product = SensorModel(model) if model else None
     stamps = packet_clock(file, chosen, clock, where="--clock")
     with stop_on_ctrl_c() as stop, CaptureReader(file, chosen, axes, product, stamps, stop=stop) as reader:

@@ -78,12 +78,14 @@ def stream(
     """Stream a scene over UDP, each packet at its time.
 
     Nothing leaves this machine unless --to names another one. Packets are computed ahead; all deadlines count
-    from the first packet. If the engine falls behind, a line says so at once, with settings that would keep up.
+    from the first packet. If the engine falls behind, a line says so at once, with settings that would keep
+    up.
     Ctrl-C ends the stream.
     """
     title = f"{scene} to {options.receiver[0]}"
     emulator = make_emulator(scene, making)
-    scenario, is_prepared = emulator.scenario, prepare or options.prepare is not None
+    scenario = emulator.scenario
+    is_prepared = prepare or options.prepare is not None
     options = _live_options(options, scenario)
     if view_port is not None and not view:
         raise InputError("--view-port", "found without --view", "both")
@@ -91,7 +93,8 @@ def stream(
     with ExitStack() as stack:
         page = stack.enter_context(_page(emulator, view_port, quiet=as_json)) if view else None
         _keep_up(emulator, options, wanted=keep_up, is_prepared=is_prepared)
-        stop, progress = stack.enter_context(stop_on_ctrl_c()), stack.enter_context(Progress(stop_s))
+        stop = stack.enter_context(stop_on_ctrl_c())
+        progress = stack.enter_context(Progress(stop_s))
         if is_prepared and options.prepare is None:
             from tempfile import TemporaryDirectory
 
@@ -129,7 +132,8 @@ def replay(
 ) -> None:
     """Send a capture over UDP again, ours or a real sensor's.
 
-    Packets keep the intervals of their capture stamps and go to the ports of the capture. Nothing leaves this machine
+    Packets keep the intervals of their capture stamps and go to the ports of the capture. Nothing leaves this
+    machine
     unless --to names another one. Ctrl-C ends it.
     """
     from vlp16emu.extras.replay import replay as send_again
@@ -144,7 +148,9 @@ def replay(
                 capture.links,
                 quiet=as_json,
             ),
-            notify=lambda behind: progress.say(f"behind: {behind.behind_s:.3f} s late at {behind.at_s:.1f} s"),
+            notify=lambda behind: progress.say(
+                f"behind: {behind.behind_s:.3f} s late at {behind.at_s:.1f} s"
+            ),
             stop=stop,
         )
     _close(replayed, f"{file} to {host}", strict=strict, as_json=as_json)
@@ -209,12 +215,16 @@ def _serve(page: "LivePage | None", places: list[tuple[str, int]], *, quiet: boo
 
 def _announce(what: str, links: "Sequence[Link]", *, quiet: bool) -> None:
     if not quiet:
-        print(f"{what}, ports {'; '.join(f'{link.data_port} and {link.position_port}' for link in links)}", flush=True)
+        print(
+            f"{what}, ports {'; '.join(f'{link.data_port} and {link.position_port}' for link in links)}",
+            flush=True,
+        )
 
 
 def _close(sent: "Streamed | Replayed", what: str, *, strict: bool, as_json: bool) -> None:
     """Print the report of a stream or a replay and exit with its code."""
-    interrupted, is_late = sent.interrupted, strict and sent.sent.behind  # skipped packets count too
+    interrupted = sent.interrupted  # skipped packets count too
+    is_late = strict and sent.sent.behind
     try:
         finish(sent, f"{'interrupted' if interrupted else 'done'}: {what}", as_json=as_json)
     finally:

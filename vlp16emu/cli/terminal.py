@@ -58,7 +58,8 @@ _REFRESH_S = 0.5  # drawing takes a millisecond, which can delay a packet that i
 class Progress:
     """Bar on stderr; nothing if stderr is no terminal.
 
-    The thread that calls `show` draws it: another thread would disturb the pacing of packets. Before the first call, a
+    The thread that calls `show` draws it: another thread would disturb the pacing of packets. Before the
+    first call, a
     thread of its own counts the seconds.
 
     Parameters
@@ -68,7 +69,9 @@ class Progress:
     """
 
     def __init__(self, total_s: float, first: str = "growing the world") -> None:
-        self._first, self._next_s, self._begun = first, 0.0, threading.Event()
+        self._first = first
+        self._next_s = 0.0
+        self._begun = threading.Event()
         self._bar = None
         if sys.stderr is not None and sys.stderr.isatty():
             from rich.console import Console
@@ -131,7 +134,9 @@ def make_emulator(scene: str, changes: "SceneOptions") -> "Emulator":
     from vlp16emu.scenario import load
 
     settings = changes.settings or ()
-    scenario = load(scene, settings, ideal=changes.ideal)  # first, so that mistakes in it show before numba loads
+    scenario = load(
+        scene, settings, ideal=changes.ideal
+    )  # first, so that mistakes in it show before numba loads
     compile_first(scenario.world.kind)
     from vlp16emu.run.emulator import Emulator
 

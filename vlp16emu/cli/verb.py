@@ -15,10 +15,12 @@ from vlp16emu.run.options import Declared, Options, declared
 def command(function: Callable[..., None]) -> Callable[..., None]:
     """Return a function for typer, with one parameter for each option of `function`.
 
-    A parameter of `function` is `Annotated[type, Option(...)]`, or a dataclass of such fields. A nested dataclass
+    A parameter of `function` is `Annotated[type, Option(...)]`, or a dataclass of such fields. A nested
+    dataclass
     is None if none of its options is given. A function without such parameters is returned unchanged.
     """
-    parameters, leaves = inspect.signature(function).parameters.values(), list(leaves_of(function))
+    parameters = inspect.signature(function).parameters.values()
+    leaves = list(leaves_of(function))
     if parameters and not leaves:
         return function
 
@@ -30,7 +32,8 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
         function(**{one.name: _made(one.name, one.annotation, values) for one in parameters})
 
     signature = inspect.Signature([_parameter(leaf) for leaf in leaves])
-    run.__name__, run.__doc__ = function.__name__, function.__doc__
+    run.__name__ = function.__name__
+    run.__doc__ = function.__doc__
     run.__annotations__ = {name: one.annotation for name, one in signature.parameters.items()}
     run.__signature__ = signature  # type: ignore[attr-defined]
     return run
@@ -64,14 +67,20 @@ def _made(name: str, annotation: Any, values: Mapping[str, Any]) -> Any:
     assert owner
     if NoneType in get_args(annotation):
         leaves = list(_leaves(name, annotation, MISSING))
-        given = [leaf for leaf in leaves if values[leaf.name] != (None if leaf.default is MISSING else leaf.default)]
+        given = [
+            leaf
+            for leaf in leaves
+            if values[leaf.name] != (None if leaf.default is MISSING else leaf.default)
+        ]
         if not given:
             return None
         if missing := [leaf for leaf in leaves if leaf.default is MISSING and values[leaf.name] is None]:
             wanted = f"{missing[0].name} {missing[0].option.metavar} beside it"
             raise InputError(given[0].name, f"found no {missing[0].name}", wanted)
     named = [(field.name, field.type) for field in fields(owner)]  # type: ignore[arg-type]
-    return owner(**{key: _made(key, kind, values) for key, kind in named if list(_leaves(key, kind, MISSING))})
+    return owner(
+        **{key: _made(key, kind, values) for key, kind in named if list(_leaves(key, kind, MISSING))}
+    )
 
 
 def _key(leaf: Declared) -> str:
@@ -81,23 +90,34 @@ def _key(leaf: Declared) -> str:
 
 def _parameter(leaf: Declared) -> inspect.Parameter:
     """Return the parameter from which typer makes an option or an argument."""
-    option, default = leaf.option, None if leaf.default is MISSING else leaf.default
+    option = leaf.option
+    default = None if leaf.default is MISSING else leaf.default
     kind: Any = object | None  # click would read two values for a tuple
     if leaf.kind is bool:
         kind, default = (bool | None, None) if leaf.default is None else (bool, False)
         info = typer.Option(leaf.name, help=option.help)
     elif leaf.kind is list:
-        kind, info = list[str] | None, typer.Option(leaf.name, help=option.help, metavar=option.metavar)
+        kind = list[str] | None
+        info = typer.Option(leaf.name, help=option.help, metavar=option.metavar)
     else:
 
         def read(text: Any) -> Any:  # typer reads defaults too
-            return option.read(leaf.name, leaf.kind, text) if isinstance(text, str) and text is not default else text
+            return (
+                option.read(leaf.name, leaf.kind, text)
+                if isinstance(text, str) and text is not default
+                else text
+            )
 
         metavar = option.metavar or "|".join(option.words)
         if leaf.name.startswith("-"):
-            info = typer.Option(leaf.name, help=option.help, metavar=metavar, parser=read, show_default=option.shown)
+            info = typer.Option(
+                leaf.name, help=option.help, metavar=metavar, parser=read, show_default=option.shown
+            )
         else:
-            kind, default = leaf.kind, inspect.Parameter.empty
+            kind = leaf.kind
+            default = inspect.Parameter.empty
             info = typer.Argument(metavar=leaf.name, help=option.help, parser=read, show_default=False)
     annotation = Annotated[kind, info]
-    return inspect.Parameter(_key(leaf), inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+    return inspect.Parameter(
+        _key(leaf), inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation
+    )

@@ -13,7 +13,16 @@ from vlp16emu.cli.printer import count, finish, print_json, print_rows, print_ta
 from vlp16emu.cli.terminal import Progress, compile_first, make_emulator, running, stop_on_ctrl_c
 from vlp16emu.errors import InputError, MissingExtraError, TrajectoryError
 from vlp16emu.extras.options import DatasetOptions, ImageOptions, PictureLook, PointOptions, TrajectoryErrors
-from vlp16emu.run.options import BagOptions, Option, Span, TruthPackets, TruthRate, TruthReturns, TruthTo, WhichUnit
+from vlp16emu.run.options import (
+    BagOptions,
+    Option,
+    Span,
+    TruthPackets,
+    TruthRate,
+    TruthReturns,
+    TruthTo,
+    WhichUnit,
+)
 
 if TYPE_CHECKING:
     from vlp16emu.extras.dataset import DatasetEstimate, Probe
@@ -40,10 +49,15 @@ def truth(
     from vlp16emu.extras.truth.truth import write_truth
 
     with running(emulator, "writing", span) as hooks:
-        simulated_s = write_truth(emulator, TruthTo(folder, rate_hz, per_packet, per_return), **vars(span), **hooks)
+        simulated_s = write_truth(
+            emulator, TruthTo(folder, rate_hz, per_packet, per_return), **vars(span), **hooks
+        )
     sizes = {path.name: path.stat().st_size for path in sorted(folder.iterdir())}
     found = {"folder": folder, "simulated_s": simulated_s, "interrupted": hooks["stop"].is_set()}
-    finish(found | ({"files": sizes} if as_json else {name: size(n) for name, n in sizes.items()}), as_json=as_json)
+    finish(
+        found | ({"files": sizes} if as_json else {name: size(n) for name, n in sizes.items()}),
+        as_json=as_json,
+    )
 
 
 def points(
@@ -51,7 +65,8 @@ def points(
     out: Annotated[
         Path,
         Option(
-            "File to write, .npz, .ply, .csv, .pcd, .las or .laz by its suffix; overwritten if it exists.", name="OUT"
+            "File to write, .npz, .ply, .csv, .pcd, .las or .laz by its suffix; overwritten if it exists.",
+            name="OUT",
         ),
     ],
     options: PointOptions,
@@ -111,7 +126,9 @@ def _deskew(
     from vlp16emu.extras.clouds.cloud import label_scheme
     from vlp16emu.extras.clouds.deskew import CaptureTruth, Trajectory, write_deskewed
 
-    way, truth, labels = Trajectory(trajectory, options.unit, errors), None, options.labels
+    way = Trajectory(trajectory, options.unit, errors)
+    truth = None
+    labels = options.labels
     if options.truth or labels:
         place = TruthTo.of(options.truth_to)
         folder = place.folder if place else trajectory
@@ -129,7 +146,8 @@ def bag(
     out: Annotated[
         Path,
         Option(
-            "Bag to write: .mcap (ROS 2), .bag (ROS 1), or a new folder without ending (ROS 2, SQLite).", name="OUT"
+            "Bag to write: .mcap (ROS 2), .bag (ROS 1), or a new folder without ending (ROS 2, SQLite).",
+            name="OUT",
         ),
     ],
     options: BagOptions,
@@ -137,12 +155,15 @@ def bag(
     truth: Annotated[
         Path | None,
         Option(
-            "Folder of truth of the same run: odometry, transforms, inertial unit and fixes go into the bag.", "DIR"
+            "Folder of truth of the same run: odometry, transforms, inertial unit and fixes go into the bag.",
+            "DIR",
         ),
     ] = None,
     images: Annotated[
         Path | None,
-        Option("Folder of `vlp16emu images` of the same run: its images go into the bag. Needs --truth.", "DIR"),
+        Option(
+            "Folder of `vlp16emu images` of the same run: its images go into the bag. Needs --truth.", "DIR"
+        ),
     ] = None,
     unit: UnitName = None,
     clock: WhichClock = None,
@@ -150,13 +171,16 @@ def bag(
 ) -> None:
     """Write a capture as a bag for ROS 1 or ROS 2, without ROS.
 
-    Works on recordings of real sensors too. Topics and frames are named as in the velodyne driver and REP 105. All sensors
+    Works on recordings of real sensors too. Topics and frames are named as in the velodyne driver and REP
+    105. All sensors
     are written unless --unit names one. Ctrl-C ends it early and leaves a valid bag.
     """
     from vlp16emu.extras.bag.write import write_bag
 
     with stop_on_ctrl_c() as stop:
-        result = write_bag(file, out, truth, images=images, unit=unit, clock=clock, options=options, stop=stop)
+        result = write_bag(
+            file, out, truth, images=images, unit=unit, clock=clock, options=options, stop=stop
+        )
     finish(result, as_json=as_json)
 
 
@@ -177,7 +201,8 @@ def dataset(
     """Make a dataset of stands, seeds, paths and sensors from one file.
 
     Walks that an earlier run has finished are kept after a check of their sha256; the others are made.
-    OUT/manifest.json lists every file with its sha256 and the split of its stand. Ctrl-C ends it; the same command goes
+    OUT/manifest.json lists every file with its sha256 and the split of its stand. Ctrl-C ends it; the same
+    command goes
     on with the walks that are missing.
     """
     from vlp16emu.extras.dataset import estimate_dataset, load_spec, make_dataset, walks_of
@@ -243,7 +268,8 @@ def picture(
 ) -> None:
     """Draw what a sensor sees of a scene, or saw in a capture: all of it at a slant, or one revolution.
 
-    Points of whole revolutions of the first sensor are accumulated; a capture without --trajectory shows its first
+    Points of whole revolutions of the first sensor are accumulated; a capture without --trajectory shows its
+    first
     revolution in the sensor's frame. Needs the extra 'picture'.
     """
     from vlp16emu.captures.capture import is_capture_name
@@ -256,7 +282,8 @@ def picture(
     if trajectory is not None and not is_capture:
         raise InputError("--trajectory", "found beside a scene", "a capture")
     with ExitStack() as stack:
-        stop, _ = stack.enter_context(stop_on_ctrl_c()), stack.enter_context(Progress(0.0, "drawing"))
+        stop = stack.enter_context(stop_on_ctrl_c())
+        _ = stack.enter_context(Progress(0.0, "drawing"))
         if is_capture:
             source = source_of_capture(Path(scene), trajectory, span)
         else:
@@ -276,8 +303,10 @@ def images(
 ) -> None:
     """Write what a camera beside the sensor sees: colour, depth, classes and instances.
 
-    The table [camera] of the scene sets lens, mount, size, rate and shutter; without it the camera is at the sensor and looks
-    ahead. Intrinsics and poses come as cameras.json, TUM, COLMAP's text model and nerfstudio's transforms.json. Ctrl-C
+    The table [camera] of the scene sets lens, mount, size, rate and shutter; without it the camera is at the
+    sensor and looks
+    ahead. Intrinsics and poses come as cameras.json, TUM, COLMAP's text model and nerfstudio's
+    transforms.json. Ctrl-C
     keeps the images so far. Needs the extra 'picture'.
     """
     emulator = make_emulator(scene, making)
@@ -302,7 +331,9 @@ def view(
     ] = None,
     save: Annotated[
         Path | None,
-        Option("File in which the page saves the scene with the edited path; replaced if it exists.", "FILE.toml"),
+        Option(
+            "File in which the page saves the scene with the edited path; replaced if it exists.", "FILE.toml"
+        ),
     ] = None,
     radius_m: Annotated[
         float, Option("Distance from the path up to which the stand is drawn.", "M", ge=1, le=100)
@@ -314,8 +345,10 @@ def view(
 ) -> None:
     """Show a scene in the browser: the stand, the sweep at any time, and the path of a walk, to be edited.
 
-    Drag way points over the ground; see at once length, run time and packets, and what is in the way; save the
-    scene with the new path. For a capture, the page shows its sweeps and marks faulty packets. Needs the extra
+    Drag way points over the ground; see at once length, run time and packets, and what is in the way; save
+    the
+    scene with the new path. For a capture, the page shows its sweeps and marks faulty packets. Needs the
+    extra
     'viewer'. Ctrl-C ends it.
     """
     from vlp16emu.captures.capture import is_capture_name
@@ -349,7 +382,8 @@ def _open_scene(scene: str, settings: Sequence[str], save: Path | None) -> "Open
     from vlp16emu.extras.viewer.scene_file import check_place
     from vlp16emu.scenario import find, load, named_files
 
-    scenario, file = load(scene, settings), find(scene)
+    scenario = load(scene, settings)
+    file = find(scene)
     if scenario.motion.takes_poses:
         raise InputError("motion.kind", "found live", "a scene whose path is known before it runs")
     inputs = [file, *named_files(scenario)]

@@ -31,7 +31,9 @@ if TYPE_CHECKING:
     from vlp16emu.engine.engine import Engine
 
 _IMU = 1000  # device number of the inertial unit's mount, above all sensors
-_STRAY_M = 1.0  # greatest distance of a laser from the carrier's path on the ground: sway, and lasers off the centre
+_STRAY_M = (
+    1.0  # greatest distance of a laser from the carrier's path on the ground: sway, and lasers off the centre
+)
 _LEFT_PPM = 0.3  # rate error of a GPS-locked clock within a second: 0.27 ppm on mrpt
 
 
@@ -77,7 +79,8 @@ class Unit:
     timeline: Timeline  # Pulses that are sent, and their packets; empty for a sensor without packets
     gps: GpsInput  # Signals that it gets from the GPS receiver
     optics: Any = None
-    """Dirt and dead lasers from events, which dim its light; an object with `dimmed` and `received`, or None."""
+    """Dirt and dead lasers from events, which dim its light; an object with `dimmed` and `received`, or
+    None."""
 
     @property
     def link(self) -> Link:
@@ -85,7 +88,8 @@ class Unit:
 
         Raises ScenarioError if it has no packets.
         """
-        section, counters = require_packets(self.section), counters_of(self.section, self.seed, self.number)
+        section = require_packets(self.section)
+        counters = counters_of(self.section, self.seed, self.number)
         return replace(
             FACTORY_LINK,
             source_mac=counters.mac,
@@ -97,9 +101,11 @@ class Unit:
 
     def world_T_sensor(self, t_ns: I8) -> F8:
         """Return the poses (n, 4, 4) of the sensor in the world, at instants (n,) UTC."""
-        poses, T = self.motion.poses_at(t_ns), np.zeros((len(t_ns), 4, 4))
+        poses = self.motion.poses_at(t_ns)
+        T = np.zeros((len(t_ns), 4, 4))
         T[:, :3, :3] = poses.world_R_body
-        T[:, :3, 3], T[:, 3, 3] = poses.world_p_body_m, 1.0
+        T[:, :3, 3] = poses.world_p_body_m
+        T[:, 3, 3] = 1.0
         return T
 
     @property
@@ -136,14 +142,17 @@ class Parts:
     @property
     def moves(self) -> bool:
         """True if a sensor, or something that it sees, moves."""
-        return self.wind is not None or self.people is not None or any(unit.motion.moves for unit in self.units)
+        return (
+            self.wind is not None or self.people is not None or any(unit.motion.moves for unit in self.units)
+        )
 
 
 def in_one_world(one: Scenario, other: Scenario) -> bool:
     """Return whether two runs follow the same path through the same world, so that only their sensors may differ."""
 
     def way(scenario: Scenario) -> tuple[object, ...]:
-        world, motion = (scenario.world, scenario.world_seed, scenario.wind), (scenario.motion, scenario.motion_seed)
+        world = (scenario.world, scenario.world_seed, scenario.wind)
+        motion = (scenario.motion, scenario.motion_seed)
         reach = [(sensor.max_range_m, mount) for sensor, mount in _sensors(scenario)]
         return *world, *motion, scenario.gps, scenario.start_ns, reach
 
@@ -156,19 +165,31 @@ def assemble(scenario: Scenario, like: "Engine | None" = None) -> Parts:
     Raises InputError if a part cannot be made from its section.
     """
     if like and in_one_world(scenario, like.scenario):
-        carrier, ground_m, world, wind = like.parts.carrier, like.parts.ground_m, like.parts.world, like.parts.wind
+        carrier = like.parts.carrier
+        ground_m = like.parts.ground_m
+        world = like.parts.world
+        wind = like.parts.wind
     else:
         carrier, ground_m, world, wind = _world(scenario)
-    start_ns, imu, seed = scenario.start_ns, scenario.imu, scenario.sensor_seed
+    start_ns = scenario.start_ns
+    imu = scenario.imu
+    seed = scenario.sensor_seed
     # A mast bends between the carrier and its sensors; the inertial unit is below it.
-    top, sampler, imu_mount, people = scenario.motion.under_sensors(carrier), None, Mount(), None
+    top = scenario.motion.under_sensors(carrier)
+    sampler = None
+    imu_mount = Mount()
+    people = None
     if imu:
         imu_mount = true_mount(imu.mount, seed, _IMU)
         sampler = door("imu")(mounted(carrier, imu_mount, start_ns), imu, start_ns=start_ns, seed=seed)
     if scenario.people:
-        people = door("people")(scenario.people, carrier, ground_m, start_ns=start_ns, seed=scenario.motion_seed)
+        people = door("people")(
+            scenario.people, carrier, ground_m, start_ns=start_ns, seed=scenario.motion_seed
+        )
     mounts = [true_mount(mount, seed, device) for device, mount in enumerate(mounts_of(scenario))]
-    units = tuple(_unit(scenario, number, mount, mounted(top, mount, start_ns)) for number, mount in enumerate(mounts))
+    units = tuple(
+        _unit(scenario, number, mount, mounted(top, mount, start_ns)) for number, mount in enumerate(mounts)
+    )
     return Parts(units, carrier, sampler, imu_mount, ground_m, world, wind, people, _gps_input(scenario))
 
 
@@ -202,7 +223,9 @@ def beam_of(scenario: Scenario, seed: int) -> Footprint:
 
 def _world(scenario: Scenario) -> tuple[Motion, HeightField, World, Any]:
     """Make the carrier, the ground, the world that it goes through, and the sway of its trees."""
-    sensors, section, seed = _sensors(scenario), scenario.world, scenario.world_seed
+    sensors = _sensors(scenario)
+    section = scenario.world
+    seed = scenario.world_seed
     site = section.site(seed)
     carrier, path_xy_m = scenario.motion.carrier(
         site,
@@ -224,7 +247,9 @@ def _world(scenario: Scenario) -> tuple[Motion, HeightField, World, Any]:
 def reach_of_path_m(scenario: Scenario) -> float:
     """Return the distance from the carrier's path up to which a sensor may hit something."""
     sensors = _sensors(scenario)
-    return _STRAY_M + max(sensor.max_range_m + float(norm(np.array(mount.lever_arm_m))) for sensor, mount in sensors)
+    return _STRAY_M + max(
+        sensor.max_range_m + float(norm(np.array(mount.lever_arm_m))) for sensor, mount in sensors
+    )
 
 
 def mounts_of(scenario: Scenario) -> list[Mount]:
@@ -237,9 +262,11 @@ def _sensors(scenario: Scenario) -> list[tuple[Lidar, Mount]]:
 
 
 def _unit(scenario: Scenario, number: int, mount: Mount, motion: Motion) -> Unit:
-    given, seed = [scenario.sensor, *scenario.rig][number], seed_of(scenario, number)
+    given = [scenario.sensor, *scenario.rig][number]
+    seed = seed_of(scenario, number)
     section = powered_up(given, seed)
-    head, mode = _head(scenario, section, seed), ReturnMode(section.return_mode)
+    head = _head(scenario, section, seed)
+    mode = ReturnMode(section.return_mode)
     detector = UnitDetector.of_unit(
         scenario.detector,
         scenario.noise,
@@ -251,7 +278,9 @@ def _unit(scenario: Scenario, number: int, mount: Mount, motion: Motion) -> Unit
         elevation_deg=head.beams.elevation_deg,
         power_up_ns=_power_up_ns(scenario, section),
     )
-    timeline, gps, beam = Timeline(head, (Stretch(0, None, mode, None),)), _gps_input(scenario), beam_of(scenario, seed)
+    timeline = Timeline(head, (Stretch(0, None, mode, None),))
+    gps = _gps_input(scenario)
+    beam = beam_of(scenario, seed)
     unit = Unit(number, section, mount, seed, head, motion, beam, detector, timeline, gps)
     if not scenario.events:
         return unit
@@ -276,7 +305,8 @@ def clock_at(t_ns: int, section: Lidar, *, locked: bool) -> ClockSpan:
 
 
 def _head(scenario: Scenario, section: Lidar, seed: int) -> Head:
-    start_ns, power_up_ns = scenario.start_ns, _power_up_ns(scenario, section)
+    start_ns = scenario.start_ns
+    power_up_ns = _power_up_ns(scenario, section)
     phase_deg = section.phase_lock_deg if isinstance(section, Sensor) else None
     angle_deg = section.start_azimuth_deg or 0.0
     locks_ns: tuple[tuple[int, int], ...] = ()
@@ -294,4 +324,6 @@ def _head(scenario: Scenario, section: Lidar, seed: int) -> Head:
         azimuth_error_deg=scenario.noise.azimuth_error_deg,
         seed=seed,
     )
-    return Head(beams, rotor, Clock((clock_at(power_up_ns, section, locked=scenario.gps.connected),)), start_ns)
+    return Head(
+        beams, rotor, Clock((clock_at(power_up_ns, section, locked=scenario.gps.connected),)), start_ns
+    )

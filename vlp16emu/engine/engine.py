@@ -1,6 +1,7 @@
 """The program on one page: poses - aim - cast - shade - dim - detect - pack - merge in order of sending.
 
-Blocks of firing sequences are computed whole, and windows of the world change at fixed blocks, so neither the number of
+Blocks of firing sequences are computed whole, and windows of the world change at fixed blocks, so neither the
+number of
 threads nor the requested span can change a byte.
 """
 
@@ -32,7 +33,9 @@ from vlp16emu.types import F8, Firings, Hits, Packet, PacketKind, Returns
 from vlp16emu.units import S_NS, seconds_to_ns
 
 _AT_ONCE = 128  # position packets whose times are computed at once: one second
-_LONGEST_S = 14 * 86_400  # the latest start of a run and the longest run together; then stamps still fit a capture
+_LONGEST_S = (
+    14 * 86_400
+)  # the latest start of a run and the longest run together; then stamps still fit a capture
 _LOWEST_DEG = 15.0  # lowest elevation of satellites that receivers use: the usual mask of forest surveys
 
 
@@ -49,13 +52,18 @@ class Job:
 
 
 Tap = Callable[[Job, Firings, Hits, Geometry], None]
-"""Observer of a job's pulses and their hits, called on the thread that cast them; texture is added to the hits after it returns."""
+"""Observer of a job's pulses and their hits, called on the thread that cast them; texture is added to the
+hits after it returns."""
 
 
 def scan(job: Job, geometry: Geometry, taps: Iterable[Tap] = ()) -> Returns:
     """Emit the pulses of a job and detect their echoes."""
-    unit, head, count = job.unit, job.unit.head, len(job.blocks) * job.block
-    firings = head.aim(job.blocks.start * job.block, count, unit.motion.poses_at, beam_axis=unit.beam.has_width)
+    unit = job.unit
+    head = job.unit.head
+    count = len(job.blocks) * job.block
+    firings = head.aim(
+        job.blocks.start * job.block, count, unit.motion.poses_at, beam_axis=unit.beam.has_width
+    )
     hits = geometry.cast(firings, head.beams.near_m, unit.section.max_range_m, unit.beam)
     for tap in taps:
         tap(job, firings, hits, geometry)
@@ -71,7 +79,8 @@ def scan(job: Job, geometry: Geometry, taps: Iterable[Tap] = ()) -> Returns:
 class Engine:
     """A scenario ready to run: sensors on one carrier, and the world around them.
 
-    An engine is a value: `with_events` and `dataclasses.replace` make another one with other events, taps or options,
+    An engine is a value: `with_events` and `dataclasses.replace` make another one with other events, taps or
+    options,
     which shares world, windows and receiver.
     """
 
@@ -83,7 +92,8 @@ class Engine:
     threads: int  # Workers; they change the speed only
     taps: tuple[Tap, ...] = ()
     prompt: bool = False
-    """True if blocks are cast one by one, so that new settings take effect soon; it changes the speed only."""
+    """True if blocks are cast one by one, so that new settings take effect soon; it changes the speed
+    only."""
     truth_of: TruthOf | None = None  # Ground truth that is attached to data packets
 
     @classmethod
@@ -92,9 +102,11 @@ class Engine:
     ) -> Self:
         """Set up a scenario for a number of threads, 0 for one per core; no geometry is built yet.
 
-        The world of `like` is reused if it is the same. Raises InputError if a part of the scenario cannot be made.
+        The world of `like` is reused if it is the same. Raises InputError if a part of the scenario cannot be
+        made.
         """
-        parts, threads = assemble(scenario, like), threads or usable_cores()
+        parts = assemble(scenario, like)
+        threads = threads or usable_cores()
         batching = Batching.of(parts.head.beams)
         windows = windows_of(parts, scenario.start_ns, batching, threads)
         receiver = make_receiver(scenario, parts, windows)
@@ -103,7 +115,8 @@ class Engine:
     def packets(self, start_s: float = 0.0, stop_s: float | None = None) -> Iterator[Packet]:
         """Return the packets sent from `start_s` until before `stop_s` after the first pulse, in order of sending.
 
-        Raises ScenarioError if the sensor has no packets; TrajectoryError if the span begins before the first pulse, or
+        Raises ScenarioError if the sensor has no packets; TrajectoryError if the span begins before the first
+        pulse, or
         if the walk ends before the span.
         """
         require_packets(self.scenario.sensor)
@@ -127,7 +140,8 @@ class Engine:
     ) -> Iterator[Returns]:
         """Return a unit's returns before packing, in whole blocks that cover the span; with their surfaces if `truth`.
 
-        A block in which settings change is returned once for the settings before and once for those after, each time with
+        A block in which settings change is returned once for the settings before and once for those after,
+        each time with
         the firing sequences that are sent; blocks without any are left out.
         """
         blocks = self.batching.blocks(*self.span_ns(start_s, stop_s))
@@ -152,7 +166,8 @@ class Engine:
     def span_ns(self, start_s: float, stop_s: float | None) -> tuple[int, int]:
         """Check a span of the run and convert it to nanoseconds since the first pulse; the default end is the scene's.
 
-        Raises TrajectoryError if it begins before the first pulse, ends after the motion or after two weeks, or if no poses
+        Raises TrajectoryError if it begins before the first pulse, ends after the motion or after two weeks,
+        or if no poses
         arrive in a live scene.
         """
         if isinstance(self.parts.carrier, OwnWindows):
@@ -166,23 +181,30 @@ class Engine:
             raise TrajectoryError("duration", f"found {stop_s:g} s", most)
         stop_ns = seconds_to_ns(stop_s)
         if max(start_ns, stop_ns) > _LONGEST_S * S_NS:
-            raise TrajectoryError("duration", f"found {max(start_s, stop_s):g} s", f"at most {_LONGEST_S} s, two weeks")
+            raise TrajectoryError(
+                "duration", f"found {max(start_s, stop_s):g} s", f"at most {_LONGEST_S} s, two weeks"
+            )
         return start_ns, stop_ns
 
     def _data_packets(self, unit: Unit, start_ns: int, stop_ns: int) -> Iterator[Packet]:
         """Yield the data packets of a unit due in a span since the first pulse."""
         threads = self.threads // len(self.parts.units) or 1
         for stretch in unit.timeline.stretches(start_ns, stop_ns):
-            detector, packer = unit.detector.for_mode(stretch.mode), Packer(unit, stretch, self.truth_of)
+            detector = unit.detector.for_mode(stretch.mode)
+            packer = Packer(unit, stretch, self.truth_of)
             blocks = stretch.blocks(self.batching.block)
             scans = self._scans(unit, detector, blocks, threads, truth=self.truth_of is not None)
-            for packets in map(packer.pack, scans):  # no variable keeps returns, up to 25 MB, until the next are ready
+            for packets in map(
+                packer.pack, scans
+            ):  # no variable keeps returns, up to 25 MB, until the next are ready
                 yield from packets
 
     def _returns_of(self, unit: Unit, stretch: Stretch, blocks: range, *, truth: bool) -> Iterator[Returns]:
         """Yield the returns of the blocks in which a stretch sends, with the firing sequences that it sends."""
         own = stretch.blocks_among(blocks, self.batching.block)
-        for returns in self._scans(unit, unit.detector.for_mode(stretch.mode), own, self.threads, truth=truth):
+        for returns in self._scans(
+            unit, unit.detector.for_mode(stretch.mode), own, self.threads, truth=truth
+        ):
             first = returns.firings.index
             sent = unit.timeline.is_sent(stretch, first, first + len(returns.distance_m))
             if sent is None or sent.any():
@@ -193,7 +215,8 @@ class Engine:
     ) -> Iterator[Returns]:
         """Scan blocks on several threads; yield their returns in order of blocks."""
         together = 1 if self.prompt or self.truth_of else unit.beam.together
-        block, seed = self.batching.block, self.parts.world.seed
+        block = self.batching.block
+        seed = self.parts.world.seed
 
         def work(run: range, opened: Future[Geometry]) -> Returns:
             return self._scan(Job(unit, detector, run, block, seed, truth), opened)
@@ -207,7 +230,9 @@ class Engine:
 
 def make_receiver(scenario: Scenario, parts: Parts, windows: Windows[Geometry]) -> Receiver:
     """Make the GPS receiver, whose view of the sky comes from the windows of the run."""
-    gps, start_ns, far_m = scenario.gps, scenario.start_ns, scenario.sensor.max_range_m
+    gps = scenario.gps
+    start_ns = scenario.start_ns
+    far_m = scenario.sensor.max_range_m
 
     def cover(t_ns: int, antenna_m: F8) -> float:
         geometry = windows.wait(windows.at_time(t_ns - start_ns))
@@ -244,7 +269,9 @@ def sent_before(scenario: Scenario, unit: Unit, kind: PacketKind, since_ns: int)
 def positions_due(scenario: Scenario, unit: Unit, start_ns: int, stop_ns: int) -> Iterator[tuple[int, int]]:
     """Yield number and UTC of the position packets of a unit due in a span since the first pulse."""
     rate = require_packets(unit.section).position_rate
-    first, stop = (number_at(scenario, unit, PacketKind.POSITION, since_ns) for since_ns in (start_ns, stop_ns))
+    first, stop = (
+        number_at(scenario, unit, PacketKind.POSITION, since_ns) for since_ns in (start_ns, stop_ns)
+    )
     from_ns = unit.positions_from_ns
     for number in range(first, stop, _AT_ONCE):
         due_ns = position_due_ns(rate, unit.seed, from_ns, number, min(_AT_ONCE, stop - number))
@@ -257,7 +284,8 @@ def position_packets(
     scenario: Scenario, receiver: Receiver, unit: Unit, start_ns: int, stop_ns: int
 ) -> Iterator[Packet]:
     """Yield the position packets of a unit due in a span since the first pulse."""
-    named_ns, sentence = None, b""
+    named_ns = None
+    sentence = b""
     for number, due_ns in positions_due(scenario, unit, start_ns, stop_ns):
         stamp_ns = due_ns - STAMP_LEAD_NS
         second_ns = unit.gps.second_ns(stamp_ns)

@@ -29,7 +29,9 @@ class Stretch:
     first: int  # Firing sequence, at which a packet begins
     stop: int | None  # Firing sequence after the last; None for a span without end
     mode: ReturnMode
-    fov_deg: tuple[int, int] | None  # First and last azimuth that is sent, in whole degrees; None for the full circle
+    fov_deg: (
+        tuple[int, int] | None
+    )  # First and last azimuth that is sent, in whole degrees; None for the full circle
 
     @property
     def per_packet(self) -> int:
@@ -54,7 +56,8 @@ class Timeline:
     head: Head
     spans: tuple[Stretch, ...]  # In order of time, without overlap
     silences_ns: tuple[tuple[int, int], ...] = ()
-    """Spans of time since the first pulse in which no packet of any kind leaves, in order, without overlap."""
+    """Spans of time since the first pulse in which no packet of any kind leaves, in order, without
+    overlap."""
 
     def _stop_of(self, span: Stretch, stop_ns: int) -> int:
         """Find the end of the firing sequences whose packets are due before a time since the first pulse."""
@@ -64,7 +67,8 @@ class Timeline:
     def chosen(self, span: Stretch, first: int, stop: int) -> NDArray[np.int64]:
         """Find the firing sequences from `first` until before `stop`, both even, in the field of view of a span.
 
-        A data block is sent as a whole or not at all, by its azimuth; the field of view includes its last degree.
+        A data block is sent as a whole or not at all, by its azimuth; the field of view includes its last
+        degree.
         """
         every = np.arange(first, stop, dtype=np.int64)
         if span.fov_deg is None:
@@ -89,12 +93,14 @@ class Timeline:
 
     def _sequences_of(self, span: Stretch, start_ns: int, stop_ns: int) -> Iterator[NDArray[np.int64]]:
         sequence_ns = self.head.beams.sequence_ns
-        begin, stop = self._begin_of(span, start_ns), self._stop_of(span, stop_ns) & ~1
+        begin = self._begin_of(span, start_ns)
+        stop = self._stop_of(span, stop_ns) & ~1
         left = np.empty(0, np.int64)
         for first in range(begin, stop, _AT_ONCE):
             chosen = np.concatenate([left, self.chosen(span, first, min(first + _AT_ONCE, stop))])
             whole = len(chosen) // span.per_packet * span.per_packet
-            rows, left = chosen[:whole].reshape(-1, span.per_packet), chosen[whole:]
+            rows = chosen[:whole].reshape(-1, span.per_packet)
+            left = chosen[whole:]
             rows = rows[(rows[:, -1] + 1) * sequence_ns >= start_ns]
             if len(rows):
                 yield rows
@@ -140,8 +146,11 @@ class Packer:
     """Packs the returns of a stretch into data packets, with ground truth if asked; keeps the returns of an open packet."""
 
     def __init__(self, unit: "Unit", stretch: Stretch, truth_of: TruthOf | None = None) -> None:
-        self._unit, self._stretch, self._truth_of = unit, stretch, truth_of
-        self._reached, self._lost = stretch.first, 0
+        self._unit = unit
+        self._stretch = stretch
+        self._truth_of = truth_of
+        self._reached = stretch.first
+        self._lost = 0
         self._left: Returns | None = None
 
     def pack(self, returns: Returns) -> Iterator[Packet]:
@@ -149,7 +158,8 @@ class Packer:
 
         If blocks are missing before these, packing goes on as if the missing ones had been sent.
         """
-        stretch, per_packet = self._stretch, self._stretch.per_packet
+        stretch = self._stretch
+        per_packet = self._stretch.per_packet
         begin = returns.firings.index
         first, stop = max(stretch.first, begin), min(stretch.stop or 2**62, begin + _count(returns))
         rows = self._rows(returns, first, stop)
@@ -166,7 +176,8 @@ class Packer:
         self._left = _rows(rows, slice(whole, None)) if whole < _count(rows) else None
         if not whole:
             return
-        rows, unit = _rows(rows, slice(whole)), self._unit
+        rows = _rows(rows, slice(whole))
+        unit = self._unit
         packets = pack_data(rows, stretch.mode, SensorModel(unit.section.model), unit.number)
         if self._truth_of is None:
             yield from packets
@@ -203,7 +214,9 @@ def _joined(one: Returns, other: Returns) -> Returns:
     if one.surfaces is not None and other.surface is not None:
         moved = other.surface + np.uint32(len(one.surfaces))
         other = replace(other, surface=np.where(other.surface == NO_SURFACE, NO_SURFACE, moved))
-    firings = Firings(index=one.firings.index, beam_axis=None, **both(one.firings, other.firings, _BY_SEQUENCE))
+    firings = Firings(
+        index=one.firings.index, beam_axis=None, **both(one.firings, other.firings, _BY_SEQUENCE)
+    )
     return Returns(firings, mode=one.mode, **both(one, other, (*_BY_RETURN, "surfaces")))
 
 

@@ -22,7 +22,8 @@ from vlp16emu.sensor.beams import SEQUENCE_NS, BeamTable
 from vlp16emu.types import F8, Window
 
 BLOCK = 1_920
-"""Firing sequences of a VLP-16 computed at once, 106 ms: whole packets in every return mode, and a multiple of 8 rays."""
+"""Firing sequences of a VLP-16 computed at once, 106 ms: whole packets in every return mode, and a multiple
+of 8 rays."""
 STEPS = 20  # parts of a VLP-16 block: steps of a live run, 5.3 ms each
 SEGMENT = 64  # blocks of a VLP-16 that share a window of the world, 6.8 s or some 8 m of walking
 
@@ -30,8 +31,10 @@ _RAYS = 8
 _LONGEST_NS = 110_000_000
 _SEGMENT_NS = 6_800_000_000
 _POLL_S = 0.05  # interval at which a waiting thread checks whether the run ends
-_LEAD, _LAG = 3 / 8, 1 / 4
-"""Shares of a segment: lead time with which a window is opened, and greatest delay with which the sky over the antenna
+_LEAD = 3 / 8
+_LAG = 1 / 4
+"""Shares of a segment: lead time with which a window is opened, and greatest delay with which the sky over
+the antenna
 is queried (1.4 s). Workers share the rest."""
 
 _CASTERS: WeakValueDictionary[int, Caster] = WeakValueDictionary()
@@ -55,7 +58,9 @@ class Batching:
     @classmethod
     def of(cls, beams: BeamTable) -> Self:
         """Return the batching of a run; for sensors with packets, blocks are cut into steps of a live run."""
-        return cls(len(beams.elevation_deg), beams.sequence_ns, STEPS if beams.sequence_ns == SEQUENCE_NS else 1)
+        return cls(
+            len(beams.elevation_deg), beams.sequence_ns, STEPS if beams.sequence_ns == SEQUENCE_NS else 1
+        )
 
     @property
     def block(self) -> int:
@@ -90,7 +95,8 @@ class Windows(Generic[S]):
 
     Parameters
     ----------
-    open_segment : opens the window of a segment, or of another name that `name_of` gives; called on its own thread
+    open_segment : opens the window of a segment, or of another name that `name_of` gives; called on its own
+        thread
     batching : sizes of blocks and segments
     moves : whether each segment needs its own window; if nothing moves, the window of segment 0 serves all
     threads : number of workers, which may be that many blocks ahead of the receiver
@@ -98,10 +104,15 @@ class Windows(Generic[S]):
 
     kept = 2  # windows, with a few threads
 
-    def __init__(self, open_segment: Callable[[Any], S], batching: Batching, *, moves: bool, threads: int) -> None:
-        self._block_ns, self._per_segment = batching.block_ns, batching.segment if moves else None
-        self._free, self._parts = int((1 - _LEAD - _LAG) * batching.segment), batching.parts
-        opener, too_far = ThreadPoolExecutor(1, "open", self.yielding), max(0, threads + 1 - self._free)
+    def __init__(
+        self, open_segment: Callable[[Any], S], batching: Batching, *, moves: bool, threads: int
+    ) -> None:
+        self._block_ns = batching.block_ns
+        self._per_segment = batching.segment if moves else None
+        self._free = int((1 - _LEAD - _LAG) * batching.segment)
+        self._parts = batching.parts
+        opener = ThreadPoolExecutor(1, "open", self.yielding)
+        too_far = max(0, threads + 1 - self._free)
 
         @lru_cache(self.kept + math.ceil(too_far / batching.segment))
         def opened(name: Hashable) -> Future[S]:
@@ -149,17 +160,20 @@ class Windows(Generic[S]):
     def runs(self, blocks: range, together: int, threads: int) -> Iterator[range]:
         """Cut blocks into runs of at most `together` whole blocks, each within one window.
 
-        Runs are short at first, so that the first packet comes soon, and at the end, so that workers end together; they
+        Runs are short at first, so that the first packet comes soon, and at the end, so that workers end
+        together; they
         are also short enough that workers do not get too far ahead.
         """
         together = max(1, min(together * self._parts, self._free // (threads + 1)))
-        first, number = blocks.start, 0
+        first = blocks.start
+        number = 0
         while first < blocks.stop:
             size = min(together, 2 ** (number // threads), max(1, (blocks.stop - first) // (2 * threads)))
             _, same = next(groupby(range(first, first + size), self.name_of))
             size = len(list(same))
             yield range(first, first + size)
-            first, number = first + size, number + 1
+            first = first + size
+            number = number + 1
 
 
 @contextmanager
@@ -176,7 +190,12 @@ def workers(threads: int, name: str, stop: Event | None = None) -> Iterator[Thre
 
 
 def in_order(
-    work: Callable[[range, Future[S]], T], runs: Iterable[range], windows: Windows[S], *, threads: int, stop: int
+    work: Callable[[range, Future[S]], T],
+    runs: Iterable[range],
+    windows: Windows[S],
+    *,
+    threads: int,
+    stop: int,
 ) -> Iterator[T]:
     """Yield the results of `work(run of blocks, its window)` in order; a few are computed ahead.
 
@@ -201,13 +220,17 @@ def in_order(
             yield windows.wait(pending.popleft())
 
 
-def window_of(parts: Parts, start_ns: int, batching: Batching, segment: int, track_m: F8 | None = None) -> Window:
+def window_of(
+    parts: Parts, start_ns: int, batching: Batching, segment: int, track_m: F8 | None = None
+) -> Window:
     """Return the window within reach of a segment of the walk, or of positions (n, 3); parameters as in `windows_of`."""
     edges_ns = start_ns + batching.edges_ns(segment)
     if track_m is None:
         track_m = np.concatenate([unit.motion.poses_at(edges_ns).world_p_body_m for unit in parts.units])
     window = parts.world.window(track_m)
-    return parts.wind.with_sway(window, track_m, int(edges_ns[0]), int(edges_ns[-1])) if parts.wind else window
+    return (
+        parts.wind.with_sway(window, track_m, int(edges_ns[0]), int(edges_ns[-1])) if parts.wind else window
+    )
 
 
 @runtime_checkable

@@ -1,6 +1,7 @@
 """Colours of species, parts and kinds of objects, for pictures, the page and twins.
 
-They are colours that people expect of a species as far as all readers can distinguish them, not its look at 903 nm.
+They are colours that people expect of a species as far as all readers can distinguish them, not its look at
+903 nm.
 """
 
 from collections.abc import Mapping

@@ -1,8 +1,11 @@
 """The beam error `offset` of LiDAR-Forest (Lu et al.): hits displaced inside the beam, for comparison.
 
-The paper displaces a hit "inside the ellipsoid whose axes are the divergence at that distance". Our interpretation:
-uniformly, within semi-axes of half the beam's horizontal and vertical width there, and along the beam half of their
-geometric mean. A packet can hold only the distance of the displaced point; point clouds have the point itself.
+The paper displaces a hit "inside the ellipsoid whose axes are the divergence at that distance". Our
+interpretation:
+uniformly, within semi-axes of half the beam's horizontal and vertical width there, and along the beam half of
+their
+geometric mean. A packet can hold only the distance of the displaced point; point clouds have the point
+itself.
 """
 
 import math
@@ -50,11 +53,14 @@ def _displace(range_m: F4, widths: F8, seed: int, index: int) -> None:
 
 
 @array_kernel
-def _fill_tangents(distance_m: F4, widths: F8, seed: int, sequence: I8, laser: I8, lasers: int, out: F8) -> None:
+def _fill_tangents(
+    distance_m: F4, widths: F8, seed: int, sequence: I8, laser: I8, lasers: int, out: F8
+) -> None:
     for i in range(len(out)):
         reach_m = float(distance_m[i])
         x_m, y_m, _ = _displacement(widths, reach_m, seed, sequence[i], laser[i], lasers)
-        out[i, 0], out[i, 1] = x_m / reach_m, y_m / reach_m
+        out[i, 0] = x_m / reach_m
+        out[i, 1] = y_m / reach_m
 
 
 @array_kernel
@@ -62,11 +68,13 @@ def _displacement(
     widths: F8, reach_m: float, seed: int, sequence: int, laser: int, lasers: int
 ) -> tuple[float, float, float]:
     """Draw a displacement: horizontal, vertical and along the beam; `widths` are spot and divergence, horizontal and vertical."""
-    across_m, up_m = (widths[0] + widths[2] * reach_m) / 2, (widths[1] + widths[3] * reach_m) / 2
+    across_m = (widths[0] + widths[2] * reach_m) / 2
+    up_m = (widths[1] + widths[3] * reach_m) / 2
     a, b = uniform_pair(seed, _DISPLACEMENT, sequence, laser)
     c, _ = uniform_pair(seed, _DISPLACEMENT, sequence, lasers + laser)
     # Uniform in a ball: height uniform on the sphere (Archimedes), radius by the cube root.
-    z, radius = 2.0 * a - 1.0, power(max(c, 2.0**-53), 1.0 / 3.0)
+    z = 2.0 * a - 1.0
+    radius = power(max(c, 2.0**-53), 1.0 / 3.0)
     level = radius * math.sqrt(1.0 - z * z)
     cosine, sine = cos_sin(2.0 * math.pi * b)
     return across_m * level * cosine, up_m * level * sine, math.sqrt(across_m * up_m) * radius * z

@@ -24,13 +24,16 @@ from vlp16emu.sinks.pacing import prompt
 from vlp16emu.store import user_store
 
 _SLEEPS = 200
-_SLEEP_S = 0.001_327  # time between two data packets in single return (VLP-16 manual 63-9243 Rev D, section 8.2)
+_SLEEP_S = (
+    0.001_327  # time between two data packets in single return (VLP-16 manual 63-9243 Rev D, section 8.2)
+)
 _PROMPT_NS = 1_327_104  # a packet with more delay leaves after the next one is due
 _COARSE_S = 1e-6
 _PAUSE_S = 0.1  # a revolution at 600 rpm: pauses of receivers that share their cores are shorter
 _RIG_PACKETS_HZ = 2 * 1508  # data packets of two sensors in dual return (63-9243 Rev D, section 8.2)
 _HELD_BYTES = 2304
-"""Bytes of a receive buffer that Linux counts for one packet: payload, headers and its own record, rounded up."""
+"""Bytes of a receive buffer that Linux counts for one packet: payload, headers and its own record, rounded
+up."""
 
 
 class Condition(StrEnum):
@@ -63,7 +66,8 @@ _EXTRAS = {
     "viewer": (("tomlkit", "viser", "websockets"), "view"),
 }  # libraries of each extra in pyproject.toml, and the features that need them
 _WIDEST = ("avx512f", "avx2", "avx", "sse4_2", "asimd")
-"""Instruction sets with kernels in Embree, by their names in /proc/cpuinfo, widest first (Embree 4 manual, rtcNewDevice)."""
+"""Instruction sets with kernels in Embree, by their names in /proc/cpuinfo, widest first (Embree 4 manual,
+rtcNewDevice)."""
 _FEWEST_CORES = 2
 _CASTER = "raycast."  # prefix of the names of compiled kernels for ray casting
 
@@ -77,10 +81,13 @@ def all_checks() -> Iterator[Check]:
     yield _embree()
     for name, port in (("data port", DATA_PORT), ("position port", POSITION_PORT)):
         reason = _bound("", port)
-        taken = f"right for a receiver here; --as-sensor needs it: ss -ulpn 'sport = :{port}' shows its program"
+        taken = (
+            f"right for a receiver here; --as-sensor needs it: ss -ulpn 'sport = :{port}' shows its program"
+        )
         yield _check(name, f"{port}: {reason}" if reason else f"{port} is free", taken if reason else "")
     address = FACTORY_LINK.source
-    is_ours, add = not _bound(address, 0), f"for --as-sensor: sudo ip addr add {address}/24 dev IFACE"
+    is_ours = not _bound(address, 0)
+    add = f"for --as-sensor: sudo ip addr add {address}/24 dev IFACE"
     found = f"{address} is {'' if is_ours else 'not '}this machine's"
     yield _check("sensor address", found, "" if is_ours else add, bad=Condition.OK)
     yield _interface_right()
@@ -136,7 +143,8 @@ def _wake_ups() -> Check:
 
 def _buffer() -> Check:
     """Check if a receiver here may have a buffer for one revolution of two sensors in dual return."""
-    needed, key = round(_PAUSE_S * _RIG_PACKETS_HZ * _HELD_BYTES), "net.core.rmem_max"
+    needed = round(_PAUSE_S * _RIG_PACKETS_HZ * _HELD_BYTES)
+    key = "net.core.rmem_max"
     try:
         most = int(Path("/proc/sys/net/core/rmem_max").read_text(encoding="ascii"))
     except (OSError, ValueError):
@@ -148,7 +156,8 @@ def _buffer() -> Check:
 
 
 def _kernels() -> Check:
-    folder, names = user_kernels().own, kernel_names()
+    folder = user_kernels().own
+    names = kernel_names()
     if any(name.startswith(_CASTER) for name in names):
         return _check("kernel cache", f"{len(names)} kernels in {folder or 'the package alone'}")
     if folder is None:

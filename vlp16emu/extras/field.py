@@ -7,7 +7,8 @@ from vlp16emu.settings import merged
 _MOUNT = {"error_deg": 0.3, "error_mm": 5.0}
 _FIELD: dict[str, Any] = {"imu": {"preset": "field", "mount": _MOUNT}}
 """Tables of `conditions = "field"`. Extrinsics of a backpack are known within a degree and a centimetre by
-self-calibration (Pan, Shao et al., IEEE TGRS 61, 5703713, 2023); from a drawing within a third of a degree and half a
+self-calibration (Pan, Shao et al., IEEE TGRS 61, 5703713, 2023); from a drawing within a third of a degree
+and half a
 centimetre for each axis (assumption)."""
 _ON_FOOT: dict[str, Any] = {"motion": {"kind": "walk", "mount": _MOUNT, "mast": {}}, "people": {}}
 _FORESTS = ("forest", "plot")
@@ -17,9 +18,13 @@ _IN_A_FOREST: dict[str, Any] = {"wind": {"speed_m_s": 2.0}}
 
 def in_the_field(tree: dict[str, Any]) -> dict[str, Any]:
     """Return a scene with the keys of field conditions that it does not give itself."""
-    motion, world = (one.get("kind") if isinstance(one := tree.get(key), dict) else None for key in ("motion", "world"))
+    motion, world = (
+        one.get("kind") if isinstance(one := tree.get(key), dict) else None for key in ("motion", "world")
+    )
     base = _FIELD | (_ON_FOOT if motion == "walk" else {}) | (_IN_A_FOREST if world in _FORESTS else {})
     units = tree.get("rig")
     if isinstance(units, list):
-        tree = tree | {"rig": [merged({"mount": _MOUNT}, one) if isinstance(one, dict) else one for one in units]}
+        tree = tree | {
+            "rig": [merged({"mount": _MOUNT}, one) if isinstance(one, dict) else one for one in units]
+        }
     return merged(base, tree)

@@ -10,17 +10,20 @@ from vlp16emu.errors import OutputError
 from vlp16emu.sinks import LOOPBACK
 
 _FREE = range(20_000, 32_768)
-"""Range of the free ports: below the ephemeral ports, which begin at 32768 on Linux (net.ipv4.ip_local_port_range,
+"""Range of the free ports: below the ephemeral ports, which begin at 32768 on Linux
+(net.ipv4.ip_local_port_range,
 ip(7)) and at 49152 elsewhere (RFC 6335, section 6)."""
 _offered = count(os.getpid() * 61)
-"""Index in `_FREE` at which the next search begins: it differs between processes, so that searches are short."""
+"""Index in `_FREE` at which the next search begins: it differs between processes, so that searches are
+short."""
 
 
 @contextmanager
 def free_ports(number: int) -> Iterator[list[int]]:
     """Find UDP ports without a bound socket on this machine, and reserve them for receivers that bind them later.
 
-    A TCP socket of the same number is the reservation: a receiver can bind the UDP port, and no other search finds it.
+    A TCP socket of the same number is the reservation: a receiver can bind the UDP port, and no other search
+    finds it.
 
     Raises OutputError if there are too few.
     """

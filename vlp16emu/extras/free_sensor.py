@@ -21,7 +21,8 @@ class FreeSensor(Lidar):
     elevations_deg: Annotated[tuple[Elevation, ...], Field(strict=False)] = ()
     """Elevation of each laser in order of firing, instead of `beams` and `vertical_fov_deg`."""
     beams: Annotated[int, Field(ge=1, le=1024)] = 16
-    """Number of lasers, evenly spaced over the field of view, lowest first; a single laser is in its middle."""
+    """Number of lasers, evenly spaced over the field of view, lowest first; a single laser is in its
+    middle."""
     vertical_fov_deg: Annotated[tuple[Elevation, Elevation], Field(strict=False)] = (-15.0, 15.0)
     """Elevations of the lowest and the highest laser."""
     azimuth_resolution_deg: Annotated[float, Field(ge=0.05, le=2)] = 0.2
@@ -29,7 +30,8 @@ class FreeSensor(Lidar):
     rpm: Annotated[int, Field(ge=60, le=3600)] = 600
     """Rotor speed."""
     lens_radius_m: Annotated[float, Field(ge=0, le=0.2)] = 0.0
-    """Distance from the spin axis to the point through which all beams pass; with 0 they begin on the axis."""
+    """Distance from the spin axis to the point through which all beams pass; with 0 they begin on the
+    axis."""
 
     @field_validator("beams", "vertical_fov_deg")
     @classmethod
@@ -63,7 +65,10 @@ class FreeSensor(Lidar):
         from vlp16emu.elementary import tan
         from vlp16emu.sensor.beams import table_of
 
-        elevation_deg, radius_m = self.beam_elevations_deg, self.lens_radius_m
+        elevation_deg = self.beam_elevations_deg
+        radius_m = self.lens_radius_m
         sequence_ns = round(self.azimuth_resolution_deg / (6 * self.rpm) * S_NS)
-        offset_m = -radius_m * tan(np.radians(np.array(elevation_deg)))  # where lines through the lens meet the axis
+        offset_m = -radius_m * tan(
+            np.radians(np.array(elevation_deg))
+        )  # where lines through the lens meet the axis
         return table_of(elevation_deg, offset_m, radius_m, sequence_ns, sequence_ns // len(elevation_deg))

@@ -47,7 +47,8 @@ def stream(
     ----------
     scene, settings, ideal, threads : as in `Emulator`
     truth : provide labels of scans and `Live.truth`; takes a third more computing time
-    options : fields of `StreamOptions`. By default packets go to free ports of this machine (None: ports of the scene),
+    options : fields of `StreamOptions`. By default packets go to free ports of this machine (None: ports of
+        the scene),
         and the web interface listens on another free port (None: no web interface)
 
     Examples
@@ -95,7 +96,9 @@ class Live(PacketSink):
         self._emulator = emulator.with_engine(engine)
         self.ports = list[tuple[int, int]]()  # ports of data and position packets of each sensor
         self.http: str | None = None  # URL of the web interface of the first sensor; None without one
-        self._stop, self._changed, self._over = Event(), Condition(), False
+        self._stop = Event()
+        self._changed = Condition()
+        self._over = False
         self._result: Streamed | None = None
         self._error: BaseException | None = None
         self._has_raised = False
@@ -142,12 +145,16 @@ class Live(PacketSink):
         assert self._result is not None
         return self._result
 
-    def packets(self, count: int, *, unit: int = 1, kind: str = "data", timeout_s: float = 30.0) -> list[bytes]:
+    def packets(
+        self, count: int, *, unit: int = 1, kind: str = "data", timeout_s: float = 30.0
+    ) -> list[bytes]:
         """Wait for `count` sent packets and return their payloads in order of sending; no packet is returned twice.
 
-        Only the last 2048 packets are kept. After `set` and `fault` the packets are those that the change affects.
+        Only the last 2048 packets are kept. After `set` and `fault` the packets are those that the change
+        affects.
 
-        Raises InputError if there is no such unit or kind (data or position), or `count` is above 2048; RunError if the
+        Raises InputError if there is no such unit or kind (data or position), or `count` is above 2048;
+        RunError if the
         stream ends, or `timeout_s` passes, before they are sent; errors of the stream.
         """
         lane = self._lane(unit, kind)
@@ -155,7 +162,8 @@ class Live(PacketSink):
             raise InputError("packets", f"found {count}", f"1 to {_HELD}")
         with self._changed:
             self._wait(lane, lambda: self._next_of(lane) + count, timeout_s)
-            lane.taken, is_over = self._next_of(lane), self._over
+            lane.taken = self._next_of(lane)
+            is_over = self._over
             found = [packet.payload for packet in lane.since(lane.taken)[:count]]
             if len(found) == count:
                 lane.taken += count
@@ -168,12 +176,14 @@ class Live(PacketSink):
         """Return the ground truth of a sent data packet, found by its time stamp: `RECORD_TRUTH` (384,).
 
         Row 32 b + c is record c of block b. `range_m`, `sensor_m` (3), `world_m` (3), `semantic`, `part`,
-        `instance` and `species` describe the surface of the return; `echo` is 0 for the strongest, 1 for the last, 2 for
+        `instance` and `species` describe the surface of the return; `echo` is 0 for the strongest, 1 for the
+        last, 2 for
         the second strongest return and 255 for none; `t_ns` and `world_T_sensor` (4, 4) belong to the pulse.
 
         Raises InputError if none of the sensor's last 2048 packets has the stamp, or the stream has no truth.
         """
-        lane, stamp = self._lane(unit, "data"), _stamp(payload)
+        lane = self._lane(unit, "data")
+        stamp = _stamp(payload)
         with self._changed:
             known = [*lane.held, *filter(None, [lane.leaving])]
         slots = next((packet.slots for packet in reversed(known) if _stamp(packet.payload) == stamp), None)
@@ -189,12 +199,14 @@ class Live(PacketSink):
     def scans(self, *, unit: int = 1) -> Iterator[Scan]:
         """Yield whole revolutions of a sensor, decoded from its packets as they are sent, until the stream ends.
 
-        Scans have labels if the stream has truth; their times are times of the scene. A reader that is more than 2048
+        Scans have labels if the stream has truth; their times are times of the scene. A reader that is more
+        than 2048
         packets behind goes on with the newest packet. Incomplete and corrupt data packets are skipped.
 
         Raises InputError if there is no such unit; errors of the stream.
         """
-        lane, of = self._lane(unit, "data"), self._emulator.parts.units[unit - 1]
+        lane = self._lane(unit, "data")
+        of = self._emulator.parts.units[unit - 1]
         return cut_scans(self._chunks(lane), lambda t_ns: of.world_T_sensor(np.array([t_ns]))[0])
 
     def set(self, *, unit: int = 1, **settings: object) -> None:
@@ -209,7 +221,8 @@ class Live(PacketSink):
         kind : kind of the event, for instance drop, reorder, corrupt, pps_loss or power_cycle
         keys : keys of that event, for instance `count=1` or `duration_s=0.5`
 
-        Raises InputError if there is no such event, the scene does not allow it, or the stream has no web interface.
+        Raises InputError if there is no such event, the scene does not allow it, or the stream has no web
+        interface.
         """
         if (control := self._control) is None:
             raise InputError(kind, "found http = None", "a stream with web interface, which sets sensors")
@@ -220,7 +233,8 @@ class Live(PacketSink):
             self._stop.wait(max(left_ns / S_NS / self._asked.speed, 0.001))
 
     def _watches(self, sink: PacketSink, pacer: Pacer) -> PacketSink:
-        self._sink, self._pacer = sink, pacer
+        self._sink = sink
+        self._pacer = pacer
         return self
 
     def send(self, packet: Packet) -> None:
@@ -284,12 +298,15 @@ class Live(PacketSink):
 
     def _chunks(self, lane: _Lane) -> Iterator[Chunk]:
         """Yield the points of packets as they are sent; packets that are no longer kept leave a jump of the clock."""
-        number, is_over = 0, False
+        number = 0
+        is_over = False
         while not is_over:
             with self._changed:
                 self._wait(lane, lambda wanted=number + _AT_ONCE: wanted)  # type: ignore[misc]  # of its default
                 is_late = number < lane.count - len(lane.held)
-                packets, number, is_over = [] if is_late else lane.since(number), lane.count, self._over
+                packets = [] if is_late else lane.since(number)
+                number = lane.count
+                is_over = self._over
             if (chunk := chunk_of_packets(packets)) is not None:
                 yield chunk
         self._raise()

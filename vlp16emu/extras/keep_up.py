@@ -13,7 +13,8 @@ from vlp16emu.sinks import FellBehind
 
 _FREE = 0.2  # share of time that a rung leaves for sending, windows of the world and other programs
 _STALLED = 0.1  # speed below which the engine waits for something, so settings do not limit it
-_WARM_S, _MEASURED_S = 0.1, 1.5
+_WARM_S = 0.1
+_MEASURED_S = 1.5
 """Simulated seconds of warm-up, for the window and the kernels, and of measurement."""
 
 
@@ -24,9 +25,12 @@ class Rung:
     rays: int  # greatest number of sub-rays of a pulse
     reach_m: float
     gain: float
-    """Approximate speed of a forest relative to the first rung: from us per pulse in `tools/results/accuracy.md`, and
+    """Approximate speed of a forest relative to the first rung: from us per pulse in
+    `tools/results/accuracy.md`, and
     for the range from `scenes/OUTPUTS.md`."""
-    error_mm: float  # mean error of the strongest echo's range in `scenes/reference_forest` by `vlp16emu accuracy`
+    error_mm: (
+        float  # mean error of the strongest echo's range in `scenes/reference_forest` by `vlp16emu accuracy`
+    )
 
     @property
     def name(self) -> str:
@@ -37,7 +41,8 @@ class Rung:
     @property
     def settings(self) -> list[str]:
         """Settings in the form of `--set`; none for the unchanged scene."""
-        # The first eight support points are better than eight fixed sub-rays (80 to 91 mm); four support points are not.
+        # The first eight support points are better than eight fixed sub-rays (80 to 91 mm); four support
+        # points are not.
         model = "none" if self.rays == 1 else ("fixed" if self.rays == 4 else "adaptive")
         rays = [] if self.rays == 1 else [f"beam.rays={self.rays}"]
         reach = [] if math.isinf(self.reach_m) else [f"sensor.max_range_m={self.reach_m:g}"]
@@ -63,7 +68,9 @@ def below(scenario: Scenario) -> list[Rung]:
     rays = scenario.beam.rays if scenario.beam.model in ("adaptive", "fixed") else 1
     reach_m = scenario.sensor.max_range_m
     fewer = [rung for rung in LADDER if rung.rays < rays or rung.reach_m < reach_m]
-    return [rung for rung in fewer if rung.rays <= rays and (rung.reach_m < reach_m or math.isinf(rung.reach_m))]
+    return [
+        rung for rung in fewer if rung.rays <= rays and (rung.reach_m < reach_m or math.isinf(rung.reach_m))
+    ]
 
 
 def enough(scenario: Scenario, engine_speed: float, speed: float) -> list[Rung]:
@@ -84,7 +91,8 @@ def choose(
 ) -> tuple[Rung | None, float, float]:
     """Return the best rung that leaves a fifth of the time free, its speed, and the speed of the unchanged scene.
 
-    The unchanged scene (None) is first; then the rungs that are fast enough according to their gains, from the best
+    The unchanged scene (None) is first; then the rungs that are fast enough according to their gains, from
+    the best
     down.
 
     Parameters
@@ -93,9 +101,11 @@ def choose(
     measured : returns the simulated seconds per second on a rung
     """
     own = reached = measured(None)
-    chosen, lower = None, below(scenario)
+    chosen = None
+    lower = below(scenario)
     for rung in (enough(scenario, own, speed) or lower[-1:]) if reached * (1 - _FREE) < speed else ():
-        chosen, reached = rung, measured(rung)
+        chosen = rung
+        reached = measured(rung)
         if reached * (1 - _FREE) >= speed:
             break
     return chosen, reached, own
@@ -143,7 +153,11 @@ class KeptUp:
         line = f"keep-up: {taken}: {measured}"
         if not self.enough:
             line += ", which leaves less than a fifth of the time free: packets may be late"
-        return line if self.rung is None and self.enough else f"{line}; as it is with {self.cores_as_it_is} cores"
+        return (
+            line
+            if self.rung is None and self.enough
+            else f"{line}; as it is with {self.cores_as_it_is} cores"
+        )
 
 
 def keep_up(emulator: Emulator, speed: float) -> tuple[Emulator, KeptUp]:
@@ -169,8 +183,10 @@ def keep_up(emulator: Emulator, speed: float) -> tuple[Emulator, KeptUp]:
 
 
 def _speed(emulator: Emulator) -> float:
-    engine, (_, stop_s) = replace(emulator.engine, taps=()), emulator.scenario.span_s(0.0, None)
+    engine = replace(emulator.engine, taps=())
+    (_, stop_s) = emulator.scenario.span_s(0.0, None)
     deque(engine.packets(0.0, min(_WARM_S, stop_s)), 0)
-    stop_s, began_s = min(_MEASURED_S, stop_s), time.perf_counter()
+    stop_s = min(_MEASURED_S, stop_s)
+    began_s = time.perf_counter()
     deque(engine.packets(0.0, stop_s), 0)
     return stop_s / (time.perf_counter() - began_s)

@@ -74,7 +74,8 @@ class PointOptions(Span):
 
     unit: WhichUnit = 1
     truth: Annotated[
-        bool, Option("Label the surface of each point: class, part, leaf or wood, plant, species.", name="--truth")
+        bool,
+        Option("Label the surface of each point: class, part, leaf or wood, plant, species.", name="--truth"),
     ] = False
     labels: Annotated[
         str | None,
@@ -110,7 +111,9 @@ class PictureLook(Options):
     ] = None
     from_deg: Annotated[
         float | None,
-        Option("Bearing of the eye, clockwise from north, of --view slant.", "DEG", ge=0, lt=360, shown="205"),
+        Option(
+            "Bearing of the eye, clockwise from north, of --view slant.", "DEG", ge=0, lt=360, shown="205"
+        ),
     ] = None
     size: Annotated[
         Any,
@@ -146,7 +149,8 @@ class ImageOptions(Span):
         ),
     ] = "mm"
     samples: Annotated[
-        int, Option("Rays for the colour of a pixel, along each axis: 2 or 3 for smooth edges.", "N", ge=1, le=8)
+        int,
+        Option("Rays for the colour of a pixel, along each axis: 2 or 3 for smooth edges.", "N", ge=1, le=8),
     ] = 1
 
 
@@ -179,9 +183,15 @@ class ScoreInputs(Options):
 
     truth: Annotated[Path, Option("Folder that `record --truth` has written.", name="TRUTH_DIR")]
     trajectory: Annotated[Path | None, Option("Estimated poses, TUM; KITTI with --times.", "FILE")] = None
-    times: Annotated[Path | None, Option("A time in seconds for each pose of KITTI, one per line.", "FILE")] = None
-    map: Annotated[Path | None, Option("Points in the world: .ply, .npz, .csv, .pcd, .las or .laz.", "FILE")] = None
-    points: Annotated[Path | None, Option("Points with labels `leaf_wood`, `instance` (or `treeID`).", "FILE")] = None
+    times: Annotated[
+        Path | None, Option("A time in seconds for each pose of KITTI, one per line.", "FILE")
+    ] = None
+    map: Annotated[
+        Path | None, Option("Points in the world: .ply, .npz, .csv, .pcd, .las or .laz.", "FILE")
+    ] = None
+    points: Annotated[
+        Path | None, Option("Points with labels `leaf_wood`, `instance` (or `treeID`).", "FILE")
+    ] = None
     stems: Annotated[Path | None, Option("Stems found: x, y, dbh (m) or dbh_cm, number.", "FILE.csv")] = None
     inventory: Annotated[Path | None, Option("True trees, from `forest --inventory`.", "FILE.csv")] = None
     truth_points: Annotated[Path | None, Option("True points, from `points --truth`.", "FILE")] = None
@@ -196,4 +206,6 @@ class ScoreInputs(Options):
             words=("start", "none", "yaw", "se3"),
         ),
     ] = "start"
-    radius_m: Annotated[float, Option("Greatest distance of a found stem from its true one.", "M", gt=0, le=10)] = 0.5
+    radius_m: Annotated[
+        float, Option("Greatest distance of a found stem from its true one.", "M", gt=0, le=10)
+    ] = 0.5

@@ -44,7 +44,9 @@ _LIBRARIES = ("numpy", "numba", "scipy", "embreex", "dpkt", "trimesh", "rasterio
 _RUNS = 4  # over the first window
 _REPEATS = 3
 _RAYS = 8  # firing sequences that casters take together
-_SCARCE = 1.2  # speed below which other programs, for instance a driver on the same machine, may make a stream late
+_SCARCE = (
+    1.2  # speed below which other programs, for instance a driver on the same machine, may make a stream late
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,12 +60,15 @@ class Need:
 
 def needs(engine: Engine, *, audited: bool) -> list[Need]:
     """Return the features of a recording, on or off; `audited` if pulses of it are cast again."""
-    scenario, parts = engine.scenario, engine.parts
+    scenario = engine.scenario
+    parts = engine.parts
     motion = scenario.motion
     gait = isinstance(motion, Walk) and motion.gait.preset != "none"
     harness = isinstance(motion, Walk) and motion.harness is not None
     canopy = scenario.gps.connected and scenario.gps.canopy_loss
-    moves, many, blows = any(unit.motion.moves for unit in parts.units), len(parts.units), parts.wind is not None
+    moves = any(unit.motion.moves for unit in parts.units)
+    many = len(parts.units)
+    blows = parts.wind is not None
     own = bool(scenario.world.meshes or getattr(scenario.world, "tree_models", []))
     rows = {
         "motion": (moves, "a pose for every pulse, a window every 7 s", "one pose and one window for all"),
@@ -78,28 +83,46 @@ def needs(engine: Engine, *, audited: bool) -> list[Need]:
             "one sensor, nothing is merged",
         ),
         "meshes of your own": (own, "read once, placed where in reach", "none, trimesh stays unloaded"),
-        "audit": (audited, "0.05 % of the pulses are cast again, with 512 rays each or more", "no pulse is cast again"),
+        "audit": (
+            audited,
+            "0.05 % of the pulses are cast again, with 512 rays each or more",
+            "no pulse is cast again",
+        ),
         "labels": (False, "", "no surface behind returns: see `vlp16emu points --truth`"),
         "truth": (False, "", "no files beside it: see `vlp16emu record --truth`"),
     }
     unit = parts.units[0]
-    of, beam, one_ray = unit.detector.constants, unit.beam, "one ray for each pulse, no axes of its footprint"
+    of = unit.detector.constants
+    beam = unit.beam
+    one_ray = "one ray for each pulse, no axes of its footprint"
     is_noisy = max(of.range_noise_m, of.reflectivity_noise, of.reflectivity_noise_share) > 0.0
-    ranked, strongest = "all echoes of each pulse are ranked", "nothing is looked for behind the strongest echo"
+    ranked = "all echoes of each pulse are ranked"
+    strongest = "nothing is looked for behind the strongest echo"
     of_sensor = {
         "beam width": (beam.has_width, f"up to {beam.rays} rays for each pulse", one_ray),
-        "range and reflectivity noise": (is_noisy, "a pair of random numbers for each return", "no random number"),
-        "detection threshold": (of.amplitude_noise > 0.0, "a random number for each faint echo", "every echo is seen"),
+        "range and reflectivity noise": (
+            is_noisy,
+            "a pair of random numbers for each return",
+            "no random number",
+        ),
+        "detection threshold": (
+            of.amplitude_noise > 0.0,
+            "a random number for each faint echo",
+            "every echo is seen",
+        ),
         "weather": (of.extinction_per_m > 0.0, "a draw of the air for each pulse", "clear air"),
         "last and second return": (not of.strongest_only, ranked, strongest),
     }
-    return [Need(name, on, costs if on else spares) for name, (on, costs, spares) in (of_sensor | rows).items()]
+    return [
+        Need(name, on, costs if on else spares) for name, (on, costs, spares) in (of_sensor | rows).items()
+    ]
 
 
 def surroundings(engine: Engine) -> dict[str, Any]:
     """Return the surroundings within range of the sensor at the start: kind of the world, species, and counts by kind of object."""
     window = window_of(engine.parts, engine.scenario.start_ns, engine.batching, 0)
-    named, placed = (getattr(key, "species", None) for key in window.shapes), Counter[str](tiles=0, trees=0)
+    named = (getattr(key, "species", None) for key in window.shapes)
+    placed = Counter[str](tiles=0, trees=0)
     for which, often in Counter(window.shape.tolist()).items():
         key = window.shapes[which]
         kind = f"{key.kind.name.lower()}s" if isinstance(key, FloorKey) else _KINDS.get(type(key), "things")
@@ -121,10 +144,12 @@ def stages(engine: Engine) -> list[Stage]:
     """Measure the stages of the chain with the first sensor, in the order of the chain: the best of some repeats.
 
     Each works on the same pulses, spread over the first window, as many at once as in a run. Rays that end at
-    `world.near_m` give the first stage of casting, and the further cost of the full range the second one. Opening a
+    `world.near_m` give the first stage of casting, and the further cost of the full range the second one.
+    Opening a
     window is the processor time of all threads for the second one, as the sensor moves.
     """
-    unit, parts = engine.parts.units[0], engine.parts
+    unit = engine.parts.units[0]
+    parts = engine.parts
     count = unit.beam.together * engine.batching.block * engine.batching.parts
     segment = engine.batching.segment * engine.batching.block
     geometry = engine.windows.at_block(0).result()
@@ -144,8 +169,12 @@ def stages(engine: Engine) -> list[Stage]:
 
 def _stages_at(engine: Engine, unit: Unit, geometry: Geometry, first: int, count: int) -> dict[str, float]:
     """Return the processor time of the stages over `count` firing sequences from number `first`, in seconds."""
-    head, sensor, world = unit.head, engine.scenario.sensor, engine.parts.world
-    job = Job(unit, unit.detector, range(first // engine.batching.block, 1), engine.batching.block, world.seed)
+    head = unit.head
+    sensor = engine.scenario.sensor
+    world = engine.parts.world
+    job = Job(
+        unit, unit.detector, range(first // engine.batching.block, 1), engine.batching.block, world.seed
+    )
     spent_s = dict[str, float]()
 
     def timed(name: str, work: Callable[[], T]) -> T:
@@ -160,7 +189,10 @@ def _stages_at(engine: Engine, unit: Unit, geometry: Geometry, first: int, count
     t_ns = head.times_ns(first, count).reshape(-1)
     poses = timed("poses of pulses", lambda: unit.motion.poses_at(t_ns))
     firings = timed("aim", lambda: head.aim(first, count, lambda _: poses, beam_axis=unit.beam.has_width))
-    far_m, near_m = sensor.max_range_m, min(sensor.max_range_m, 0.999 * world.near_m)  # no ray goes on into the medium
+    far_m, near_m = (
+        sensor.max_range_m,
+        min(sensor.max_range_m, 0.999 * world.near_m),
+    )  # no ray goes on into the medium
     timed("cast, near", lambda: geometry.cast(firings, head.beams.near_m, near_m, unit.beam))
     hits = timed("cast, far", lambda: geometry.cast(firings, head.beams.near_m, far_m, unit.beam))
     spent_s["cast, far"] = max(spent_s["cast, far"] - spent_s["cast, near"], 0.0)
@@ -189,7 +221,9 @@ def verdict(speed: float) -> str:
     return "yes" if speed >= _SCARCE else "yes, with next to nothing left for other programs"
 
 
-def recording_outlook(engine: Engine, measured: Recording, started_s: float, duration_s: float) -> dict[str, float]:
+def recording_outlook(
+    engine: Engine, measured: Recording, started_s: float, duration_s: float
+) -> dict[str, float]:
     """Return run time and size of a recording from a measured one; all windows cost as much as the second.
 
     Parameters

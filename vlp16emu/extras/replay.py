@@ -27,7 +27,8 @@ from vlp16emu.units import S_NS
 
 _KINDS = {DATA_BYTES: PacketKind.DATA, POSITION_BYTES: PacketKind.POSITION}
 _LONGEST_GAP_NS = 60 * S_NS
-"""Longest gap that is kept: a rotor takes some seconds to spin up; a longer gap is a suspended host or a clock that was set."""
+"""Longest gap that is kept: a rotor takes some seconds to spin up; a longer gap is a suspended host or a
+clock that was set."""
 
 
 class Replay:
@@ -36,18 +37,23 @@ class Replay:
     Parameters
     ----------
     path : path of the capture
-    loop : repeat the capture; each pass is later than the one before by a whole number of seconds, in stamps and sentences
+    loop : repeat the capture; each pass is later than the one before by a whole number of seconds, in stamps
+        and sentences
     too, so that the sensor's time goes on
-    keep_gaps : wait through gaps of more than a minute; otherwise they are shortened to one or two seconds, while the
+    keep_gaps : wait through gaps of more than a minute; otherwise they are shortened to one or two seconds,
+        while the
     times in packets do not change
 
-    Raises CaptureError if the file is no capture, or has no VLP-16 packets; while iterating, if it is damaged.
+    Raises CaptureError if the file is no capture, or has no VLP-16 packets; while iterating, if it is
+    damaged.
     """
 
     def __init__(self, path: Path, *, loop: bool = False, keep_gaps: bool = False) -> None:
         if path.is_fifo():
             raise CaptureError(str(path), "a pipe", "a file, which can be read twice")
-        self.path, self._loop, self._keeps_gaps = path, loop, keep_gaps
+        self.path = path
+        self._loop = loop
+        self._keeps_gaps = keep_gaps
         self.units = units_in(path, required=True)  # sorted by address, then by port
         self.links = [
             replace(
@@ -100,7 +106,9 @@ class Replayed(OfUnits):
 
     file: str
     to: str
-    units: tuple[UnitSent, ...]  # address of each sensor in the capture, and the ports that its packets were sent to
+    units: tuple[
+        UnitSent, ...
+    ]  # address of each sensor in the capture, and the ports that its packets were sent to
     left_out: int  # datagrams of the file that are no VLP-16 packets
     passes: int
     gaps_s: tuple[float, ...]  # gaps of more than a minute that were shortened
@@ -132,7 +140,8 @@ def replay(
     stop : ends the replay from another thread
     options : fields of `ReplayOptions`
 
-    Raises InputError if an option is invalid, ports are given for several sensors, or `now` is combined with another
+    Raises InputError if an option is invalid, ports are given for several sensors, or `now` is combined with
+    another
     speed; CaptureError as in `Replay`; OutputError, RunError as in `Emulator.stream`.
     """
     asked = ReplayOptions.from_fields(options)
@@ -150,7 +159,9 @@ def replay(
         free = iter(stack.enter_context(free_ports(given.count(0))))
         data_port, position_port = (next(free) if port == 0 else port for port in given)
         links = packets.links = [
-            replace(link, data_port=data_port or link.data_port, position_port=position_port or link.position_port)
+            replace(
+                link, data_port=data_port or link.data_port, position_port=position_port or link.position_port
+            )
             for link in packets.links
         ]
         udp = UdpSink(links, to, as_sensor=asked.is_from_sensor, interface=asked.interface, sent=sent)
@@ -168,7 +179,8 @@ def replay(
 def prepared(emulator: Emulator, options: StreamOptions, **hooks: Any) -> Iterator[Packet]:
     """Record a whole run into the file `options.prepare`, and yield its packets as `packets_of` does.
 
-    Raises OutputError if the file cannot be read again, or has the suffix of another format; other errors as in
+    Raises OutputError if the file cannot be read again, or has the suffix of another format; other errors as
+    in
     `record`.
     """
     path = Path(options.prepare or "")

@@ -13,7 +13,8 @@ from vlp16emu.kernels.compiler import kernel
 from vlp16emu.types import F8, I8
 
 _WRAPPED = 64
-"""Points of the neighbouring laps with which a periodic spline is solved: points beyond have weights below 2**-64."""
+"""Points of the neighbouring laps with which a periodic spline is solved: points beyond have weights below
+2**-64."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +54,8 @@ def interpolant(
     Parameters
     ----------
     degree : odd; with too few points, the degree that they determine
-    ends : no jump of any derivative in the outer pieces, or no curvature there (cubic splines only), or a smooth
+    ends : no jump of any derivative in the outer pieces, or no curvature there (cubic splines only), or a
+        smooth
     transition from end to start, for which the last value must equal the first
     """
     if ends == "periodic":
@@ -61,7 +63,8 @@ def interpolant(
         whole, rest = np.divmod(lap, len(at) - 1)
         wrapped = interpolant(at[rest] + whole * (at[-1] - at[0]), values[rest], degree)
         return Spline(at, wrapped.powers[:, _WRAPPED : _WRAPPED + len(at) - 1].copy())
-    natural, n = ends == "natural", len(at)
+    natural = ends == "natural"
+    n = len(at)
     degree = degree if natural else min(degree, n - 1)
     dropped = 1 if natural else (degree + 1) // 2
     inner = at[dropped:-dropped] if natural or n > degree + 1 else at[:0]
@@ -78,7 +81,8 @@ def _basis(knots: F8, x: F8, cell: I8, degree: int) -> F8:
     """Return the nonzero B-splines (n, degree + 1) (de Boor, A Practical Guide to Splines, chapter X, algorithm BSPLVB)."""
     value = np.ones((len(x), 1))
     for j in range(1, degree + 1):
-        before, value = value, np.zeros((len(x), j + 1))
+        before = value
+        value = np.zeros((len(x), j + 1))
         for r in range(j):
             right, left = knots[cell + r + 1], knots[cell + r + 1 - j]
             share = before[:, r] / (right - left)
@@ -90,12 +94,15 @@ def _basis(knots: F8, x: F8, cell: I8, degree: int) -> F8:
 def _control_points(at: F8, values: F8, knots: F8, natural: bool) -> F8:
     """Return the control points (c, m) of the spline with these knots (t,) through values (n, m)."""
     degree = len(knots) - len(at) - (3 if natural else 1)
-    size, reach = len(knots) - degree - 1, max(degree - 1, 1)
-    cell, rows = _cells(knots, at, degree), np.arange(len(at))
+    size = len(knots) - degree - 1
+    reach = max(degree - 1, 1)
+    cell = _cells(knots, at, degree)
+    rows = np.arange(len(at))
     if natural:  # rows of its conditions are after the first point and before the last one
         rows[1:] += 1
         rows[-1] += 1
-    bands, out = np.zeros((size, 2 * reach + 1)), np.zeros((size, values.shape[1]))
+    bands = np.zeros((size, 2 * reach + 1))
+    out = np.zeros((size, values.shape[1]))
     out[rows] = values
     for r, share in enumerate(_basis(knots, at, cell, degree).T):
         place = cell - degree + r - rows
@@ -113,10 +120,12 @@ def _control_points(at: F8, values: F8, knots: F8, natural: bool) -> F8:
 def _solve(bands: F8, values: F8) -> None:
     """Solve a banded system in place: values (n, m) become the solution.
 
-    Row i of the bands (n, 2 b + 1) has the coefficients of unknowns i - b .. i + b. Matrices of B-splines are totally
+    Row i of the bands (n, 2 b + 1) has the coefficients of unknowns i - b .. i + b. Matrices of B-splines are
+    totally
     positive, so that elimination needs no pivots (de Boor, chapter XIII).
     """
-    n, reach = len(bands), bands.shape[1] // 2
+    n = len(bands)
+    reach = bands.shape[1] // 2
     for i in range(n):
         for k in range(i + 1, min(i + reach + 1, n)):
             factor = bands[k, reach + i - k] / bands[i, reach]
@@ -148,7 +157,8 @@ def powers(at: F8, knots: F8, control: F8, degree: int) -> F8:
             pieces[power] += control[cell - left + r] * share[:, None]
         pieces[power] /= math.factorial(power)
         if left:
-            # The derivative's control points are differences of these; control points of empty spans are not used.
+            # The derivative's control points are differences of these; control points of empty spans are not
+            # used.
             span = (knots[1 + left : len(control) + left] - knots[1 : len(control)])[:, None]
             steps = left * np.diff(control, axis=0) / np.where(span > 0.0, span, 1.0)
             control = np.concatenate([control[:1], steps])

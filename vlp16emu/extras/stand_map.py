@@ -24,7 +24,11 @@ _SAME_M = 0.15  # a ray that ends on its tree this near has met the point: secti
 
 
 def map_of(
-    path_m: F8, trees: NDArray[np.void], species: Mapping[int, str], bounds_m: tuple[F8, F8], height_m: HeightField
+    path_m: F8,
+    trees: NDArray[np.void],
+    species: Mapping[int, str],
+    bounds_m: tuple[F8, F8],
+    height_m: HeightField,
 ) -> dict[str, Any]:
     """Return stems, ground and profile of a stand as lists, for reports.
 
@@ -41,7 +45,12 @@ def map_of(
     x_m, y_m = (np.arange(a, b + cell_m, cell_m) for a, b in zip(low_m, high_m, strict=True))
     grid_x, grid_y = np.meshgrid(x_m, y_m)
     heights_m = np.round(height_m(grid_x, grid_y), _DECIMALS)
-    ground = {"west_m": float(x_m[0]), "south_m": float(y_m[0]), "cell_m": cell_m, "heights_m": heights_m.tolist()}
+    ground = {
+        "west_m": float(x_m[0]),
+        "south_m": float(y_m[0]),
+        "cell_m": cell_m,
+        "heights_m": heights_m.tolist(),
+    }
     return {"stems": _stems(path_m, trees, species), "ground": ground, "profile": _profile(path_m, height_m)}
 
 
@@ -52,8 +61,13 @@ def _along_m(path_m: F8) -> F8:
 
 def _stems(path_m: F8, trees: NDArray[np.void], species: Mapping[int, str]) -> dict[str, Any]:
     xy_m = places_m(trees, "xy")
-    aside_m, nearest = KDTree(path_m[:, :2]).query(xy_m) if len(trees) else (np.zeros(0), np.zeros(0, np.int64))
-    lists: dict[str, Any] = {"id": trees["id"].tolist(), "species": [species[n] for n in trees["species"].tolist()]}
+    aside_m, nearest = (
+        KDTree(path_m[:, :2]).query(xy_m) if len(trees) else (np.zeros(0), np.zeros(0, np.int64))
+    )
+    lists: dict[str, Any] = {
+        "id": trees["id"].tolist(),
+        "species": [species[n] for n in trees["species"].tolist()],
+    }
     for name in ("x_m", "y_m", "z_m", "height_m", "crown_base_m", "crown_width_m"):
         lists[name] = np.round(trees[name], _DECIMALS).tolist()
     lists["dbh_m"] = np.round(trees["dbh_m"], 4).tolist()
@@ -82,7 +96,8 @@ def bark_seen(
 ) -> F8:
     """Return the share (k,) of the bark at breast height that a level sensor sees from anywhere on its path.
 
-    Single rays go from places a metre apart to 24 points around each stem. Foliage beyond `world.near_m` of the path
+    Single rays go from places a metre apart to 24 points around each stem. Foliage beyond `world.near_m` of
+    the path
     is a medium, which stops a ray as often as leaves do.
 
     Parameters

@@ -100,7 +100,8 @@ class Survey:
 
     def inventory(self, trees: NDArray[np.void]) -> NDArray[np.void]:
         """Return the inventory of some of the trees (k,)."""
-        is_modelled, rows = self.models.has(trees), np.zeros(len(trees), INVENTORY)
+        is_modelled = self.models.has(trees)
+        rows = np.zeros(len(trees), INVENTORY)
         grown = trees[~is_modelled]
         rows[~is_modelled] = inventory(grown, self._crowns(grown), seed=self.seed, table=self.plants.trees)
         rows[is_modelled] = self.models.inventory(trees[is_modelled])
@@ -131,12 +132,15 @@ class Survey:
 def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None) -> Survey:
     """Survey the surroundings of the path of a scenario's sensor.
 
-    InputError if a part of the scenario cannot be made, its world is from another package, or the radius exceeds the
+    InputError if a part of the scenario cannot be made, its world is from another package, or the radius
+    exceeds the
     sensor's range.
     """
     reach_m = scenario.sensor.max_range_m
     if radius_m > reach_m:
-        raise InputError("--radius", f"found {radius_m:g}", f"at most {reach_m:g}, which is the sensor's reach")
+        raise InputError(
+            "--radius", f"found {radius_m:g}", f"at most {reach_m:g}, which is the sensor's reach"
+        )
     parts = parts or assemble(scenario)
     world = parts.world
     elevation_deg = parts.head.beams.elevation_deg
@@ -144,7 +148,8 @@ def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None) -> S
     if not isinstance(bare, ForestWorld | HallWorld):
         raise InputError("world.kind", f"found {scenario.world.kind}", "forest, plot or hall")
     path_m = _path_m(scenario, parts.motion)
-    path, window = Polyline(path_m[:, :2]), world.window(path_m)
+    path = Polyline(path_m[:, :2])
+    window = world.window(path_m)
     trees = bare.trees(path_m) if isinstance(bare, ForestWorld) else np.zeros(0, TREE)
     trees = trees[trees["storey"] != REGENERATION]
     gap_m = path.distance_m(places_m(trees, "xy"))
@@ -172,11 +177,17 @@ def _path_m(scenario: Scenario, motion: Motion) -> F8:
     return motion.poses_at(scenario.start_ns + steps).world_p_body_m
 
 
-def stand_rows(inventory: NDArray[np.void], species: Mapping[int, str], ground_m2: float) -> list[dict[str, Any]]:
+def stand_rows(
+    inventory: NDArray[np.void], species: Mapping[int, str], ground_m2: float
+) -> list[dict[str, Any]]:
     """Return figures by species of an inventory (n,), the most frequent first, then for all trees if there are several species."""
     numbers, stems = np.unique(inventory["species"], return_counts=True)
-    own = [(species[int(n)], inventory[inventory["species"] == n]) for n in numbers[np.argsort(-stems, kind="stable")]]
-    ground_ha, rows = ground_m2 / 10_000, list[dict[str, Any]]()
+    own = [
+        (species[int(n)], inventory[inventory["species"] == n])
+        for n in numbers[np.argsort(-stems, kind="stable")]
+    ]
+    ground_ha = ground_m2 / 10_000
+    rows = list[dict[str, Any]]()
     for name, trees in own if len(own) < 2 else [*own, ("all", inventory)]:
         dbh_m = trees["dbh_m"]
         # The mean of diameters is quadratic.
@@ -185,8 +196,12 @@ def stand_rows(inventory: NDArray[np.void], species: Mapping[int, str], ground_m
         row |= {"height_mean_m": trees["height_m"].mean(), "height_max_m": trees["height_m"].max()}
         row["basal_area_m2_per_ha"] = np.sum(np.pi / 4 * dbh_m**2) / ground_ha
         row["stem_m3_per_ha"] = trees["stem_m3"].sum() / ground_ha  # volume of stems over bark
-        row["leaf_area_index"] = trees["leaf_m2"].sum() / ground_m2  # leaf area of these trees over the area considered
-        rows.append({"species": name, "stems": len(trees)} | {key: float(value) for key, value in row.items()})
+        row["leaf_area_index"] = (
+            trees["leaf_m2"].sum() / ground_m2
+        )  # leaf area of these trees over the area considered
+        rows.append(
+            {"species": name, "stems": len(trees)} | {key: float(value) for key, value in row.items()}
+        )
     return rows
 
 
@@ -198,7 +213,8 @@ def clark_evans(xy_m: F8, all_xy_m: F8, ground_m2: float) -> float:
     Parameters
     ----------
     xy_m : (n, 2) points in the area, n >= 2
-    all_xy_m : (m, 2) points in the area and around it: neighbours outside count, so the border needs no correction
+    all_xy_m : (m, 2) points in the area and around it: neighbours outside count, so the border needs no
+        correction
     """
     nearest_m = np.asarray(KDTree(all_xy_m).query(xy_m, k=[2])[0])
     return float(nearest_m.mean() * 2 * np.sqrt(len(xy_m) / ground_m2))
@@ -222,7 +238,8 @@ def relief(cells_xy_m: F8, height_m: HeightField) -> dict[str, float]:
     half = CELL_M / 2
     rise_x = (height_m(x_m + half, y_m) - height_m(x_m - half, y_m)) / CELL_M
     rise_y = (height_m(x_m, y_m + half) - height_m(x_m, y_m - half)) / CELL_M
-    slope_deg, ground_m = np.degrees(np.arctan(np.hypot(rise_x, rise_y))), height_m(x_m, y_m)
+    slope_deg = np.degrees(np.arctan(np.hypot(rise_x, rise_y)))
+    ground_m = height_m(x_m, y_m)
     return {
         "low_m": float(ground_m.min()),
         "high_m": float(ground_m.max()),
@@ -275,7 +292,8 @@ def _things(seen: Survey, ground_m2: float) -> dict[str, dict[str, Any]]:
     kinds = dict[str, dict[str, Any]]()
     nameless = [thing for thing in seen.things if thing.instance not in seen.names]
     for kind in sorted({thing.kind for thing in nameless}):
-        things, (measure, axis) = [thing for thing in nameless if thing.kind == kind], _MEASURES[kind]
+        things = [thing for thing in nameless if thing.kind == kind]
+        (measure, axis) = _MEASURES[kind]
         sizes_m = [thing.size_m[axis] for thing in things]
         species = dict(Counter(seen.species[one.species] for one in things if one.species).most_common())
         per_ha = len(things) / ground_m2 * 10_000
@@ -291,11 +309,15 @@ def write_survey(
 
     With `bark` its stems have the share of their bark that is seen from the path.
 
-    The files are opened before any long computation, and get their names together at the end. Raises InputError as
+    The files are opened before any long computation, and get their names together at the end. Raises
+    InputError as
     `survey`; OutputError if a file cannot be created.
     """
     with ExitStack() as stack:
-        outputs = {name: stack.enter_context(OutputFile(path, where=f"{name} {path}")) for name, path in wanted.items()}
+        outputs = {
+            name: stack.enter_context(OutputFile(path, where=f"{name} {path}"))
+            for name, path in wanted.items()
+        }
         seen = survey(scenario, radius_m)
         rows = seen.inventory(seen.trees if "--inventory" in wanted else seen.near)
         summary = summary_of(scene, scenario, seen, rows)
@@ -334,6 +356,9 @@ def _write(name: str, file: BinaryIO, seen: Survey, rows: NDArray[np.void]) -> N
     else:  # everything within the radius, or the whole hall, as a twin
         at_m = {thing.instance: thing.place_m for thing in seen.things}
         at_m |= dict(zip(seen.near["id"].tolist(), places_m(seen.near), strict=True))
-        look: dict[str, Any] = {"species": seen.species, "colours": surface_colours(seen.window.surfaces, seen.species)}
+        look: dict[str, Any] = {
+            "species": seen.species,
+            "colours": surface_colours(seen.window.surfaces, seen.species),
+        }
         inside = None if seen.hall else seen.inside
         write_glb(file, seen.window, seen.world.shape, places_m=at_m, inside=inside, **look)

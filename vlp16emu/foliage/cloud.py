@@ -1,6 +1,7 @@
 """Clouds: the projected area of shapes in cells of 0.25 m, or face by face for shapes with few faces.
 
-A shape is measured once, with the mutual occlusion of its faces subtracted, and its cloud is placed at each instance
+A shape is measured once, with the mutual occlusion of its faces subtracted, and its cloud is placed at each
+instance
 (`vlp16emu.foliage.medium`).
 """
 
@@ -23,7 +24,8 @@ TILTS = 64  # classes of faces by the sine of their normal's elevation
 _PIXELS = 32  # pixels along a voxel's edge in which faces are rasterized, 16 mm each
 _CELL_M = 0.25
 _FEW_FACES = 2000
-"""Shapes with at most this many faces are kept face by face: stones, logs and tufts, which are stretched when placed."""
+"""Shapes with at most this many faces are kept face by face: stones, logs and tufts, which are stretched when
+placed."""
 
 
 _SINE = (np.arange(TILTS) + 0.5) / TILTS
@@ -41,11 +43,13 @@ class Cloud:
     area_m2: F4  # (n,) area that a ray can meet: one side of leaves, half the surface of closed bodies
     mesh: U1  # (n,) index of the shape's mesh
     corners_m: F4
-    """Faces (f, 4, 3) of a shape with few faces, triangles with their last corner twice; empty for other shapes."""
+    """Faces (f, 4, 3) of a shape with few faces, triangles with their last corner twice; empty for other
+    shapes."""
     corner_mesh: U1  # (f,) index of the shape's mesh
     share: F4  # (meshes,) share of a face's area that counts: 1 for leaves, 0.5 for closed bodies
     projection: F4
-    """Projected area over area (meshes, knots), averaged over azimuth: the angular law of the shape's parts."""
+    """Projected area over area (meshes, knots), averaged over azimuth: the angular law of the shape's
+    parts."""
     cosine: F4  # (meshes, knots, QUANTILES) quantiles of the cosine of incidence
     radius_m: float  # greatest distance of a corner from the shape's origin
 
@@ -58,7 +62,10 @@ def cloud_of(meshes: Sequence[Mesh], parts: U1) -> Cloud:
     parts : (meshes,) `PlantPart` of each mesh; meshes that are `EXACT` are left out
     """
     exact = (parts == EXACT).tolist()
-    meshes = [Mesh(mesh.vertices_m, mesh.faces[: 0 if out else None]) for mesh, out in zip(meshes, exact, strict=True)]
+    meshes = [
+        Mesh(mesh.vertices_m, mesh.faces[: 0 if out else None])
+        for mesh, out in zip(meshes, exact, strict=True)
+    ]
     share = np.where(parts == PlantPart.LEAF, 1.0, 0.5).astype(np.float32)
     first = np.cumsum([0, *(len(mesh.faces) for mesh in meshes)])
     corners_m = np.empty((first[-1], 4, 3))
@@ -69,7 +76,8 @@ def cloud_of(meshes: Sequence[Mesh], parts: U1) -> Cloud:
             own[:, 3] = own[:, 2]
     mesh_of = np.repeat(np.arange(len(meshes)), np.diff(first))
     area_m2, weight = _measured(corners_m, mesh_of, len(meshes))
-    projection, cosine = np.zeros((len(meshes), len(KNOTS))), np.ones((len(meshes), len(KNOTS), QUANTILES))
+    projection = np.zeros((len(meshes), len(KNOTS)))
+    cosine = np.ones((len(meshes), len(KNOTS), QUANTILES))
     for number in np.flatnonzero(weight.any(axis=1)).tolist():
         projection[number], cosine[number] = _law(weight[number])
     if len(corners_m) <= _FEW_FACES:
@@ -139,8 +147,10 @@ def _cells(corners_m: F8, mesh_of: I8, area_m2: F8) -> tuple[F4, F4, U1]:
 def kept_share(corners_m: F8, first: I8, share: F4) -> F8:
     """Return the share of each face's area (f,) that randomly placed leaves would need for the same occlusion.
 
-    The faces of each mesh are rasterized along x and along y, voxel by voxel. Randomly placed leaves that hide the same part
-    of a voxel's side have an area of -log(1 - hidden) times that side (Beer's law); clumped leaves have more area than that.
+    The faces of each mesh are rasterized along x and along y, voxel by voxel. Randomly placed leaves that
+    hide the same part
+    of a voxel's side have an area of -log(1 - hidden) times that side (Beer's law); clumped leaves have more
+    area than that.
 
     Parameters
     ----------
@@ -150,9 +160,14 @@ def kept_share(corners_m: F8, first: I8, share: F4) -> F8:
     low, high = (limit(corners_m.reshape(-1, 3), axis=0) / VOXEL_M for limit in (np.min, np.max))
     low = np.floor(low)
     size = (np.ceil(high) - low + 1).astype(int)
-    out, drawn, edges = np.ones(len(corners_m)), np.zeros((*size, _PIXELS), np.uint32), np.empty((4, 4))
+    out = np.ones(len(corners_m))
+    drawn = np.zeros((*size, _PIXELS), np.uint32)
+    edges = np.empty((4, 4))
     for mesh in range(len(share)):
-        begin, stop, factor, total = first[mesh], first[mesh + 1], np.zeros(size), np.zeros(size, np.int64)
+        begin = first[mesh]
+        stop = first[mesh + 1]
+        factor = np.zeros(size)
+        total = np.zeros(size, np.int64)
         for axis in (0, 1):
             _draw(corners_m, begin, stop, low, axis, edges, drawn, total)
             _count(drawn, total, factor)
@@ -225,7 +240,10 @@ def _draw(corners_m: F8, begin: int, stop: int, low: F8, axis: int, edges: F8, d
 @inline_kernel
 def _turn_edges(corners_m: F8, low: F8, other: int, edges: F8) -> None:
     """Fill starts and directions (4, 4) of the edges of a face, in pixels, with the face on their left."""
-    u, v, du, dv = edges[0], edges[1], edges[2], edges[3]
+    u = edges[0]
+    v = edges[1]
+    du = edges[2]
+    dv = edges[3]
     for c in range(4):
         u[c] = (corners_m[c, other] / VOXEL_M - low[other]) * _PIXELS
         v[c] = (corners_m[c, 2] / VOXEL_M - low[2]) * _PIXELS
@@ -233,18 +251,25 @@ def _turn_edges(corners_m: F8, low: F8, other: int, edges: F8) -> None:
     for c in range(4):
         n = (c + 1) & 3
         turn += u[c] * v[n] - u[n] * v[c]
-        du[c], dv[c] = u[n] - u[c], v[n] - v[c]
+        du[c] = u[n] - u[c]
+        dv[c] = v[n] - v[c]
     if not turn > 0:
         for c in range(4):
-            du[c], dv[c] = -du[c], -dv[c]
+            du[c] = -du[c]
+            dv[c] = -dv[c]
 
 
 @inline_kernel
 def _row(edges: F8, y: float, first: int, last: int) -> tuple[int, int]:
     """Return the first and last pixel of a row whose centres are on the left of all edges."""
-    u, v, du, dv = edges[0], edges[1], edges[2], edges[3]
+    u = edges[0]
+    v = edges[1]
+    du = edges[2]
+    dv = edges[3]
     for c in range(4):
-        across, slope, from_u = du[c] * (y - v[c]), dv[c], u[c]
+        across = du[c] * (y - v[c])
+        slope = dv[c]
+        from_u = u[c]
         if slope > 0.0:
             while last >= first and across < slope * (last + 0.5 - from_u):
                 last -= 1

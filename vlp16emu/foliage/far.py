@@ -1,6 +1,7 @@
 """Casting of tiled windows: near faces by Embree, the rest as a far medium.
 
-Media are made from blocks of tiles and clouds of shapes, which are kept from window to window and in the store.
+Media are made from blocks of tiles and clouds of shapes, which are kept from window to window and in the
+store.
 """
 
 import math
@@ -38,7 +39,11 @@ _NO_CLOUD = cloud_of([Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uin
 
 
 def _ground(
-    window: TiledWindow, tiles: Mapping[Name, FarTile], rows: Mapping[Name, int], corner_m: F8, size: tuple[int, ...]
+    window: TiledWindow,
+    tiles: Mapping[Name, FarTile],
+    rows: Mapping[Name, int],
+    corner_m: F8,
+    size: tuple[int, ...],
 ) -> Ground:
     ground_m = np.full((size[0] * BRICK * FINER + 1, size[1] * BRICK * FINER + 1), _NO_GROUND_M)
     surface = np.zeros(size[:2], np.uint32)
@@ -58,9 +63,12 @@ def _ground(
 def _stems(window: TiledWindow, tiles: Mapping[Name, FarTile], rows: Mapping[Name, int]) -> Stems:
     stems = np.concatenate([np.zeros(0, STEM), *(tiles[place].stems for place in rows)])
     base = np.repeat(list(rows.values()), [len(tiles[place].stems) for place in rows]).astype(np.uint32)
-    foot_m, radius_m = stems["foot_m"] - window.origin_m, stems["radius_m"]
+    foot_m = stems["foot_m"] - window.origin_m
+    radius_m = stems["radius_m"]
     widest_m = np.maximum.accumulate(radius_m[:, ::-1], axis=1)[:, ::-1]
-    profile = np.concatenate([np.stack([stems["along_m"], radius_m, widest_m], axis=1), stems["aside_m"]], axis=1)
+    profile = np.concatenate(
+        [np.stack([stems["along_m"], radius_m, widest_m], axis=1), stems["aside_m"]], axis=1
+    )
     bent_m = hypot(stems["aside_m"][:, 0], stems["aside_m"][:, 1]).max(axis=1)
     line = np.column_stack([foot_m, stems["axis"], radius_m.max(axis=1), bent_m])
     return stems_of(line, profile, stems["row"] + base[:, None], stems["flare_m"].copy())
@@ -81,7 +89,8 @@ class FarGeometry(EmbreeGeometry):
         self._met, level = within_reach(near, track_m, medium.near_m)
         super().__init__(near, level)
         self.medium = medium
-        self._kept, self._building = beyond, threading.Lock()
+        self._kept = beyond
+        self._building = threading.Lock()
         if level.sum() < self._met.sum():
             self._near = self._near._replace(steep=0)
         self._beyond = target_of(beyond) if beyond else self._near._replace(scene=0, steep=0)
@@ -106,8 +115,10 @@ class FarGeometry(EmbreeGeometry):
 
 def within_reach(placed: Placed, track_m: F8, reach_m: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return masks (n,), (n,) of the pieces within a range of positions (t, 3): for any ray, and for level rays."""
-    window, placement = placed.window, placed.placement
-    world_T_shape, half_m = window.world_T_shape[placement], np.diff(placed.boxes_m, axis=1)[:, 0] / 2
+    window = placed.window
+    placement = placed.placement
+    world_T_shape = window.world_T_shape[placement]
+    half_m = np.diff(placed.boxes_m, axis=1)[:, 0] / 2
     at_m = matvec(world_T_shape[..., :3], placed.boxes_m[:, 0] + half_m) + world_T_shape[..., 3]
     half_m = matvec(np.abs(world_T_shape[..., :3]), half_m)
     low_m, high_m = at_m[:, 2] - half_m[:, 2], at_m[:, 2] + half_m[:, 2]
@@ -134,8 +145,10 @@ class FarCaster(EmbreeCaster):
     def __init__(self, world: TiledWorld, workers: Executor) -> None:
         super().__init__(world, workers)
         self._tiled = world
-        self._clouds, self._measured = dict[ShapeKey, Cloud](), set[Name]()
-        self._place, self._names = dict[object, int](), list[str]()
+        self._clouds = dict[ShapeKey, Cloud]()
+        self._measured = set[Name]()
+        self._place = dict[object, int]()
+        self._names = list[str]()
         self._library = Library.of([_NO_CLOUD])
         self._cosine = np.zeros((0, len(KNOTS), QUANTILES), np.float32)
         self._shelf = Shelf()
@@ -159,15 +172,21 @@ class FarCaster(EmbreeCaster):
     def _is_near(self, window: TiledWindow) -> NDArray[np.bool_]:
         """Return a mask of the placements of `window.far` that light may meet before the medium."""
         own = np.array([self._clouds[key].radius_m if key in self._clouds else 0.0 for key in window.shapes])
-        radius_m, at_m = own[window.shape] * stretch_of(window.world_T_shape), window.world_T_shape[:, :2, 3].copy()
+        radius_m = own[window.shape] * stretch_of(window.world_T_shape)
+        at_m = window.world_T_shape[:, :2, 3].copy()
         rows = np.array([row for _, _, row in window.tiles], np.uint32)
-        own_shapes = np.flatnonzero(np.isin(window.first_surface, rows) & window.far)  # at each tile's first surface
+        own_shapes = np.flatnonzero(
+            np.isin(window.first_surface, rows) & window.far
+        )  # at each tile's first surface
         for place, (ix, iy, _) in zip(own_shapes.tolist(), window.tiles, strict=True):
             lines = stem_lines(self._tiled.far_tile(ix, iy).stems, np.array([*at_m[place], 0.0]))
-            ends_m = np.concatenate([lines[:, :2] + lines[:, 3:5] * lines[:, 5:6], [[0.0, 0.0]]]) - _TILE_M / 2
+            ends_m = (
+                np.concatenate([lines[:, :2] + lines[:, 3:5] * lines[:, 5:6], [[0.0, 0.0]]]) - _TILE_M / 2
+            )
             at_m[place] += _TILE_M / 2
             radius_m[place] = norm(ends_m).max() + STRAY_M
-        track_m, reach_m = window.track_m[:, :2], self._tiled.near_m + STRAY_M + radius_m
+        track_m = window.track_m[:, :2]
+        reach_m = self._tiled.near_m + STRAY_M + radius_m
         low_m, high_m = track_m.min(axis=0), track_m.max(axis=0)
         few = np.flatnonzero((np.maximum(low_m - at_m, at_m - high_m) <= reach_m[:, None]).all(axis=1))
         near = np.zeros(len(at_m), np.bool_)
@@ -177,7 +196,9 @@ class FarCaster(EmbreeCaster):
     def tiles(self, window: TiledWindow) -> dict[Name, FarTile]:
         """Return the tiles of a window and their neighbours, with their shapes measured."""
         around = sorted({(ix + dx, iy + dy) for ix, iy, _ in window.tiles for dx, dy in _AROUND})
-        tiles = dict(zip(around, self._workers.map(lambda name: self._tiled.far_tile(*name), around), strict=True))
+        tiles = dict(
+            zip(around, self._workers.map(lambda name: self._tiled.far_tile(*name), around), strict=True)
+        )
         self._measure(tile for name, tile in tiles.items() if name not in self._measured)
         self._measured |= tiles.keys()
         return tiles
@@ -195,7 +216,8 @@ class FarCaster(EmbreeCaster):
         return medium
 
     def _joined(self, window: TiledWindow, tiles: Mapping[Name, FarTile], rows: Mapping[Name, int]) -> Medium:
-        blocks, places = {name: self._shelf.blocks[name] for name in rows}, np.array(list(rows))
+        blocks = {name: self._shelf.blocks[name] for name in rows}
+        places = np.array(list(rows))
         low, high = places.min(axis=0), places.max(axis=0) + 1
         bottom = min(block.bottom for block in blocks.values())
         top = max(block.bottom + block.mask.shape[2] for block in blocks.values())
@@ -205,7 +227,8 @@ class FarCaster(EmbreeCaster):
         for (ix, iy), block in blocks.items():
             i, j, k = (ix - low[0]) * _BRICKS, (iy - low[1]) * _BRICKS, block.bottom - bottom
             here = slice(i, i + _BRICKS), slice(j, j + _BRICKS), slice(k, k + block.mask.shape[2])
-            brick[(*here, 0)], brick[(*here, 1)] = block.mask, block.first
+            brick[(*here, 0)] = block.mask
+            brick[(*here, 1)] = block.first
             surface[ix - low[0], iy - low[1]] = [rows.get((ix + dx, iy + dy), 0) for dx, dy in _AROUND]
         corner = np.array([*(low * COLUMNS), bottom * BRICK], np.int64)
         corner_m = corner * VOXEL_M - window.origin_m
@@ -223,7 +246,10 @@ class FarCaster(EmbreeCaster):
         )
 
     def _block(self, tiles: dict[Name, FarTile], ix: int, iy: int) -> Block:
-        library, place, names, world = self._library, self._place, self._names, self._tiled.name
+        library = self._library
+        place = self._place
+        names = self._names
+        world = self._tiled.name
         return recalled(
             world and f"{world} block {ix} {iy}",
             lambda: block_of(library, place, tiles, ix, iy),
@@ -241,8 +267,11 @@ class FarCaster(EmbreeCaster):
             return
 
         def measured(of: tuple[ShapeKey, U1]) -> Cloud:
-            (key, parts), name = of, self._tiled.shape_name(of[0])
-            return recalled(name and f"cloud {name} {parts.tolist()}", lambda: cloud_of(self._tiled.shape(key), parts))
+            (key, parts) = of
+            name = self._tiled.shape_name(of[0])
+            return recalled(
+                name and f"cloud {name} {parts.tolist()}", lambda: cloud_of(self._tiled.shape(key), parts)
+            )
 
         self._clouds |= dict(zip(new, self._workers.map(measured, new.items()), strict=True))
         self._place = {key: number for number, key in enumerate(self._clouds)}

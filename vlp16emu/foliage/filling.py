@@ -43,7 +43,9 @@ _Packed = tuple[U8, U4, U4, U4, U8]  # arrays of a block, in the order of `Block
 
 
 @array_kernel
-def filled(library: Library, placed: _Placed, ground_m: F4, low_m: float, levels: int, projection: F8) -> _Packed:
+def filled(
+    library: Library, placed: _Placed, ground_m: F4, low_m: float, levels: int, projection: F8
+) -> _Packed:
     """Fill the arrays of a block, in the order of `Block`.
 
     Parameters
@@ -52,11 +54,13 @@ def filled(library: Library, placed: _Placed, ground_m: F4, low_m: float, levels
     """
     which, relative, row, tile_of = placed
     head = np.full((COLUMNS, COLUMNS, levels * BRICK), -1, np.int32)
-    node, area = np.empty((4096, 4), np.int64), np.empty((4096, 3))
+    node = np.empty((4096, 4), np.int64)
+    area = np.empty((4096, 3))
     used = ZERO
     add = np.empty(3)
     for p in range(which.shape[0]):
-        s, T = which[p], relative[p]
+        s = which[p]
+        T = relative[p]
         needed = used + library.first_cell[s + 1] - library.first_cell[s]
         for f in range(library.first_face[s], library.first_face[s + 1]):
             pieces = _pieces(T, library.corners_m[f])
@@ -69,12 +73,14 @@ def filled(library: Library, placed: _Placed, ground_m: F4, low_m: float, levels
             for k in range(3):
                 add[k] = library.area_m2[c] * scale * library.projection[law, k]
             x, y, z = library.place_m[c, 0], library.place_m[c, 1], library.place_m[c, 2]
-            at, whose = (np.float64(x), np.float64(y), np.float64(z)), (tile_of[p], row[p] + library.mesh[c], law)
+            at = (np.float64(x), np.float64(y), np.float64(z))
+            whose = (tile_of[p], row[p] + library.mesh[c], law)
             used = _put(voxels, used, T, at, whose, add)
         for f in range(library.first_face[s], library.first_face[s + 1]):
             mesh = library.corner_mesh[f]
             law = library.first_law[s] + mesh
-            whose, corners_m = (tile_of[p], row[p] + mesh, law), library.corners_m[f]
+            whose = (tile_of[p], row[p] + mesh, law)
+            corners_m = library.corners_m[f]
             used = _put_face(voxels, used, T, corners_m, library.share[law], whose, add, projection)
     flags = np.zeros(head.shape, np.uint32)
     _mark_ground(flags, ground_m, low_m)
@@ -86,9 +92,12 @@ def _roomy(node: I8, area: F8, used: int, needed: int) -> tuple[I8, F8]:
     room = len(node)
     while needed > room:
         room *= 2
-        bigger, more = np.empty((room, 4), np.int64), np.empty((room, 3))
-        bigger[:used], more[:used] = node[:used], area[:used]
-        node, area = bigger, more
+        bigger = np.empty((room, 4), np.int64)
+        more = np.empty((room, 3))
+        bigger[:used] = node[:used]
+        more[:used] = area[:used]
+        node = bigger
+        area = more
     return node, area
 
 
@@ -105,7 +114,8 @@ def _determinant(T: F8) -> float:
 def _put(voxels: _Voxels, used: int, T: F8, at_m: _Place, whose: _Whose, add: F8) -> int:
     """Add projected areas at a place of a shape to its voxel; return the number of owners."""
     head, node, area, low_m = voxels
-    (a, b, c), (tile, row, law) = at_m, whose
+    (a, b, c) = at_m
+    (tile, row, law) = whose
     x = T[0, 0] * a + T[0, 1] * b + T[0, 2] * c + T[0, 3]
     y = T[1, 0] * a + T[1, 1] * b + T[1, 2] * c + T[1, 3]
     z = T[2, 0] * a + T[2, 1] * b + T[2, 2] * c + T[2, 3] - low_m
@@ -118,7 +128,10 @@ def _put(voxels: _Voxels, used: int, T: F8, at_m: _Place, whose: _Whose, add: F8
     if at < 0:
         at = used
         used += 1
-        node[at, 0], node[at, 1], node[at, 2], node[at, 3] = tile, row, law, head[i, j, k]
+        node[at, 0] = tile
+        node[at, 1] = row
+        node[at, 2] = law
+        node[at, 3] = head[i, j, k]
         area[at, 0] = area[at, 1] = area[at, 2] = 0.0
         head[i, j, k] = at
     for knot in range(3):
@@ -150,9 +163,14 @@ def _put_face(
     # Normal of the placed face from its diagonals; half their cross product is its area.
     u0 = u1 = u2 = v0 = v1 = v2 = 0.0
     for b in range(3):
-        first, second = corners_m[2, b] - corners_m[0, b], corners_m[3, b] - corners_m[1, b]
-        u0, u1, u2 = u0 + T[0, b] * first, u1 + T[1, b] * first, u2 + T[2, b] * first
-        v0, v1, v2 = v0 + T[0, b] * second, v1 + T[1, b] * second, v2 + T[2, b] * second
+        first = corners_m[2, b] - corners_m[0, b]
+        second = corners_m[3, b] - corners_m[1, b]
+        u0 = u0 + T[0, b] * first
+        u1 = u1 + T[1, b] * first
+        u2 = u2 + T[2, b] * first
+        v0 = v0 + T[0, b] * second
+        v1 = v1 + T[1, b] * second
+        v2 = v2 + T[2, b] * second
     x, y, z = u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
     double = math.sqrt(x * x + y * y + z * z)
     if double <= 0.0:
@@ -163,7 +181,10 @@ def _put_face(
     for p in range(n):
         for q in range(n):
             u, v = (p + 0.5) / n, (q + 0.5) / n
-            w0, w1, w2, w3 = (1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v
+            w0 = (1 - u) * (1 - v)
+            w1 = u * (1 - v)
+            w2 = u * v
+            w3 = (1 - u) * v
             a = w0 * corners_m[0, 0] + w1 * corners_m[1, 0] + w2 * corners_m[2, 0] + w3 * corners_m[3, 0]
             b = w0 * corners_m[0, 1] + w1 * corners_m[1, 1] + w2 * corners_m[2, 1] + w3 * corners_m[3, 1]
             c = w0 * corners_m[0, 2] + w1 * corners_m[1, 2] + w2 * corners_m[2, 2] + w3 * corners_m[3, 2]
@@ -178,7 +199,10 @@ def _mark_ground(flags: U4, ground_m: F4, low_m: float) -> None:
         for j in range(flags.shape[1]):
             around = ground_m[FINER * i : FINER * (i + 3) + 1, FINER * j : FINER * (j + 3) + 1]
             low, high = around.min(), around.max()
-            first, last = (math.floor((low - low_m - 0.6) / VOXEL_M), math.floor((high - low_m + 0.16) / VOXEL_M))
+            first, last = (
+                math.floor((low - low_m - 0.6) / VOXEL_M),
+                math.floor((high - low_m + 0.16) / VOXEL_M),
+            )
             for k in range(max(first, 0), min(last, flags.shape[2] - 1) + 1):
                 flags[i, j, k] |= GROUND
 
@@ -186,9 +210,11 @@ def _mark_ground(flags: U4, ground_m: F4, low_m: float) -> None:
 @array_kernel
 def _pack(head: I4, flags: U4, node: I8, area: F8, used: int) -> _Packed:
     nx, ny, nz = head.shape[0] // BRICK, head.shape[1] // BRICK, head.shape[2] // BRICK
-    mask, first = np.zeros((nx, ny, nz), np.uint64), np.zeros((nx, ny, nz), np.uint32)
+    mask = np.zeros((nx, ny, nz), np.uint64)
+    first = np.zeros((nx, ny, nz), np.uint32)
     full = np.count_nonzero((head >= 0) | (flags != 0))
-    record, first_owner = np.empty(full, np.uint32), np.empty(full, np.uint32)
+    record = np.empty(full, np.uint32)
+    first_owner = np.empty(full, np.uint32)
     owner = np.empty(used, np.uint64)
     n = o = 0
     for x in range(nx):
@@ -206,13 +232,19 @@ def _pack(head: I4, flags: U4, node: I8, area: F8, used: int) -> _Packed:
                     so_far = 0.0
                     while at >= 0:
                         so_far += area[at, 1]
-                        tile, row, law, at = node[at, 0], node[at, 1], node[at, 2], node[at, 3]
+                        tile = node[at, 0]
+                        row = node[at, 1]
+                        law = node[at, 2]
+                        at = node[at, 3]
                         share = 255 if at < 0 or area1 <= 0.0 else int(255.0 * so_far / area1)
                         owner[o] = np.uint64(row) | np.uint64(law) << LAW_BIT
                         owner[o] |= np.uint64(tile) << TILE_BIT | np.uint64(share) << SHARE_BIT
                         o += 1
                     record[n] = (
-                        flags[i, j, k] | _code(area0) | _code(area1) << np.uint32(7) | _code(area2) << np.uint32(14)
+                        flags[i, j, k]
+                        | _code(area0)
+                        | _code(area1) << np.uint32(7)
+                        | _code(area2) << np.uint32(14)
                     )
                     n += 1
     return mask, first, record, first_owner, owner
@@ -222,7 +254,9 @@ def _pack(head: I4, flags: U4, node: I8, area: F8, used: int) -> _Packed:
 def _areas(node: I8, area: F8, at: int) -> tuple[float, float, float]:
     area0 = area1 = area2 = 0.0
     while at >= 0:
-        area0, area1, area2 = area0 + area[at, 0], area1 + area[at, 1], area2 + area[at, 2]
+        area0 = area0 + area[at, 0]
+        area1 = area1 + area[at, 1]
+        area2 = area2 + area[at, 2]
         at = node[at, 3]
     return area0, area1, area2
 

@@ -10,19 +10,23 @@ from vlp16emu.kernels.compiler import inline_kernel
 
 f4 = np.float32
 _Ray = tuple[np.float32, np.float32, np.float32, np.float32, np.float32, np.float32]
-_Slope = tuple[np.float32, np.float32, np.float32]  # height over the ground, and the slope of the ground along x and y
+_Slope = tuple[
+    np.float32, np.float32, np.float32
+]  # height over the ground, and the slope of the ground along x and y
 
 
 @inline_kernel
 def meet_ground(ground: Ground, pulse: Pulse, middle_m: float, length: float) -> bool:
     """Intersect the lanes with the ground within a slab; return True if any hits it."""
-    L, axis = pulse.lanes, pulse.axis
+    L = pulse.lanes
+    axis = pulse.axis
     last_m = middle_m + f4(0.5) * length
     clear_m = _over_ground(ground, (axis[0], axis[1], axis[2], axis[3], axis[4], axis[5]), last_m)[0]
     steepest = f4(1.0 + ground.steepest)
     if clear_m > steepest * (pulse.spread * last_m + pulse.aside_m):
         return False
-    met, range_m = False, L.range_m
+    met = False
+    range_m = L.range_m
     first_m = max(middle_m - f4(0.5) * length, pulse.near_m)
     for lane in range(pulse.n):
         if range_m[lane] <= first_m:
@@ -36,10 +40,16 @@ def meet_ground(ground: Ground, pulse: Pulse, middle_m: float, length: float) ->
         at_m, gx, gy = _ground_at(ground, ray, first_m, last_m, below)
         if at_m < range_m[lane]:
             range_m[lane] = at_m
-            L.cosine[lane] = min(abs(dz - gx * dx - gy * dy) / f4(math.sqrt(gx * gx + gy * gy + f4(1.0))), f4(1.0))
+            L.cosine[lane] = min(
+                abs(dz - gx * dx - gy * dy) / f4(math.sqrt(gx * gx + gy * gy + f4(1.0))), f4(1.0)
+            )
             across = f4(1.0 / (BRICK * VOXEL_M))
-            i = min(max(int((x + dx * at_m - f4(ground.corner_x_m)) * across), 0), ground.surface.shape[0] - 1)
-            j = min(max(int((y + dy * at_m - f4(ground.corner_y_m)) * across), 0), ground.surface.shape[1] - 1)
+            i = min(
+                max(int((x + dx * at_m - f4(ground.corner_x_m)) * across), 0), ground.surface.shape[0] - 1
+            )
+            j = min(
+                max(int((y + dy * at_m - f4(ground.corner_y_m)) * across), 0), ground.surface.shape[1] - 1
+            )
             L.surface[lane] = ground.surface[i, j]
             met = True
     return met
@@ -48,8 +58,11 @@ def meet_ground(ground: Ground, pulse: Pulse, middle_m: float, length: float) ->
 @inline_kernel
 def _ground_at(ground: Ground, ray: _Ray, first_m: np.float32, last_m: np.float32, below: _Slope) -> _Slope:
     """Return range and slope where a ray meets the ground in a slab; `below` holds its height at the slab's end."""
-    (_, _, _, dx, dy, dz), at_m, slope = ray, last_m, below
-    low_m, c_low = first_m, f4(0.0)
+    (_, _, _, dx, dy, dz) = ray
+    at_m = last_m
+    slope = below
+    low_m = first_m
+    c_low = f4(0.0)
     for _ in range(4):  # piecewise flat: a step along the slope, then secants
         falls = dz - slope[1] * dx - slope[2] * dy
         if slope[0] <= 0 and falls < f4(-1e-4) and c_low == 0:
@@ -60,7 +73,10 @@ def _ground_at(ground: Ground, ray: _Ray, first_m: np.float32, last_m: np.float3
         if abs(slope[0]) < f4(5e-4) or at_m <= first_m:
             break
         if slope[0] > 0:
-            low_m, c_low, at_m, slope = at_m, slope[0], last_m, below
+            low_m = at_m
+            c_low = slope[0]
+            at_m = last_m
+            slope = below
     falls = dz - slope[1] * dx - slope[2] * dy
     if abs(falls) > f4(1e-4):  # at grazing incidence a small height is a long range
         at_m = min(max(at_m - slope[0] / falls, low_m), last_m)
@@ -70,18 +86,23 @@ def _ground_at(ground: Ground, ray: _Ray, first_m: np.float32, last_m: np.float3
 @inline_kernel
 def _over_ground(ground: Ground, ray: _Ray, at_m: float) -> _Slope:
     """Return the height of a ray over the ground at a range, and the slope there; infinite height without ground."""
-    (x, y, z, dx, dy, dz), ground_m = ray, ground.height_m
+    (x, y, z, dx, dy, dz) = ray
+    ground_m = ground.height_m
     u = (x + dx * at_m - f4(ground.corner_x_m)) * f4(FINER / VOXEL_M)
     v = (y + dy * at_m - f4(ground.corner_y_m)) * f4(FINER / VOXEL_M)
     i = min(max(int(u), 0), ground_m.shape[0] - 2)
     j = min(max(int(v), 0), ground_m.shape[1] - 2)
-    s, t = u - f4(i), v - f4(j)
-    h00, h11 = ground_m[i, j], ground_m[i + 1, j + 1]
+    s = u - f4(i)
+    t = v - f4(j)
+    h00 = ground_m[i, j]
+    h11 = ground_m[i + 1, j + 1]
     if s >= t:
         h10 = ground_m[i + 1, j]
-        gx, gy = h10 - h00, h11 - h10
+        gx = h10 - h00
+        gy = h11 - h10
     else:
         h01 = ground_m[i, j + 1]
-        gx, gy = h11 - h01, h01 - h00
+        gx = h11 - h01
+        gy = h01 - h00
     height = h00 + gx * s + gy * t
     return z + dz * at_m - height, gx * f4(FINER / VOXEL_M), gy * f4(FINER / VOXEL_M)

@@ -28,7 +28,8 @@ class Stems(NamedTuple):
 
     line: F8  # (n, 8) foot, unit axis, widest radius, and greatest bend of the stem off the axis
     profile: F4
-    """(n, 5, knots) heights along the axis, radii, the greatest radius from there upwards, and the offset in x and y of the
+    """(n, 5, knots) heights along the axis, radii, the greatest radius from there upwards, and the offset in
+    x and y of the
     circle's centre from the axis."""
     plan: F4  # (3, n) x and y of the centre, and radius, of a circle around the stem as seen from above
     bounds: F4  # (n, 9) foot, unit axis, lowest and highest end along the axis, reach beside it
@@ -43,7 +44,8 @@ class Medium(NamedTuple):
     corner_m: tuple[float, float, float]  # corner of the grid of bricks
     corner: tuple[int, int, int]  # corner of the grid, in voxels of the world
     brick: U8
-    """(x, y, z, 2) for each brick the mask of its occupied voxels, as in `Block`, and the record of the first one."""
+    """(x, y, z, 2) for each brick the mask of its occupied voxels, as in `Block`, and the record of the first
+    one."""
     record: U4  # (m,) voxel records, as in `Block`, with some that only other windows use
     first_owner: U4  # (m,) first owner of each record
     owner: U8  # (o,) as in `Block`
@@ -56,7 +58,9 @@ class Medium(NamedTuple):
 
 AHEAD = 16  # slabs examined before the voxels in them, without unpredictable branches
 
-AT, HEIGHT, FACING, _END = (ROW + LANES * row for row in range(4))  # offsets of further rows of lanes in `Lanes.row`
+AT, HEIGHT, FACING, _END = (
+    ROW + LANES * row for row in range(4)
+)  # offsets of further rows of lanes in `Lanes.row`
 
 
 class Lanes(NamedTuple):
@@ -66,14 +70,18 @@ class Lanes(NamedTuple):
     """
 
     row: F4
-    """(88,) rows of eight as in `Batch.row`, then scratch. `AT`, `HEIGHT`, `FACING`: range, height along the axis and cosine at which a lane meets a stem."""
+    """(88,) rows of eight as in `Batch.row`, then scratch. `AT`, `HEIGHT`, `FACING`: range, height along the
+    axis and cosine at which a lane meets a stem."""
     origin_m: F4  # (3, 8) of these rows
     direction: F4  # (3, 8) likewise
-    range_m: F4  # (8,) likewise; in: range of the hit so far, or the farthest range; out: range of the first hit
+    range_m: (
+        F4  # (8,) likewise; in: range of the hit so far, or the farthest range; out: range of the first hit
+    )
     cosine: F4  # (8,) likewise
     surface: U4  # (8,) likewise
     line: F4
-    """(48,) scratch, rows of eight: position across at the grid's corner and its change per metre, in 8ths of voxels, on
+    """(48,) scratch, rows of eight: position across at the grid's corner and its change per metre, in 8ths of
+    voxels, on
     both axes; then position along and its inverse change per metre of range."""
     place: U4  # (AHEAD,) scratch: brick and bit of the voxel of each slab, then the number of its record
     code: U4  # (AHEAD,) scratch: these records

@@ -1,8 +1,11 @@
 """Leaves of voxels, and their intersection with lanes.
 
-The leaves of a voxel are 64 cells of a Latin square, one in each column of 8 x 8 along each of the three axes, so that a
-leaf has the same position from every direction. The first n of them are present; n / 64 is the share of the light that
-foliage of that density intercepts over the length of the slab (Beer's law). The voxel's square, its mirroring, and the
+The leaves of a voxel are 64 cells of a Latin square, one in each column of 8 x 8 along each of the three
+axes, so that a
+leaf has the same position from every direction. The first n of them are present; n / 64 is the share of the
+light that
+foliage of that density intercepts over the length of the slab (Beer's law). The voxel's square, its
+mirroring, and the
 rounding of n follow from a hash of the voxel's position in the world.
 """
 
@@ -13,14 +16,25 @@ from llvmlite import ir
 
 from vlp16emu.elementary import exp
 from vlp16emu.foliage.lanes import Lanes, Medium, Pulse, lowest
-from vlp16emu.foliage.voxel import COLUMNS, LAW_BIT, LAW_MASK, QUANTILES, SHARE_BIT, TAU_PER_M, TILE_BIT, VOXEL_M
+from vlp16emu.foliage.voxel import (
+    COLUMNS,
+    LAW_BIT,
+    LAW_MASK,
+    QUANTILES,
+    SHARE_BIT,
+    TAU_PER_M,
+    TILE_BIT,
+    VOXEL_M,
+)
 from vlp16emu.kernels.compiler import inline_kernel, numba
 from vlp16emu.raycast.kernel import LANES
 from vlp16emu.types import F4, U1, U8
 
 _VARIANTS = 32
-_COVER_STEPS, _COVER_MOST = 64, 16
-f4, u4 = np.float32, np.uint32
+_COVER_STEPS = 64
+_COVER_MOST = 16
+f4 = np.float32
+u4 = np.uint32
 _Three = tuple[int, int, int]
 _Whose = tuple[np.uint32, tuple[int, int], int]
 """Number of the record of a voxel, its tile, and the knot of the light's elevation."""
@@ -31,13 +45,16 @@ def _leaves() -> tuple[U8, U1, U1]:
 
     Returns
     -------
-    Columns that the first n leaves occupy, (3, variants, 65) bits 8 a + b along each axis, where a and b are the other two
-    axes in order; the leaf of each column, (3, variants, 64); and positions of leaves along the axes, (variants, 64, 3) in
+    Columns that the first n leaves occupy, (3, variants, 65) bits 8 a + b along each axis, where a and b are
+    the other two
+    axes in order; the leaf of each column, (3, variants, 64); and positions of leaves along the axes,
+    (variants, 64, 3) in
     256ths of a voxel.
     """
     rng = np.random.default_rng(20)  # determines bytes of the output
     mask = np.zeros((3, _VARIANTS, 65), np.uint64)
-    leaf_of, place = np.zeros((3, _VARIANTS, 64), np.uint8), np.zeros((_VARIANTS, 64, 3), np.uint8)
+    leaf_of = np.zeros((3, _VARIANTS, 64), np.uint8)
+    place = np.zeros((_VARIANTS, 64, 3), np.uint8)
     base = np.add.outer(np.arange(4), np.arange(4)) % 4
     for variant in range(_VARIANTS):
         # Clumps of 2 x 2 x 2 cells follow a Latin square of order 4, the leaves of a clump one of order 2.
@@ -45,12 +62,14 @@ def _leaves() -> tuple[U8, U1, U1]:
         cells = []
         for clump in rng.permutation(16):
             x, y = divmod(int(clump), 4)
-            odd, four = int(rng.integers(2)), []
+            odd = int(rng.integers(2))
+            four = []
             for pair in rng.permutation(4):
                 i, j = divmod(int(pair), 2)
                 four.append((2 * x + i, 2 * y + j, 2 * int(square[x, y]) + ((i + j + odd) & 1)))
             cells += [four[:2], four[2:]]
-        # Leaves come in pairs: far returns are then as frequent as from explicit leaves (`vlp16emu accuracy`).
+        # Leaves come in pairs: far returns are then as frequent as from explicit leaves (`vlp16emu
+        # accuracy`).
         leaves = np.array(cells)[rng.permutation(32)].reshape(64, 3)
         place[variant] = 32 * leaves + rng.integers(32, size=(64, 3))
         for axis, (a, b) in enumerate(((1, 2), (0, 2), (0, 1))):
@@ -106,9 +125,12 @@ def lit_lanes(
     corner, cell : corner of the grid in voxels of the world, and the voxel in the grid, along these axes
     code : code of the voxel
     """
-    (main, one, two), (k, i1, i2) = axes, cell
+    (main, one, two) = axes
+    (k, i1, i2) = cell
     low, high = (code >> weights.bits) & u4(127), (code >> (weights.bits + u4(7))) & u4(127)
-    g, g1, g2 = k + corner[0], i1 + corner[1], i2 + corner[2]
+    g = k + corner[0]
+    g1 = i1 + corner[1]
+    g2 = i2 + corner[2]
     a = g if main == 0 else g1
     b = g if main == 1 else (g1 if main == 0 else g2)
     c = g if main == 2 else g2
@@ -121,7 +143,9 @@ def lit_lanes(
     cover = _COVER[whole] + (_COVER[whole + 1] - _COVER[whole]) * (x - f4(whole))
     count = int(cover * f4(64.0) + f4(h >> u4(24)) * f4(1.0 / 256.0))
     bits = _MASK[main, int(h & u4(_VARIANTS - 1)), count]
-    line, middle_m, (r1, r2) = pulse.lanes.line, (f4(k) + f4(0.5)) * f4(VOXEL_M), _mirrors(h, one, two)
+    line = pulse.lanes.line
+    middle_m = (f4(k) + f4(0.5)) * f4(VOXEL_M)
+    (r1, r2) = _mirrors(h, one, two)
     if pulse.n == 1:
         return h, (bits >> np.uint64(_column(line, 0, middle_m, r1, r2))) & np.uint64(1)
     return h, _in_columns(line, middle_m, r1, r2, bits)
@@ -135,7 +159,14 @@ def _mirrors(h: np.uint32, one: int, two: int) -> tuple[np.int32, np.int32]:
 
 @inline_kernel
 def meet_leaves(
-    M: Medium, pulse: Pulse, axes: _Three, cell: _Three, number: np.uint32, knot: int, h: np.uint32, lit: np.uint64
+    M: Medium,
+    pulse: Pulse,
+    axes: _Three,
+    cell: _Three,
+    number: np.uint32,
+    knot: int,
+    h: np.uint32,
+    lit: np.uint64,
 ) -> bool:
     """Intersect lanes with their leaves in a voxel; return True if a leaf is the nearest hit of any lane.
 
@@ -145,13 +176,18 @@ def meet_leaves(
     number : number of the voxel's record
     knot : knot of the light's elevation
     """
-    (main, one, two), (k, i1, i2) = axes, cell
+    (main, one, two) = axes
+    (k, i1, i2) = cell
     x = k if main == 0 else i1
     y = k if main == 1 else (i1 if main == 0 else i2)
     whose = number, (x // COLUMNS, y // COLUMNS), knot
-    L, near_m, variant = pulse.lanes, pulse.near_m, int(h & u4(_VARIANTS - 1))
-    line, range_m = L.line, L.range_m
-    middle_m, (r1, r2) = (f4(k) + f4(0.5)) * f4(VOXEL_M), _mirrors(h, one, two)
+    L = pulse.lanes
+    near_m = pulse.near_m
+    variant = int(h & u4(_VARIANTS - 1))
+    line = L.line
+    range_m = L.range_m
+    middle_m = (f4(k) + f4(0.5)) * f4(VOXEL_M)
+    (r1, r2) = _mirrors(h, one, two)
     mirror = int((h >> u4(5 + 3 * main)) & u4(7)) << 5
     met = False
     while lit:
@@ -184,7 +220,8 @@ def _in_columns(typingctx: Any, line: Any, middle_m: Any, r1: Any, r2: Any, bits
     """
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        floats, wholes = ir.VectorType(ir.FloatType(), LANES), ir.VectorType(ir.IntType(32), LANES)
+        floats = ir.VectorType(ir.FloatType(), LANES)
+        wholes = ir.VectorType(ir.IntType(32), LANES)
         array, middle, *mirrors, word = args
         first = context.make_array(signature.args[0])(context, builder, array).data
 
@@ -203,7 +240,9 @@ def _in_columns(typingctx: Any, line: Any, middle_m: Any, r1: Any, r2: Any, bits
         a, b = (
             builder.xor(
                 builder.and_(
-                    builder.fptosi(builder.fadd(row(2 * k), builder.fmul(row(2 * k + 1), each(middle))), wholes),
+                    builder.fptosi(
+                        builder.fadd(row(2 * k), builder.fmul(row(2 * k + 1), each(middle))), wholes
+                    ),
                     whole(7),
                 ),
                 each(mirror),
@@ -231,7 +270,8 @@ def _take_leaf(M: Medium, L: Lanes, lane: int, h: np.uint32, leaf: int, whose: _
     own = u4(own ^ u4(own >> u4(15)))
     own = u4(own * u4(0xC2B2AE3D))
     own = u4(own ^ u4(own >> u4(16)))
-    at, drawn = M.first_owner[number], u4(own & u4(0xFF))
+    at = M.first_owner[number]
+    drawn = u4(own & u4(0xFF))
     owner = M.owner[at]
     while owner >> SHARE_BIT < drawn:
         at += u4(1)

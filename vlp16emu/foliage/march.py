@@ -1,8 +1,11 @@
 """The march of light through the far medium: ground as a grid, stems as tapered cones, foliage as voxels.
 
-A pulse first meets the stems in its way (`vlp16emu.foliage.stems`). Up to the range where they end it, it passes slabs of
-voxels along the axis that it is most parallel to. The voxel on its centre ray decides for all sub-rays in a slab: the
-density of foliage (`vlp16emu.foliage.leaves`), and whether ground may be met; each sub-ray is then intersected exactly with
+A pulse first meets the stems in its way (`vlp16emu.foliage.stems`). Up to the range where they end it, it
+passes slabs of
+voxels along the axis that it is most parallel to. The voxel on its centre ray decides for all sub-rays in a
+slab: the
+density of foliage (`vlp16emu.foliage.leaves`), and whether ground may be met; each sub-ray is then
+intersected exactly with
 the ground (`vlp16emu.foliage.ground`).
 """
 
@@ -20,7 +23,8 @@ from vlp16emu.raycast.beam import FARTHEST
 from vlp16emu.raycast.kernel import COSINE, DIRECTION, LANES, RANGE, Cast, go_on
 from vlp16emu.types import F4, U8
 
-f4, u4 = np.float32, np.uint32
+f4 = np.float32
+u4 = np.uint32
 _SLABS = np.arange(AHEAD, dtype=np.float32)
 _FEW = 4  # voxels whose leaves are processed together
 
@@ -43,7 +47,9 @@ class _Way(NamedTuple):
     step: int  # +1 or -1 along the axis
     length: np.float32  # metres of range from slab to slab
     to_middle: np.float32  # range at the centre of slab k
-    p1: np.float32  # position in voxels along axes one and two at the centre of slab k, and its change per slab
+    p1: (
+        np.float32
+    )  # position in voxels along axes one and two at the centre of slab k, and its change per slab
     p2: np.float32
     d1: np.float32
     d2: np.float32
@@ -67,11 +73,15 @@ def march(M: Medium, bricks: U8, ahead: Seen, pulse: Pulse) -> None:
     bricks : `M.brick`, flattened
     ahead : the stems that it may meet, from `see_stems`
     """
-    L, n, near_m, axis = pulse.lanes, pulse.n, pulse.near_m, pulse.axis
+    L = pulse.lanes
+    n = pulse.n
+    near_m = pulse.near_m
+    axis = pulse.axis
     meet_stems(M.stems, ahead, pulse)
     corner_m = (f4(M.corner_m[0]), f4(M.corner_m[1]), f4(M.corner_m[2]))
     way = _way(corner_m, axis, near_m)
-    axes, length = (way.main, way.one, way.two), way.length
+    axes = (way.main, way.one, way.two)
+    length = way.length
     alive, last_m = _lines(corner_m, L, n, near_m, axes)
     weights = weights_of(abs(axis[5]), length)
     grid = _grid(M, axes)
@@ -89,9 +99,12 @@ def march(M: Medium, bricks: U8, ahead: Seen, pulse: Pulse) -> None:
                 if here > slabs:
                     left = np.uint64(0)
                     break
-                lit, met = L.lit[at] & alive, False
+                lit = L.lit[at] & alive
+                met = False
                 if lit:
-                    met = meet_leaves(M, pulse, axes, _voxel(way, here), L.place[at], weights.knot, L.hash[at], lit)
+                    met = meet_leaves(
+                        M, pulse, axes, _voxel(way, here), L.place[at], weights.knot, L.hash[at], lit
+                    )
                 if L.code[at] & GROUND:
                     met |= meet_ground(M.ground, pulse, way.to_middle + f4(here) * length, length)
                 if met:
@@ -121,7 +134,8 @@ def _way(corner_m: tuple[np.float32, np.float32, np.float32], axis: F4, near_m: 
     to_middle = ((f4(k) + f4(0.5)) * f4(VOXEL_M) - along) * inverse
     p1 = (axis[one] - corner_m[one] + axis[3 + one] * to_middle) * f4(1.0 / VOXEL_M)
     p2 = (axis[two] - corner_m[two] + axis[3 + two] * to_middle) * f4(1.0 / VOXEL_M)
-    d1, d2 = axis[3 + one] * length * f4(1.0 / VOXEL_M), axis[3 + two] * length * f4(1.0 / VOXEL_M)
+    d1 = axis[3 + one] * length * f4(1.0 / VOXEL_M)
+    d2 = axis[3 + two] * length * f4(1.0 / VOXEL_M)
     return _Way(main, one, two, k, step, length, to_middle, p1, p2, d1, d2)
 
 
@@ -145,7 +159,8 @@ def _crossing(way: _Way, size: tuple[int, int, int]) -> tuple[np.float32, np.flo
     """Return the slabs at which the pulse enters and leaves the grid."""
     first, stop = f4(0.0), f4(1e6)
     n_main, n_one, n_two = size
-    k, step = f4(way.k) + f4(0.5), f4(way.step)
+    k = f4(way.k) + f4(0.5)
+    step = f4(way.step)
     for at, change, voxels in ((k, step, n_main), (way.p1, way.d1, n_one), (way.p2, way.d2, n_two)):
         if abs(change) < f4(1e-9):
             if not 0 <= at < voxels:
@@ -166,20 +181,28 @@ def _voxel(way: _Way, slab: int) -> tuple[int, int, int]:
 def _look(L: Lanes, way: _Way, grid: _Grid, bricks: U8, slab: int, slabs: int) -> np.uint64:
     """Find the voxels of the next slabs; return bits of those that are not empty."""
     place = L.place
-    begin, k, step = f4(slab), f4(way.k), f4(way.step)
-    p1, p2, d1, d2 = way.p1, way.p2, way.d1, way.d2
+    begin = f4(slab)
+    k = f4(way.k)
+    step = f4(way.step)
+    p1 = way.p1
+    p2 = way.p2
+    d1 = way.d1
+    d2 = way.d2
     s_main, s_one, s_two = grid.stride
     b_main, b_one, b_two = grid.shift
     last = u4((bricks.shape[0] >> 1) - 1)
     for ahead in range(AHEAD):
         at = begin + _SLABS[ahead]
-        i, i1, i2 = np.int32(k + at * step), np.int32(p1 + at * d1), np.int32(p2 + at * d2)
+        i = np.int32(k + at * step)
+        i1 = np.int32(p1 + at * d1)
+        i2 = np.int32(p2 + at * d2)
         brick = u4(u4(i >> 2) * s_main) + u4(u4(i1 >> 2) * s_one) + u4(u4(i2 >> 2) * s_two)
         bit = u4(u4(i & 3) << b_main) | u4(u4(i1 & 3) << b_one) | u4(u4(i2 & 3) << b_two)
         place[ahead] = u4(min(u4(brick), last) << u4(6)) | bit
     voxels = np.uint64(0)
     for ahead in range(AHEAD):
-        pair, place_in = np.uint64(place[ahead] >> u4(6)) << np.uint64(1), np.uint64(place[ahead] & u4(63))
+        pair = np.uint64(place[ahead] >> u4(6)) << np.uint64(1)
+        place_in = np.uint64(place[ahead] & u4(63))
         voxels |= ((bricks[pair] >> place_in) & np.uint64(1)) << np.uint64(ahead)
     return voxels & ((np.uint64(1) << np.uint64(min(slabs - slab + 1, AHEAD))) - np.uint64(1))
 
@@ -198,22 +221,30 @@ def _lit(
 ) -> tuple[np.uint64, np.uint64]:
     """Return bits of the voxels after the first few, and of the few in which a lane may meet a leaf or the ground.
 
-    The loop has no branch, so that memory latency is paid once and the arithmetic of voxels overlaps; half of all rays end
+    The loop has no branch, so that memory latency is paid once and the arithmetic of voxels overlaps; half of
+    all rays end
     within the few.
     """
-    L, records, axes, asked = pulse.lanes, M.record, (way.main, way.one, way.two), np.uint64(0)
+    L = pulse.lanes
+    records = M.record
+    axes = (way.main, way.one, way.two)
+    asked = np.uint64(0)
     for _ in range(_FEW):
         if not voxels:
             break
         at = int(lowest(voxels))
         voxels &= voxels - np.uint64(1)
-        pair, bit = np.uint64(L.place[at] >> u4(6)) << np.uint64(1), np.uint64(L.place[at] & u4(63))
+        pair = np.uint64(L.place[at] >> u4(6)) << np.uint64(1)
+        bit = np.uint64(L.place[at] & u4(63))
         before_it = bricks[pair] & ((np.uint64(1) << bit) - np.uint64(1))
         number = bricks[pair + np.uint64(1)] + ones(before_it)
         code = records[number]
         h, lit = lit_lanes(M, pulse, axes, grid.corner, _voxel(way, slab + at), code, weights)
         lit &= alive
-        L.place[at], L.code[at], L.hash[at], L.lit[at] = u4(number), code, h, lit
+        L.place[at] = u4(number)
+        L.code[at] = code
+        L.hash[at] = h
+        L.lit[at] = lit
         asked |= np.uint64((lit | np.uint64(code & GROUND)) != 0) << np.uint64(at)
     return voxels, asked
 
@@ -221,7 +252,8 @@ def _lit(
 @inline_kernel
 def _shorter(L: Lanes, way: _Way, n: int, alive: np.uint64, slab: int, slabs: int) -> tuple[np.uint64, int]:
     """Return the lanes that do not end before a slab, and the slab in which the last one ends."""
-    passed_m, range_m = way.to_middle + (f4(slab) - f4(0.5)) * way.length, L.range_m
+    passed_m = way.to_middle + (f4(slab) - f4(0.5)) * way.length
+    range_m = L.range_m
     last_m = range_m[0]
     for lane in range(n):
         last_m = max(last_m, range_m[lane])
@@ -240,7 +272,8 @@ def _lines(
         _lay_lines(corner_m, row, L.line, 1, axes)
     else:
         _lay_lines(corner_m, row, L.line, LANES, axes)
-    alive, last_m = np.uint64(0), f4(0.0)
+    alive = np.uint64(0)
+    last_m = f4(0.0)
     for lane in range(n):
         if row[RANGE + lane] > near_m:
             alive |= np.uint64(1) << np.uint64(lane)
@@ -249,28 +282,48 @@ def _lines(
 
 
 @inline_kernel
-def _lay_lines(corner_m: tuple[float, float, float], row: F4, line: F4, lanes: int, axes: tuple[int, int, int]) -> None:
-    (main, one, two), scale = axes, f4(LANES / VOXEL_M)
-    along, across, up = LANES * main, LANES * one, LANES * two
-    c_main, c_one, c_two = corner_m[main], corner_m[one], corner_m[two]
+def _lay_lines(
+    corner_m: tuple[float, float, float], row: F4, line: F4, lanes: int, axes: tuple[int, int, int]
+) -> None:
+    (main, one, two) = axes
+    scale = f4(LANES / VOXEL_M)
+    along = LANES * main
+    across = LANES * one
+    up = LANES * two
+    c_main = corner_m[main]
+    c_one = corner_m[one]
+    c_two = corner_m[two]
     for lane in range(lanes):
-        inverse, begin = f4(1.0) / row[DIRECTION + along + lane], row[along + lane] - c_main
+        inverse = f4(1.0) / row[DIRECTION + along + lane]
+        begin = row[along + lane] - c_main
         d1 = row[DIRECTION + across + lane] * inverse * scale
         d2 = row[DIRECTION + up + lane] * inverse * scale
-        line[lane], line[LANES + lane] = (row[across + lane] - c_one) * scale - begin * d1, d1
-        line[2 * LANES + lane], line[3 * LANES + lane] = (row[up + lane] - c_two) * scale - begin * d2, d2
-        line[4 * LANES + lane], line[5 * LANES + lane] = begin, inverse
+        line[lane] = (row[across + lane] - c_one) * scale - begin * d1
+        line[LANES + lane] = d1
+        line[2 * LANES + lane] = (row[up + lane] - c_two) * scale - begin * d2
+        line[3 * LANES + lane] = d2
+        line[4 * LANES + lane] = begin
+        line[5 * LANES + lane] = inverse
 
 
 def _pass_through(passage: Passage, cast: Cast, todo: int, count: int, reach: np.float32) -> None:
-    (medium, L, ahead), light, batch = passage, cast.light, cast.batch
-    row, surface, near_m = batch.row, batch.surface, f4(medium.near_m)
-    own_row, own_surface, bricks = L.row, L.surface, medium.brick.reshape(-1)
+    (medium, L, ahead) = passage
+    light = cast.light
+    batch = cast.batch
+    row = batch.row
+    surface = batch.surface
+    near_m = f4(medium.near_m)
+    own_row = L.row
+    own_surface = L.surface
+    bricks = medium.brick.reshape(-1)
     aside_m = np.float32(reach * max(light.sigmas[0], light.sigmas[1]))
     spread = np.float32(reach * max(light.sigmas[2], light.sigmas[3]))
     if todo == batch.missed.shape[0]:  # first round; later ones reuse the list for all pulses
-        aside, wide = max(light.sigmas[0], light.sigmas[1]), max(light.sigmas[2], light.sigmas[3])
-        see_stems(medium.stems, ahead, batch.axes_row, medium.near_m, light.far_m, FARTHEST * aside, FARTHEST * wide)
+        aside = max(light.sigmas[0], light.sigmas[1])
+        wide = max(light.sigmas[2], light.sigmas[3])
+        see_stems(
+            medium.stems, ahead, batch.axes_row, medium.near_m, light.far_m, FARTHEST * aside, FARTHEST * wide
+        )
     for t in range(todo):
         q = batch.todo[t]
         if not batch.missed[q]:

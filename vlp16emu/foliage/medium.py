@@ -1,8 +1,11 @@
 """Far foliage: voxels of 0.5 m with the leaf and wood area of the shapes that stand there.
 
-A shape with many faces is measured once: its projected area in cells of 0.25 m (`Cloud`). Placements add these areas, or
-single faces of shapes with few faces, to the voxels of a tile of the world (`Block`); tiles make up the medium of a
-window (`vlp16emu.foliage.lanes`). A block depends on its tile and the neighbouring tiles alone, so blocks are kept from
+A shape with many faces is measured once: its projected area in cells of 0.25 m (`Cloud`). Placements add
+these areas, or
+single faces of shapes with few faces, to the voxels of a tile of the world (`Block`); tiles make up the
+medium of a
+window (`vlp16emu.foliage.lanes`). A block depends on its tile and the neighbouring tiles alone, so blocks are
+kept from
 window to window.
 
 A `Shelf` holds blocks side by side in arrays that windows share, so that no block is copied or stored twice.
@@ -38,11 +41,15 @@ class Block:
     record: U4  # (m,) codes of projected area at the three knots, and the flag of the ground
     first_owner: U4  # (m,) first owner of each record; the last owner has a share of 255
     owner: U8
-    """(o,) bit fields: row of a tile's surfaces; from `LAW_BIT` the law in the library; from `TILE_BIT` 3 (dx + 1) + dy + 1
-    for that tile; from `SHARE_BIT` the cumulative share of the voxel's projected area up to this owner, in 255ths."""
+    """(o,) bit fields: row of a tile's surfaces; from `LAW_BIT` the law in the library; from `TILE_BIT` 3 (dx
+    + 1) + dy + 1
+    for that tile; from `SHARE_BIT` the cumulative share of the voxel's projected area up to this owner, in
+    255ths."""
 
 
-def block_of(library: Library, shape_of: dict[object, int], near: dict[Name, FarTile], ix: int, iy: int) -> Block:
+def block_of(
+    library: Library, shape_of: dict[object, int], near: dict[Name, FarTile], ix: int, iy: int
+) -> Block:
     """Make the block of a tile.
 
     Parameters
@@ -50,18 +57,23 @@ def block_of(library: Library, shape_of: dict[object, int], near: dict[Name, Far
     shape_of : index in the library by shape
     near : tiles, at least (ix, iy) itself and the eight around it, whose shapes may reach into it
     """
-    here, corner_m = near[ix, iy], near[ix, iy].corner_m
+    here = near[ix, iy]
+    corner_m = near[ix, iy].corner_m
     around = [(3 * (dx + 1) + dy + 1, near[ix + dx, iy + dy]) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
     parts = zip(*(_placed(library, shape_of, tile, number, corner_m) for number, tile in around), strict=True)
     placed = tuple(np.concatenate(part) for part in parts)
-    stems, ground_m = np.concatenate([tile.stems for _, tile in around]), here.ground_m - corner_m[2]
-    lines, brick_m = stem_lines(stems, corner_m), BRICK * VOXEL_M
+    stems = np.concatenate([tile.stems for _, tile in around])
+    ground_m = here.ground_m - corner_m[2]
+    lines = stem_lines(stems, corner_m)
+    brick_m = BRICK * VOXEL_M
     top_m = placed[1][:, 2, 3] + library.radius_m[placed[0]] * stretch_of(placed[1])
     low_m = min(ground_m.min() - 1.5, lines[:, 2].min(initial=np.inf) - 0.5)
     high_m = max(
-        ground_m.max() + 1.0, *(ends.max(initial=-np.inf) for ends in (top_m, lines[:, 2] + lines[:, 5] + 0.5))
+        ground_m.max() + 1.0,
+        *(ends.max(initial=-np.inf) for ends in (top_m, lines[:, 2] + lines[:, 5] + 0.5)),
     )
-    bottom, levels = math.floor(low_m / brick_m), math.ceil(high_m / brick_m) - math.floor(low_m / brick_m)
+    bottom = math.floor(low_m / brick_m)
+    levels = math.ceil(high_m / brick_m) - math.floor(low_m / brick_m)
     own = ground_m.astype(np.float32), bottom * brick_m, max(levels, 1), PROJECTION
     return Block(bottom + round(corner_m[2] / brick_m), *filled(library, placed, *own))
 
@@ -129,7 +141,8 @@ class Shelf:
 
     def __init__(self) -> None:
         self.blocks = dict[Name, Laid]()
-        self._record, self._first_owner = np.empty(0, np.uint32), np.empty(0, np.uint32)
+        self._record = np.empty(0, np.uint32)
+        self._first_owner = np.empty(0, np.uint32)
         self._owner = np.empty(0, np.uint64)
         self._users = list[tuple[weakref.ref[object], frozenset[Name]]]()
 
@@ -161,7 +174,8 @@ class Shelf:
             _with_room(array, records.stop, share) for array in (self._record, self._first_owner)
         )
         self._owner = _with_room(self._owner, owners.stop, share)
-        self._record[records], self._owner[owners] = block.record, block.owner
+        self._record[records] = block.record
+        self._owner[owners] = block.owner
         np.add(block.first_owner, np.uint32(owners.start), out=self._first_owner[records])
         first = block.first + np.uint32(records.start)
         self.blocks[name] = Laid(block.bottom, block.mask.copy(), first, records, owners)

@@ -70,7 +70,10 @@ def _to_piece(x: float, y: float, line: F8, piece: int) -> float:
         bx, by = line[min(j + 1, last), 0], line[min(j + 1, last), 1]
         if (bx, by) < (ax, ay):  # same order, so same bits, for both walking directions
             ax, ay, bx, by = bx, by, ax, ay
-        ux, uy, px, py = bx - ax, by - ay, x - ax, y - ay
+        ux = bx - ax
+        uy = by - ay
+        px = x - ax
+        py = y - ay
         length2 = ux * ux + uy * uy
         along = min(max((px * ux + py * uy) / length2, 0.0), 1.0) if length2 > 0 else 0.0
         nearest = min(nearest, hypot(px - along * ux, py - along * uy))

@@ -1,7 +1,9 @@
 """Stems seen from the sensor, and their intersection with lanes.
 
-From 15 m on, stems move slowly across the view, and the pulses of eight firing sequences look into a narrow sector. So the
-stems of a sector are listed once for all its pulses, nearest first, and a pulse is intersected with stems before it
+From 15 m on, stems move slowly across the view, and the pulses of eight firing sequences look into a narrow
+sector. So the
+stems of a sector are listed once for all its pulses, nearest first, and a pulse is intersected with stems
+before it
 passes foliage.
 """
 
@@ -20,7 +22,9 @@ from vlp16emu.types import F4, F8, I4, I8, U1, U4
 f4 = np.float32
 _BLOCK = 8  # stems that are tested together
 _ROWS = 9  # rows of a block: foot, unit axis, lowest and highest end along the axis, reach beside it
-_LOW, _HIGH, _REACH = 6 * _BLOCK, 7 * _BLOCK, 8 * _BLOCK
+_LOW = 6 * _BLOCK
+_HIGH = 7 * _BLOCK
+_REACH = 8 * _BLOCK
 _ROUNDING_M = f4(0.01)  # more than the rounding of float32 within 200 m
 _WIDE = 0.7  # sine and cosine of the half-width beyond which a sector lists all stems of the window
 
@@ -62,7 +66,8 @@ def stem_lines(stems: NDArray[np.void], origin_m: F8) -> F8:
 def stems_of(line: F8, profile: F4, surface: U4, flare_m: F4) -> Stems:
     """Return stems, with their circles as seen from above; parameters as in `Stems`."""
     along_m = profile[:, 0].astype(np.float64)
-    middle_m, half_m = (along_m[:, -1] + along_m[:, 0]) / 2, (along_m[:, -1] - along_m[:, 0]) / 2
+    middle_m = (along_m[:, -1] + along_m[:, 0]) / 2
+    half_m = (along_m[:, -1] - along_m[:, 0]) / 2
     x_m, y_m = (line[:, axis] + middle_m * line[:, 3 + axis] for axis in range(2))
     lean = hypot(line[:, 3], line[:, 4])
     plan = np.stack([x_m, y_m, half_m * lean + line[:, 6] + line[:, 7]]).astype(np.float32)
@@ -84,7 +89,9 @@ def seen(stems: Stems) -> Seen:
 
 
 @kernel
-def see_stems(stems: Stems, out: Seen, axes: F4, near_m: float, far_m: float, aside_m: float, spread: float) -> None:
+def see_stems(
+    stems: Stems, out: Seen, axes: F4, near_m: float, far_m: float, aside_m: float, spread: float
+) -> None:
     """List the stems that pulses may meet, nearest first.
 
     Parameters
@@ -94,19 +101,35 @@ def see_stems(stems: Stems, out: Seen, axes: F4, near_m: float, far_m: float, as
     aside_m, spread : as in `Pulse`
     """
     sector = _sector(axes, spread)
-    count, plan, is_seen = 0, stems.plan, out.is_seen
-    x_m, y_m, mx, my = f4(sector.x_m), f4(sector.y_m), f4(sector.mx), f4(sector.my)
-    (cos_right, sin_right), (cos_left, sin_left) = sector.right, sector.left
-    cos_right, sin_right, cos_left, sin_left = f4(cos_right), f4(sin_right), f4(cos_left), f4(sin_left)
-    margin_m, begin_m = f4(sector.away_m + aside_m) + _ROUNDING_M, f4(near_m * sector.level)
+    count = 0
+    plan = stems.plan
+    is_seen = out.is_seen
+    x_m = f4(sector.x_m)
+    y_m = f4(sector.y_m)
+    mx = f4(sector.mx)
+    my = f4(sector.my)
+    (cos_right, sin_right) = sector.right
+    (cos_left, sin_left) = sector.left
+    cos_right = f4(cos_right)
+    sin_right = f4(sin_right)
+    cos_left = f4(cos_left)
+    sin_left = f4(sin_left)
+    margin_m = f4(sector.away_m + aside_m) + _ROUNDING_M
+    begin_m = f4(near_m * sector.level)
     end_m = f4(far_m)
     for i in range(plan.shape[1]):
-        x, y, reach_m = plan[0, i] - x_m, plan[1, i] - y_m, plan[2, i] + margin_m
-        along, across, distance_m = mx * x + my * y, mx * y - my * x, np.sqrt(x * x + y * y)
+        x = plan[0, i] - x_m
+        y = plan[1, i] - y_m
+        reach_m = plan[2, i] + margin_m
+        along = mx * x + my * y
+        across = mx * y - my * x
+        distance_m = np.sqrt(x * x + y * y)
         inside = (cos_left * across - sin_left * along <= reach_m) & (
             cos_right * across - sin_right * along >= -reach_m
         )
-        is_seen[i] = inside & (along >= -reach_m) & (distance_m + reach_m >= begin_m) & (distance_m - reach_m <= end_m)
+        is_seen[i] = (
+            inside & (along >= -reach_m) & (distance_m + reach_m >= begin_m) & (distance_m - reach_m <= end_m)
+        )
     is_narrow = mx != f4(0.0) or my != f4(0.0)
     for i in range(plan.shape[1]):
         if is_seen[i]:
@@ -114,12 +137,15 @@ def see_stems(stems: Stems, out: Seen, axes: F4, near_m: float, far_m: float, as
             from_m = np.sqrt(x * x + y * y) - plan[2, i] - margin_m if is_narrow else f4(0.0)
             a = count
             while is_narrow and a > 0 and out.from_m[a - 1] > from_m:
-                out.from_m[a], out.stem[a] = out.from_m[a - 1], out.stem[a - 1]
+                out.from_m[a] = out.from_m[a - 1]
+                out.stem[a] = out.stem[a - 1]
                 a -= 1
-            out.from_m[a], out.stem[a] = from_m, i
+            out.from_m[a] = from_m
+            out.stem[a] = i
             count += 1
     for a in range(count):
-        stem, at = out.stem[a], (a // _BLOCK) * _ROWS * _BLOCK + a % _BLOCK
+        stem = out.stem[a]
+        at = (a // _BLOCK) * _ROWS * _BLOCK + a % _BLOCK
         for row in range(_ROWS):  # of one cache line
             out.row[at + _BLOCK * row] = stems.bounds[stem, row]
     out.total[0] = count
@@ -131,13 +157,20 @@ def _sector(axes: F4, spread: float) -> _Sector:
     x_m = y_m = mx = my = 0.0
     level2 = 1.0
     for q in range(axes.shape[0]):
-        x_m, y_m, dx, dy = axes[q, 0], axes[q, 1], axes[q, 3], axes[q, 4]
-        mx, my, level2 = mx + dx, my + dy, min(level2, dx * dx + dy * dy)
+        x_m = axes[q, 0]
+        y_m = axes[q, 1]
+        dx = axes[q, 3]
+        dy = axes[q, 4]
+        mx = mx + dx
+        my = my + dy
+        level2 = min(level2, dx * dx + dy * dy)
     length = math.sqrt(mx * mx + my * my)
     everywhere = _Sector(x_m, y_m, np.inf, 0.0, 0.0, (0.0, 0.0), (0.0, 0.0), 0.0)
     if length == 0.0 or level2 < 0.25:
         return everywhere
-    mx, my, level = mx / length, my / length, math.sqrt(level2)
+    mx = mx / length
+    my = my / length
+    level = math.sqrt(level2)
     right = left = away_m = 0.0
     for q in range(axes.shape[0]):
         dx, dy = axes[q, 3], axes[q, 4]
@@ -158,7 +191,9 @@ def _sector(axes: F4, spread: float) -> _Sector:
 @inline_kernel
 def meet_stems(stems: Stems, ahead: Seen, pulse: Pulse) -> None:
     """Intersect the lanes with the stems ahead until all lanes have ended."""
-    row, from_m, count = pulse.lanes.row, ahead.from_m, ahead.total[0]
+    row = pulse.lanes.row
+    from_m = ahead.from_m
+    count = ahead.total[0]
     last_m = _farthest(row, pulse.n)
     for begin in range(0, count, _BLOCK):
         if from_m[begin] > last_m:
@@ -186,22 +221,38 @@ def _close(row: F4, at: int, pulse: Pulse, last_m: np.float32) -> np.uint64:
 
     It excludes only stems for which the exact `meet_stem` has no hit.
     """
-    axis, near_m, aside_m, spread = pulse.axis, pulse.near_m, pulse.aside_m, pulse.spread
-    ox, oy, oz, dx, dy, dz = axis[0], axis[1], axis[2], axis[3], axis[4], axis[5]
+    axis = pulse.axis
+    near_m = pulse.near_m
+    aside_m = pulse.aside_m
+    spread = pulse.spread
+    ox = axis[0]
+    oy = axis[1]
+    oz = axis[2]
+    dx = axis[3]
+    dy = axis[4]
+    dz = axis[5]
     close = np.uint64(0)
     for i in range(_BLOCK):
-        sx, sy, sz = row[at + 3 * _BLOCK + i], row[at + 4 * _BLOCK + i], row[at + 5 * _BLOCK + i]
+        sx = row[at + 3 * _BLOCK + i]
+        sy = row[at + 4 * _BLOCK + i]
+        sz = row[at + 5 * _BLOCK + i]
         qx, qy, qz = ox - row[at + i], oy - row[at + _BLOCK + i], oz - row[at + 2 * _BLOCK + i]
-        up, lift = dx * sx + dy * sy + dz * sz, qx * sx + qy * sy + qz * sz
-        wx, wy, wz = dx - up * sx, dy - up * sy, dz - up * sz
+        up = dx * sx + dy * sy + dz * sz
+        lift = qx * sx + qy * sy + qz * sz
+        wx = dx - up * sx
+        wy = dy - up * sy
+        wz = dz - up * sz
         square = wx * wx + wy * wy + wz * wz
         nearest_m = -(qx * wx + qy * wy + qz * wz) / square
-        px, py, pz = qx - lift * sx + nearest_m * wx, qy - lift * sy + nearest_m * wy, qz - lift * sz + nearest_m * wz
+        px = qx - lift * sx + nearest_m * wx
+        py = qy - lift * sy + nearest_m * wy
+        pz = qz - lift * sz + nearest_m * wz
         margin_m = spread * abs(nearest_m) + aside_m
         within_m = row[at + _REACH + i] + margin_m
         # Intervals along the pulse and along the axis in which the pulse is within this distance of the axis.
         around_m = within_m / square
-        height_m, over_m = lift + nearest_m * up, around_m * abs(up) + within_m
+        height_m = lift + nearest_m * up
+        over_m = around_m * abs(up) + within_m
         is_close = (px * px + py * py + pz * pz <= within_m * within_m) & (
             (height_m + over_m >= row[at + _LOW + i]) & (height_m - over_m <= row[at + _HIGH + i])
         )
@@ -215,10 +266,15 @@ def _close(row: F4, at: int, pulse: Pulse, last_m: np.float32) -> np.uint64:
 def meet_stem(stems: Stems, pulse: Pulse, stem: int) -> bool:
     """Intersect the lanes with a stem: a cone with its bend and width at the height of the hit."""
     axis = pulse.axis
-    s, profile = stems.line[stem], stems.profile[stem]
-    sx, sy, sz = s[3], s[4], s[5]
+    s = stems.line[stem]
+    profile = stems.profile[stem]
+    sx = s[3]
+    sy = s[4]
+    sz = s[5]
     up = axis[3] * sx + axis[4] * sy + axis[5] * sz
-    wx, wy, wz = axis[3] - up * sx, axis[4] - up * sy, axis[5] - up * sz
+    wx = axis[3] - up * sx
+    wy = axis[4] - up * sy
+    wz = axis[5] - up * sz
     square = wx * wx + wy * wy + wz * wz
     if square < 1e-9:
         return False
@@ -273,23 +329,27 @@ def _nearest(
     """
     lift = q[0] * s[0] + q[1] * s[1] + q[2] * s[2]
     nearest_m = -(q[0] * w[0] + q[1] * w[1] + q[2] * w[2]) / square
-    px, py, pz = (
-        q[0] - lift * s[0] + nearest_m * w[0],
-        q[1] - lift * s[1] + nearest_m * w[1],
-        q[2] - lift * s[2] + nearest_m * w[2],
-    )
+    px = q[0] - lift * s[0] + nearest_m * w[0]
+    py = q[1] - lift * s[1] + nearest_m * w[1]
+    pz = q[2] - lift * s[2] + nearest_m * w[2]
     return nearest_m, lift + nearest_m * up, px * px + py * py + pz * pz
 
 
 @inline_kernel
 def _keep_nearest(stems: Stems, pulse: Pulse, stem: int) -> bool:
     """Keep hits of a stem's cone that are nearest and within the stem; return True if there is any."""
-    L, near_m = pulse.lanes, pulse.near_m
-    met, row, flare_m, along_m = False, L.row, stems.flare_m[stem], stems.profile[stem, 0]
+    L = pulse.lanes
+    near_m = pulse.near_m
+    met = False
+    row = L.row
+    flare_m = stems.flare_m[stem]
+    along_m = stems.profile[stem, 0]
     for lane in range(pulse.n):
-        at_m, height_m = row[AT + lane], row[HEIGHT + lane]
+        at_m = row[AT + lane]
+        height_m = row[HEIGHT + lane]
         if near_m <= at_m < row[RANGE + lane] and along_m[0] <= height_m <= along_m[-1]:
-            row[RANGE + lane], row[COSINE + lane] = at_m, row[FACING + lane]
+            row[COSINE + lane] = row[FACING + lane]
+            row[RANGE + lane] = at_m
             L.surface[lane] = stems.surface[stem, 0 if height_m < flare_m else 1]
             met = True
     return met
@@ -313,12 +373,16 @@ def _cut_cone(
         x = row[ORIGIN + lane] + from_m * dx - middle_m[0]
         y = row[ORIGIN + LANES + lane] + from_m * dy - middle_m[1]
         z = row[ORIGIN + 2 * LANES + lane] + from_m * dz - middle_m[2]
-        lift, up = x * sx + y * sy + z * sz, dx * sx + dy * sy + dz * sz
+        lift = x * sx + y * sy + z * sz
+        up = dx * sx + dy * sy + dz * sz
         x, y, z = x - lift * sx, y - lift * sy, z - lift * sz
         dx, dy, dz = dx - up * sx, dy - up * sy, dz - up * sz
-        # Linear change of the radius along the ray; solve for where its square equals the squared distance from the axis.
-        begin_m, change = radius_m + taper * lift, taper * up
-        along, square = x * dx + y * dy + z * dz, dx * dx + dy * dy + dz * dz
+        # Linear change of the radius along the ray; solve for where its square equals the squared distance
+        # from the axis.
+        begin_m = radius_m + taper * lift
+        change = taper * up
+        along = x * dx + y * dy + z * dz
+        square = dx * dx + dy * dy + dz * dz
         a, b = square - change * change, begin_m * change - along
         inside = b * b - a * (x * x + y * y + z * z - begin_m * begin_m)
         on_m = (b - np.sqrt(max(inside, f4(0.0)))) / a
@@ -332,7 +396,8 @@ def _cut_cone(
 @inline_kernel
 def _knot(profile: F4, height_m: float) -> int:
     """Find the knot of a profile at or below a height, at least the first and at most the last but one."""
-    knot, at_m = 0, f4(height_m)
+    knot = 0
+    at_m = f4(height_m)
     for i in range(1, profile.shape[1] - 1):
         knot += profile[0, i] <= at_m
     return knot

@@ -1,6 +1,7 @@
 """Far tiles: the interface between forests and the far medium.
 
-A window with tiles is cast as faces up to `near_m` and as a medium beyond; other windows are cast as faces alone.
+A window with tiles is cast as faces up to `near_m` and as a medium beyond; other windows are cast as faces
+alone.
 """
 
 from dataclasses import dataclass
@@ -16,7 +17,11 @@ STEM = np.dtype(
         ("foot_m", "<f8", 3),  # world: point where the axis leaves the ground, or the first leader
         ("axis", "<f8", 3),  # unit vector, upwards
         ("along_m", "<f4", 16),  # knots of the profile, from the foot along the axis, ascending
-        ("aside_m", "<f4", (2, 16)),  # at the knots, east and north: offset of the section's centre from the axis
+        (
+            "aside_m",
+            "<f4",
+            (2, 16),
+        ),  # at the knots, east and north: offset of the section's centre from the axis
         ("radius_m", "<f4", 16),  # at the knots, linear in between; 0 at the tip of an unbroken tree
         ("flare_m", "<f4"),  # along the axis: end of the root flare
         ("row", "<u4", 2),  # rows of the tile's surfaces: root flare, and the stem above it
@@ -24,7 +29,9 @@ STEM = np.dtype(
 )
 """A far stem, or its second leader: circles across the axis."""
 
-EXACT = 255  # in place of a `PlantPart`: a mesh of a `FarTile` that is exact as `STEM`s, not part of the medium
+EXACT = (
+    255  # in place of a `PlantPart`: a mesh of a `FarTile` that is exact as `STEM`s, not part of the medium
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +47,8 @@ class FarTile:
     part: U1  # (meshes,) `PlantPart` or `EXACT`
     stems: NDArray[np.void]  # (s,) `STEM`
     ground_m: F8
-    """Heights (85, 85) every 0.25 m in x and y, from 0.5 m outside the corner to 0.5 m outside the opposite one."""
+    """Heights (85, 85) every 0.25 m in x and y, from 0.5 m outside the corner to 0.5 m outside the opposite
+    one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,11 +12,14 @@ KNOTS = np.array([0.0, 0.3, 1.0])
 """Sines of the elevations (knots) at which projected areas are stored: level, 17 degrees, and vertical."""
 QUANTILES = 16  # quantiles of the cosine of incidence, at the midpoints of equal shares of projected area
 
-CODES, MOST_PER_M = 127, 24.0  # greatest code, and its projected area per volume
+CODES = 127  # greatest code, and its projected area per volume
+MOST_PER_M = 24.0
 TAU_PER_M = (MOST_PER_M * np.square(np.arange(CODES + 1) / CODES)).astype(np.float32)
 """Projected area per volume for each code."""
 
-LAW_BIT, TILE_BIT, SHARE_BIT = np.uint64(32), np.uint64(52), np.uint64(56)
+LAW_BIT = np.uint64(32)
+TILE_BIT = np.uint64(52)
+SHARE_BIT = np.uint64(56)
 """First bits of the parts of an owner; its row begins at bit 0."""
 LAW_MASK = np.uint64((1 << 20) - 1)
 

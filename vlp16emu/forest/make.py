@@ -31,7 +31,9 @@ class ForestSite:
     """
 
     def __init__(self, section: Woods, seed: int) -> None:
-        self._section, self._seed, self.origin_m = section, seed, section.origin_m
+        self._section = section
+        self._seed = seed
+        self.origin_m = section.origin_m
         self._ground: TerrainHeights | DemHeights = (
             TerrainHeights(section.terrain, seed=seed)
             if section.dem is None
@@ -64,7 +66,8 @@ class ForestSite:
         self, path_xy_m: F8, *, reach_m: float, farthest_m: float, wind: Wind | None, start_ns: int
     ) -> tuple[World, TreeSway | None]:
         """Return the forest and the sway of its trees; parameters and errors as in `Site`."""
-        section, ground = self._section, self._ground
+        section = self._section
+        ground = self._ground
         if isinstance(ground, DemHeights):
             ground.check(path_xy_m, reach_m)
         path = Corridor(path_xy_m, section.path_clearance_m)

@@ -29,8 +29,10 @@ DENSITY_KEYS = frozenset({"stems_per_ha", "basal_area_m2_per_ha"})
 """Two measures of a storey's density; a scene gives one of them."""
 
 LEAST_SLENDERNESS = 12.0
-"""Least ratio of height to DBH of the tree of mean diameter: trees in stands have 50 to 120 and open-grown ones 25 to 50
-(Wang, Titus and LeMay 1998, "Relationships between tree slenderness coefficients and tree or stand characteristics"); a
+"""Least ratio of height to DBH of the tree of mean diameter: trees in stands have 50 to 120 and open-grown
+ones 25 to 50
+(Wang, Titus and LeMay 1998, "Relationships between tree slenderness coefficients and tree or stand
+characteristics"); a
 DBH given in millimetres would give a tenth."""
 
 _SHARE_ERROR = 0.015  # tolerance of a sum of shares of 1: allows three shares of 0.33
@@ -55,7 +57,8 @@ _RELIEFS: dict[str, dict[str, object]] = {
     "hilly": {"hill_rms_m": 4.0, "mounds_per_ha": 100.0},
     "rough": {"hill_rms_m": 1.5, "rough_rms_m": 0.11, "mounds_per_ha": 800.0},
 }
-"""Keys set by each kind of relief. Hills and mounds are assumptions: hills of 1 m rms have slopes of 4 degrees rms, hills
+"""Keys set by each kind of relief. Hills and mounds are assumptions: hills of 1 m rms have slopes of 4
+degrees rms, hills
 of 4 m have 15."""
 
 
@@ -74,10 +77,13 @@ class Terrain(Preset):
     mounds_per_ha: Annotated[float, Field(ge=0, le=2500)] = 0.0
     """Mounds and hollows of up to 0.15 m, 1 m to 2 m wide."""
     pits_per_ha: Annotated[float, Field(ge=0, le=600)] = 0.0
-    """Pits with a mound beside each, as left by uprooted trees: 0.2 m to 0.4 m deep and high, 2 m to 3 m wide."""
+    """Pits with a mound beside each, as left by uprooted trees: 0.2 m to 0.4 m deep and high, 2 m to 3 m
+    wide."""
     trail_spacing_m: Annotated[float, Field(ge=0, le=200)] = 0.0
-    """Distance between the middles of parallel trails of harvesters, each with two ruts, 0.05 m to 0.2 m deep and 0.5 m to 0.7 m
-    wide, 2 m apart; 0 for none, else 10 or more. Generated trees and shrubs keep 2 m from their middle. Forests of Central
+    """Distance between the middles of parallel trails of harvesters, each with two ruts, 0.05 m to 0.2 m deep
+    and 0.5 m to 0.7 m
+    wide, 2 m apart; 0 for none, else 10 or more. Generated trees and shrubs keep 2 m from their middle.
+    Forests of Central
     Europe have trails every 20 m (PEFC) or 40 m (FSC)."""
     trail_towards_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
     """Direction of the trails, counter-clockwise from east."""
@@ -276,7 +282,8 @@ class Herbs(Cover):
     """Patches of broadleaved herbs within 25 m of the path, twice as wide as high."""
 
     height_m: Range = (0.1, 0.3)
-    """Minimum and maximum height of a patch; wood sorrel has 0.05 to 0.15 m, wood anemone 0.1 to 0.3 m, dog's mercury 0.15 to
+    """Minimum and maximum height of a patch; wood sorrel has 0.05 to 0.15 m, wood anemone 0.1 to 0.3 m, dog's
+    mercury 0.15 to
     0.4 m (Stace, New Flora of the British Isles)."""
 
 
@@ -339,7 +346,8 @@ class TreeModelFile(MeshSource):
     """A tree model from the user, which replaces the grown trees of a species, scaled to the size of each."""
 
     species: str
-    """Species that it represents: name in the species table, or scientific name. With several models of a species, each tree
+    """Species that it represents: name in the species table, or scientific name. With several models of a
+    species, each tree
     takes a random one among the models that need the least stretching."""
     parts: list[ModelPart] = Field(default_factory=list)
     """Parts of the file that are not stem."""
@@ -349,13 +357,15 @@ class Woods(WorldSection):
     """Ground and undergrowth, for any kind of trees."""
 
     seed: Seed | None = None
-    """Seed of ground, plants, stones and gusts; by default the scene's seed. Equal seeds give the same stand."""
+    """Seed of ground, plants, stones and gusts; by default the scene's seed. Equal seeds give the same
+    stand."""
     season: Season = "leaf_on"
     """Season: broadleaved trees and shrubs with or without leaves."""
     dead_branches: bool = True
     """True for dead branches with twigs below the crowns, on spruces nearly down to the ground."""
     crooked_stems: bool = True
-    """True for stems with sweep, forks, lobes and bark from the species table; else they are straight and round."""
+    """True for stems with sweep, forks, lobes and bark from the species table; else they are straight and
+    round."""
     regeneration: Regeneration = Regeneration()
     shrubs: Shrubs = Shrubs()
     stones: Stones = Stones()
@@ -369,20 +379,25 @@ class Woods(WorldSection):
     litter: Litter = Litter()
     ivy: Ivy = Ivy()
     texture: Texture = 0.12
-    """Relative variation (one sigma) of the reflectance of ground, bark and stones over patches of about 0.08 m on bark and
-    0.2 m elsewhere; leaves have none, as each has its own angle. Assumption: neighbouring returns then scatter as with real
+    """Relative variation (one sigma) of the reflectance of ground, bark and stones over patches of about 0.08
+    m on bark and
+    0.2 m elsewhere; leaves have none, as each has its own angle. Assumption: neighbouring returns then
+    scatter as with real
     sensors in rooms and streets."""
     leaf_roughness: Roughness | None = None
-    """Root mean square slope of the facets of the leaves' coat; none for matt leaves. Dry leaves have 0.18 to 0.56 (Comar et al. 2014,
+    """Root mean square slope of the facets of the leaves' coat; none for matt leaves. Dry leaves have 0.18 to
+    0.56 (Comar et al. 2014,
     doi:10.1016/j.rse.2013.11.021), a film of water less: with 0.1, leaves seen straight on are white."""
     species_file: SceneFile | None = None
     """File with the user's plants, in the form of the program's `forest/species.toml`, numbered from 1000."""
     tree_models: list[TreeModelFile] = Field(default_factory=list)
-    """Tree models from the user that replace the grown trees of a species; inventory and labels follow their meshes."""
+    """Tree models from the user that replace the grown trees of a species; inventory and labels follow their
+    meshes."""
     path_clearance_m: NonNegative = 0.8
     """Least distance of plants and things on the ground from the path, except roots of old trees."""
     near_m: Near = 15.0
-    """Range up to which plants are cast leaf by leaf; beyond, ground and stems are exact and foliage is a medium of voxels
+    """Range up to which plants are cast leaf by leaf; beyond, ground and stems are exact and foliage is a
+    medium of voxels
     made from the same plants. `inf` casts everything leaf by leaf."""
     terrain: Terrain = Terrain()
     dem: Dem | None = None
@@ -405,17 +420,22 @@ class Wind(Section):
     """Wind through a stand; without this table, and at a speed of 0, the air is still and costs nothing."""
 
     speed_m_s: Annotated[float, Field(ge=0, le=12)]
-    """Mean speed at the top of the canopy, roughly half the speed in the open. Trees respond linearly, even if real trees would
+    """Mean speed at the top of the canopy, roughly half the speed in the open. Trees respond linearly, even
+    if real trees would
     break or lean on their neighbours: from about 8 m/s on, thin trees of dense stands lean too far."""
     towards_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
     """Direction towards which it blows, counter-clockwise from east."""
     turbulence_intensity: Annotated[float, Field(ge=0, le=1)] = 0.55
-    """Turbulence intensity: standard deviation of the speed along the wind over the mean; 0.8 of that across. At the top of
-    canopies 1.8 / 3.3 (both over the friction velocity; Raupach, Finnigan and Brunet, Boundary-Layer Meteorol 78, 1996)."""
+    """Turbulence intensity: standard deviation of the speed along the wind over the mean; 0.8 of that across.
+    At the top of
+    canopies 1.8 / 3.3 (both over the friction velocity; Raupach, Finnigan and Brunet, Boundary-Layer Meteorol
+    78, 1996)."""
     gust_length_m: Annotated[float, Field(ge=1, le=500)] = 20.0
-    """Integral length of gusts along the wind: at the top of canopies about the height of the trees (same source)."""
+    """Integral length of gusts along the wind: at the top of canopies about the height of the trees (same
+    source)."""
     damping_ratio: Annotated[float, Field(ge=0.02, le=1)] = 0.1
-    """Damping ratio of the trees' sway: whole trees have 0.08 and more, stripped ones 0.01 to 0.08 (Moore and Maguire, Trees
+    """Damping ratio of the trees' sway: whole trees have 0.08 and more, stripped ones 0.01 to 0.08 (Moore and
+    Maguire, Trees
     19, 2005)."""
 
 
@@ -433,9 +453,13 @@ class Forest(Woods, Storey):
         if not isinstance(name, str):
             return own
         left_out = DENSITY_KEYS if own.keys() & DENSITY_KEYS else frozenset[str]()
-        return merged({key: value for key, value in presets().get(name, {}).items() if key not in left_out}, own)
+        return merged(
+            {key: value for key, value in presets().get(name, {}).items() if key not in left_out}, own
+        )
 
-    preset: Literal["none", "plantation", "managed_mixed", "old_growth", "wild_regrowth", "open_savanna"] = "none"
+    preset: Literal["none", "plantation", "managed_mixed", "old_growth", "wild_regrowth", "open_savanna"] = (
+        "none"
+    )
     """Kind of forest that sets all keys of this table that are not given."""
     storeys: Annotated[list[Storey], Field(max_length=2)] = Field(default_factory=list)
     """Storeys under the canopy, from the top down."""
@@ -449,5 +473,6 @@ class Plot(Woods):
     stem_list: SceneFile
     """CSV file with column names in the first line: x, y, species, dbh_cm, height_m, and more if known."""
     on_conflict: Literal["refuse", "drop", "move_path"] = "refuse"
-    """Handling of stems nearer to the path than `path_clearance_m`: an error names all of them, they are dropped with a
+    """Handling of stems nearer to the path than `path_clearance_m`: an error names all of them, they are
+    dropped with a
     warning, or the path of a walk is moved around them."""

@@ -1,8 +1,11 @@
 """The plane cut into square tiles: tiles near a line, and their ground as triangles, large on even ground.
 
-Right triangles are bisected repeatedly from the middle of their longest side, if the ground is off that middle (Evans,
-Kirkpatrick and Townsend, "Right-triangulated irregular networks", Algorithmica 30, 2001). A cut is made in both triangles
-at a side, together with the coarser cuts that it depends on, so that no vertex lies on a side of another triangle.
+Right triangles are bisected repeatedly from the middle of their longest side, if the ground is off that
+middle (Evans,
+Kirkpatrick and Townsend, "Right-triangulated irregular networks", Algorithmica 30, 2001). A cut is made in
+both triangles
+at a side, together with the coarser cuts that it depends on, so that no vertex lies on a side of another
+triangle.
 """
 
 from collections.abc import Callable
@@ -18,12 +21,15 @@ Mask = NDArray[np.bool_]
 _CELL_M = 0.5  # edge of the initial squares
 _FINEST = 16  # steps of the finest grid along that edge, 31 mm each
 _LOOKED_AT = (16, 8, 4, 2)
-"""Edges, in these steps, of squares at whose centre and sides the ground is compared: the largest everywhere, smaller ones
-only if the ground is off in the enclosing square or in a neighbour of it. A hollow may be missed between points that are
+"""Edges, in these steps, of squares at whose centre and sides the ground is compared: the largest everywhere,
+smaller ones
+only if the ground is off in the enclosing square or in a neighbour of it. A hollow may be missed between
+points that are
 as far apart as it is wide, but not in a neighbouring square."""
 _CUTS = 8  # successive cuts of a half square, down to halves of the finest squares
 _OFF_M = 0.004
-"""Tolerance of the ground at the middle of an uncut side; elsewhere on a triangle the error is little more."""
+"""Tolerance of the ground at the middle of an uncut side; elsewhere on a triangle the error is little
+more."""
 _APRON = 2
 """Border of squares whose cuts are computed too: cuts reach at most into the neighbouring square."""
 
@@ -31,7 +37,8 @@ _APRON = 2
 def ground_triangles(corner_m: tuple[float, float], edge_m: float, height_m: HeightField) -> tuple[F8, I8]:
     """Triangulate the ground of a square, with the same vertices along the border as in neighbouring squares.
 
-    The south-west corner is at whole multiples of 0.5 m, and the edge is in whole metres. Returns vertices (n, 3) in the world,
+    The south-west corner is at whole multiples of 0.5 m, and the edge is in whole metres. Returns vertices
+    (n, 3) in the world,
     by rows from south to north, and faces (m, 3), counter-clockwise as seen from above.
     """
     cells = round(edge_m / _CELL_M)
@@ -49,7 +56,8 @@ class _Ground:
     """Heights on the finest grid, computed on request."""
 
     def __init__(self, corner_m: tuple[float, float], side: int, height_m: HeightField) -> None:
-        self.side, self._height_m = side, height_m
+        self.side = side
+        self._height_m = height_m
         self._first_m = np.array(corner_m) - _APRON * _CELL_M
         self.z_m = np.full((side, side), np.nan)
 
@@ -73,19 +81,26 @@ def _cuts(ground: _Ground) -> Mask:
     off_m = np.full((ground.side // (2 * _FINEST),) * 2, np.inf)
     for step in _LOOKED_AT:
         ground.ask(_around(off_m > _OFF_M, 2 * step))
-        half, z = step // 2, ground.z_m
-        corner, is_anti = z[::step, ::step], _is_anti(ground.side, step)
-        main, anti = (corner[:-1, :-1] + corner[1:, 1:]) / 2, (corner[:-1, 1:] + corner[1:, :-1]) / 2
+        half = step // 2
+        z = ground.z_m
+        corner = z[::step, ::step]
+        is_anti = _is_anti(ground.side, step)
+        main = (corner[:-1, :-1] + corner[1:, 1:]) / 2
+        anti = (corner[:-1, 1:] + corner[1:, :-1]) / 2
         middle = np.abs(z[half::step, half::step] - np.where(is_anti, anti, main))
         across = np.abs(z[::step, half::step] - (corner[:, :-1] + corner[:, 1:]) / 2)
         up = np.abs(z[half::step, ::step] - (corner[:-1] + corner[1:]) / 2)
         cut[half::step, half::step] = middle > _OFF_M
-        cut[::step, half::step], cut[half::step, ::step] = across > _OFF_M, up > _OFF_M
+        cut[::step, half::step] = across > _OFF_M
+        cut[half::step, ::step] = up > _OFF_M
         off_m = np.fmax.reduce([middle, across[:-1], across[1:], up[:, :-1], up[:, 1:]])
     # Each cut depends on the cuts of the coarser squares around it.
     for step in reversed(_LOOKED_AT):
-        half, tips = step // 2, cut[::step, ::step]
-        sides, ends, centres = cut[::step, half::step], cut[half::step, ::step], cut[half::step, half::step]
+        half = step // 2
+        tips = cut[::step, ::step]
+        sides = cut[::step, half::step]
+        ends = cut[half::step, ::step]
+        centres = cut[half::step, half::step]
         centres |= sides[:-1] | sides[1:] | ends[:, :-1] | ends[:, 1:]
         if step < _FINEST:
             falling = centres & _is_anti(ground.side, step)
@@ -98,7 +113,8 @@ def _cuts(ground: _Ground) -> Mask:
 
 def _around(squares: Mask, edge: int) -> Mask:
     """Mask (side, side) of points in squares and their neighbours, five along each edge."""
-    side, fine = len(squares) * edge + 1, edge // 4
+    side = len(squares) * edge + 1
+    fine = edge // 4
     beside = np.lib.stride_tricks.sliding_window_view(np.pad(squares, 1), (3, 3))
     points = np.zeros((side, side), np.bool_)
     within = np.pad(np.asarray(beside.any(axis=(2, 3))).repeat(4, axis=0).repeat(4, axis=1), 1)
@@ -121,7 +137,9 @@ def _bisected(triangles: I8, cut: Mask) -> I8:
         is_cut = cut[middle]
         whole.append(triangles[~is_cut])
         tip, one, other, middle = (corner[is_cut] for corner in (tip, one, other, middle))
-        triangles = np.concatenate([np.column_stack([middle, tip, one]), np.column_stack([middle, other, tip])])
+        triangles = np.concatenate(
+            [np.column_stack([middle, tip, one]), np.column_stack([middle, other, tip])]
+        )
     return np.concatenate([*whole, triangles])
 
 
@@ -176,8 +194,10 @@ def ground_mesh(key: TileKey, height_m: HeightField) -> Mesh:
     x, y = points_m[:, 0], points_m[:, 1]
     south, east, north, west = (np.flatnonzero(on) for on in (y == 0, x == TILE_M, y == TILE_M, x == 0))
     top = np.concatenate([south[:-1], east[:-1], north[:0:-1], west[:0:-1]])
-    hem_m, hem = points_m[top] - [0.0, 0.0, _SKIRT_M], len(points_m) + np.arange(len(top))
-    next_top, next_hem = np.roll(top, -1), np.roll(hem, -1)
+    hem_m = points_m[top] - [0.0, 0.0, _SKIRT_M]
+    hem = len(points_m) + np.arange(len(top))
+    next_top = np.roll(top, -1)
+    next_hem = np.roll(hem, -1)
     sides = [np.column_stack(corners) for corners in ((top, hem, next_hem), (top, next_hem, next_top))]
     vertices_m = np.concatenate([points_m, hem_m]).astype(np.float32)
     return Mesh(vertices_m, np.concatenate([faces, *sides]).astype(np.uint32))

@@ -1,7 +1,9 @@
 """Compiled kernels, kept on disk by content.
 
-A file's name is a digest of the sources of a kernel, regardless of their path and time stamps: its module, the modules
-of its argument types, whose overloads it may call, and all their imports; also of the compiling libraries, the target
+A file's name is a digest of the sources of a kernel, regardless of their path and time stamps: its module,
+the modules
+of its argument types, whose overloads it may call, and all their imports; also of the compiling libraries,
+the target
 processor, the kernel and its types.
 """
 
@@ -89,7 +91,8 @@ def kernel_names() -> list[str]:
 
 def sources_of(modules: frozenset[str]) -> list[str]:
     """Return the package's files for modules: their own and all their imports, except this room."""
-    left, found = set(modules), set[str]()
+    left = set(modules)
+    found = set[str]()
     while left:
         for file in _files_of(left.pop()):
             if file not in found:
@@ -117,7 +120,8 @@ def _modules(kind: Any) -> Iterator[str]:
 def _read(file: str) -> tuple[str, list[str]]:
     """Return the digest of a file of the package and its tables, and the modules of the package that it may import."""
     path = PACKAGE / file
-    text, imports = path.read_text(encoding="utf-8"), list[str]()
+    text = path.read_text(encoding="utf-8")
+    imports = list[str]()
     for place, names in _IMPORT.findall(text):
         imports += [f"vlp16emu{place}", *(f"vlp16emu{place}.{name}" for name in re.findall(r"\w+", names))]
     tables = [(table.name, table.read_text(encoding="utf-8")) for table in sorted(path.parent.glob("*.toml"))]

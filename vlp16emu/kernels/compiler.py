@@ -2,10 +2,12 @@
 
 Modules with kernels import `numba` from here, as it is configured before the first kernel is made.
 
-A kernel that is compiled because another one calls it is code for that one only: it gets no entry from Python or C,
+A kernel that is compiled because another one calls it is code for that one only: it gets no entry from Python
+or C,
 no machine code of its own and no file. If Python calls it later, it is compiled again in full.
 
-A table lists the kernels that Python calls in runs of each group, hall and forest, with their argument types, the
+A table lists the kernels that Python calls in runs of each group, hall and forest, with their argument types,
+the
 costliest first. It may be outdated: a kernel that it lacks is compiled when it is first called.
 """
 
@@ -41,7 +43,8 @@ def _target() -> tuple[str, str]:
 
     `VLP16EMU_TARGET` selects another one, for tests; `host` is the present processor.
     """
-    chosen, has = os.environ.get("VLP16EMU_TARGET"), binding.get_host_cpu_features()
+    chosen = os.environ.get("VLP16EMU_TARGET")
+    has = binding.get_host_cpu_features()
     if chosen == "host":
         return binding.get_host_cpu_name(), has.flatten()
     best = next((name for name, needs in _TARGETS.items() if all(map(has.get, needs))), "generic")
@@ -64,7 +67,8 @@ def _prepare() -> None:
 def is_plain() -> bool:
     """Return True if numba compiles and keeps kernels in its own way, which takes longer and changes no byte.
 
-    So it is with versions of numba whose private interfaces are not known, unless a kernel that is compiled through
+    So it is with versions of numba whose private interfaces are not known, unless a kernel that is compiled
+    through
     them works; or if `VLP16EMU_NUMBA` is `plain`.
     """
     if os.environ.get("VLP16EMU_NUMBA") == "plain":
@@ -116,7 +120,9 @@ def _njit(**options: Any) -> Any:
     return numba.njit(cache=True, nogil=True, error_model="numpy", **options)
 
 
-_PRIVATE = frozenset({"_nrt", "no_cfunc_wrapper", "no_cpython_wrapper"})  # options that numba does not document
+_PRIVATE = frozenset(
+    {"_nrt", "no_cfunc_wrapper", "no_cpython_wrapper"}
+)  # options that numba does not document
 _ENDINGS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 _POLL_S = 1.0  # interval at which children are looked after
 
@@ -148,19 +154,22 @@ def compile_kernels(group: str | None = None) -> Iterator[tuple[int, int]]:
     for row in missing:
         files.setdefault(row["kernel"].partition(":")[0], []).append(row)
     # A child that a signal meets before `_ignore_signals` would end as this process does.
-    before, others = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDINGS), multiprocessing.active_children()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDINGS)
+    others = multiprocessing.active_children()
     try:
         pool = multiprocessing.get_context("fork").Pool(min(usable_cores(), len(files)), _ignore_signals)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
     children = [child for child in multiprocessing.active_children() if child not in others]
     with pool:
-        done, counts = 0, pool.imap_unordered(_compile, files.values())
+        done = 0
+        counts = pool.imap_unordered(_compile, files.values())
         while done < len(missing):
             try:
                 done += counts.next(_POLL_S)
             except multiprocessing.TimeoutError:
-                # The result of a child that the system killed, for its memory, never comes: the run compiles the rest.
+                # The result of a child that the system killed, for its memory, never comes: the run compiles
+                # the rest.
                 if not all(child.is_alive() for child in children):
                     return
             else:

@@ -1,6 +1,7 @@
 """All that depends on private interfaces of numba: dispatchers with our cache, inner kernels without code of their own.
 
-A kernel that is compiled because another one calls it is code for that one only: it gets no entry from Python or C,
+A kernel that is compiled because another one calls it is code for that one only: it gets no entry from Python
+or C,
 no machine code of its own and no file. If Python calls it later, it is compiled again in full.
 """
 
@@ -66,7 +67,13 @@ def kernel_bytes(result: Any) -> bytes:
 
 
 def load_kernel(
-    context: Any, name: str, code: bytes, described: Any, environment: Any, types: object, environments: Iterable[Any]
+    context: Any,
+    name: str,
+    code: bytes,
+    described: Any,
+    environment: Any,
+    types: object,
+    environments: Iterable[Any],
 ) -> object:
     """Make a kernel from its stored parts, for calls from Python: its code for linking, half of the file, is not stored.
 
@@ -79,7 +86,8 @@ def load_kernel(
     library._set_compiled_object(code)
     library._finalize_final_module()
     codegen._engine._defined_symbols.add(described.llvm_cpython_wrapper_name)
-    # LLVM calls Python for the code: what a signal's handler raises there is lost, and the kernel has no address.
+    # LLVM calls Python for the code: what a signal's handler raises there is lost, and the kernel has no
+    # address.
     if not library.get_pointer_to_function(described.llvm_cpython_wrapper_name):
         raise KeyboardInterrupt
     entry = context.get_executable(library, described, environment)
@@ -135,7 +143,9 @@ class KernelDispatcher(CPUDispatcher):  # type: ignore[misc]
         with global_compiler_lock:
             args, _ = sigutils.normalize_signature(sig)
             done = self.overloads.get(tuple(args))
-            if done and (done.library is None if KernelDispatcher.depth else isinstance(done.entry_point, _Inner)):
+            if done and (
+                done.library is None if KernelDispatcher.depth else isinstance(done.entry_point, _Inner)
+            ):
                 del self.overloads[tuple(args)]
             return super().compile(sig)
 
@@ -158,7 +168,8 @@ class _KernelCompiler(Compiler):  # type: ignore[misc]
 
     def __init__(self, *args: Any, **options: Any) -> None:
         if "numba.np.arraymath" not in sys.modules:
-            # It would load scipy.linalg (0.1 s) only to check that it exists; a kernel that uses it checks again.
+            # It would load scipy.linalg (0.1 s) only to check that it exists; a kernel that uses it checks
+            # again.
             from numba.np import linalg
 
             ensure_blas = linalg.ensure_blas

@@ -22,12 +22,16 @@ from vlp16emu.units import S_NS
 Sky = Callable[[int, F8], float]
 """Function of UTC and antenna position (3,) that gives the hidden share of the sky, 0..1."""
 _WAVES = 32
-_EAST, _NORTH, _LOSS = 0, 1, 2  # lanes of the wandering processes
+_EAST = 0  # lanes of the wandering processes
+_NORTH = 1
+_LOSS = 2
 _COVER_WIDTH = 0.05  # width of the logistic curve of failed fixes over the cover; assumption
 _LOSS_S = 10.0
 """Correlation time of failing fixes: about 12 m of walking, the spacing of large crowns; assumption."""
-_FARTHEST_Z, _NORMAL_PEAK = 8.0, 0.3989422804014327
-"""Limit beyond which the normal distribution is 0 or 1 within 1e-15, and its greatest density, 1 / sqrt(2 pi)."""
+_FARTHEST_Z = 8.0
+_NORMAL_PEAK = 0.3989422804014327
+"""Limit beyond which the normal distribution is 0 or 1 within 1e-15, and its greatest density, 1 / sqrt(2
+pi)."""
 _HELD_S = 10  # time for which a receiver repeats its last fix
 _FASTEST_M_S = 999 * 1852 / 3600
 """999 knots, the greatest reported speed (Garmin GPS 16x, 190-00228-08 Rev. C, section 1.5.4.4)."""
@@ -83,14 +87,16 @@ class Receiver:
                 break
         latitude_deg, longitude_deg, _ = to_geodetic(known.measured_m[None], self._gps)[0].tolist()
         east_m_s, north_m_s = known.measured_m_s.tolist()
-        valid, speed_m_s = self.reading(t_ns).valid, min(hypot(east_m_s, north_m_s), _FASTEST_M_S)
+        valid = self.reading(t_ns).valid
+        speed_m_s = min(hypot(east_m_s, north_m_s), _FASTEST_M_S)
         course_deg = math.degrees(atan2(east_m_s, north_m_s)) % 360.0
         return GnssFix(t_ns, valid, latitude_deg, longitude_deg, speed_m_s, course_deg)
 
 
 def _measure(motion: Motion, gps: Gps, seed: int, sky: Sky | None, t_ns: int) -> GnssReading:
     truth = motion.kinematics_at(np.array([t_ns]))
-    antenna_m, velocity_m_s = truth.world_p_body_m[0].copy(), truth.world_v_body_m_s[0]
+    antenna_m = truth.world_p_body_m[0].copy()
+    velocity_m_s = truth.world_v_body_m_s[0]
     antenna_m[2] += gps.antenna_above_m
     cover = sky(t_ns, antenna_m) if sky else 0.0
     grown = 1.0 + (gps.canopy_error_factor - 1.0) * cover
@@ -114,9 +120,12 @@ def _exceeded(z: float) -> float:
     Source: Marsaglia, "Evaluating the normal distribution", J. Statistical Software 11(4), 2004.
     """
     z = min(max(z, -_FARTHEST_Z), _FARTHEST_Z)
-    total, term, odd = 0.0, z, 1.0
+    total = 0.0
+    term = z
+    odd = 1.0
     while total + term != total:
-        total, odd = total + term, odd + 2.0
+        total = total + term
+        odd = odd + 2.0
         term *= z * z / odd
     return 0.5 - total * exp(-0.5 * z * z) * _NORMAL_PEAK
 
@@ -163,7 +172,8 @@ def to_geodetic(local_m: F8, gps: Gps) -> F8:
     """
     origin = np.array([[gps.latitude_deg, gps.longitude_deg, gps.height_m]])
     x_m, y_m, z_m = (matvec(_axes(gps).T, local_m) + _to_earth(origin)).T
-    away_m, polar = hypot(x_m, y_m), 1.0 - _FLATTENING
+    away_m = hypot(x_m, y_m)
+    polar = 1.0 - _FLATTENING
     sine, cosine = z_m, away_m * polar  # of the reduced latitude, later of the latitude, unnormalized
     for _ in range(_ROUNDS):
         length = hypot(sine, cosine)
@@ -171,7 +181,8 @@ def to_geodetic(local_m: F8, gps: Gps) -> F8:
         up_m = z_m + _ECCENTRICITY2 / polar * _RADIUS_M * sine * sine * sine
         out_m = away_m - _ECCENTRICITY2 * _RADIUS_M * cosine * cosine * cosine
         sine, cosine = polar * up_m, out_m
-    latitude, length = atan2(up_m, out_m), hypot(up_m, out_m)
+    latitude = atan2(up_m, out_m)
+    length = hypot(up_m, out_m)
     sine, cosine = up_m / length, out_m / length
     height_m = away_m * cosine + z_m * sine - _RADIUS_M * np.sqrt(1.0 - _ECCENTRICITY2 * sine * sine)
     return np.column_stack([np.degrees(latitude), np.degrees(atan2(y_m, x_m)), height_m])
@@ -190,6 +201,10 @@ def _to_earth(geodetic: F8) -> F8:
 def _axes(gps: Gps) -> F8:
     """Rotation (3, 3) from the earth's axes to east, north and up."""
     latitude_rad, longitude_rad = np.radians(gps.latitude_deg), np.radians(gps.longitude_deg)
-    up, level = sin(latitude_rad), cos(latitude_rad)
-    aside, ahead = sin(longitude_rad), cos(longitude_rad)
-    return np.array([[-aside, ahead, 0.0], [-up * ahead, -up * aside, level], [level * ahead, level * aside, up]])
+    up = sin(latitude_rad)
+    level = cos(latitude_rad)
+    aside = sin(longitude_rad)
+    ahead = cos(longitude_rad)
+    return np.array(
+        [[-aside, ahead, 0.0], [-up * ahead, -up * aside, level], [level * ahead, level * aside, up]]
+    )

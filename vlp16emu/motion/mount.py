@@ -24,9 +24,12 @@ def true_mount(mount: Mount, seed: int, device: int) -> Mount:
     if not mount.has_errors:
         return mount
     drawn = normal(seed, Purpose.MOUNT, 0, 6, device)
-    arm_m, turns_deg = (drawn[:3] * (1e-3 * mount.error_mm)).tolist(), (drawn[3:] * mount.error_deg).tolist()
+    arm_m = (drawn[:3] * (1e-3 * mount.error_mm)).tolist()
+    turns_deg = (drawn[3:] * mount.error_deg).tolist()
     angles = "yaw_deg", "pitch_deg", "roll_deg"
-    moved: dict[str, object] = {name: getattr(mount, name) + turn for name, turn in zip(angles, turns_deg, strict=True)}
+    moved: dict[str, object] = {
+        name: getattr(mount, name) + turn for name, turn in zip(angles, turns_deg, strict=True)
+    }
     moved["lever_arm_m"] = tuple(given + off for given, off in zip(mount.lever_arm_m, arm_m, strict=True))
     return mount.model_copy(update=moved)
 
@@ -35,14 +38,16 @@ class MountedMotion:
     """Motion of a device on a carrier; a spinning stage is at angle 0 at `start_ns`, UTC."""
 
     def __init__(self, carrier: Motion, mount: Mount, start_ns: int) -> None:
-        self._carrier, self._start_ns = carrier, start_ns
+        self._carrier = carrier
+        self._start_ns = start_ns
         self._arm_m = np.array(mount.lever_arm_m)
         tilt = rotation(mount.yaw_deg, mount.pitch_deg, mount.roll_deg)
         axis = np.array(mount.spin_axis) / norm(np.array(mount.spin_axis))
         across = np.cross(np.eye(3), axis)
         # Rodrigues: tilt, its product with the axis' cross matrix, and with that matrix squared.
         self._tilts = np.stack([tilt, matmul(across, tilt), matmul(matmul(across, across), tilt)])
-        self._spin_hz, self._spin_rad_s = mount.spin_hz, 2.0 * math.pi * mount.spin_hz * axis
+        self._spin_hz = mount.spin_hz
+        self._spin_rad_s = 2.0 * math.pi * mount.spin_hz * axis
         self.run_time_s = carrier.run_time_s
         self.moves = carrier.moves or mount.spin_hz != 0.0
 
@@ -55,7 +60,10 @@ class MountedMotion:
         """Poses of the device at UTC instants (n,) with the derivatives of the same function."""
         of = self._carrier.kinematics_at(t_ns)
         poses, turns = self._mounted(of, t_ns)
-        w, alpha, arm, spin = of.body_w_rad_s, of.body_alpha_rad_s2, self._arm_m, self._spin_rad_s
+        w = of.body_w_rad_s
+        alpha = of.body_alpha_rad_s2
+        arm = self._arm_m
+        spin = self._spin_rad_s
         swing = np.cross(w, arm)
         device_R_body = np.broadcast_to(turns, (len(t_ns), 3, 3)).swapaxes(1, 2)
         return Kinematics(
@@ -63,7 +71,8 @@ class MountedMotion:
             poses.world_R_body,
             poses.world_p_body_m,
             world_v_body_m_s=of.world_v_body_m_s + matvec(of.world_R_body, swing),
-            world_a_body_m_s2=of.world_a_body_m_s2 + matvec(of.world_R_body, np.cross(alpha, arm) + np.cross(w, swing)),
+            world_a_body_m_s2=of.world_a_body_m_s2
+            + matvec(of.world_R_body, np.cross(alpha, arm) + np.cross(w, swing)),
             body_w_rad_s=matvec(device_R_body, w + spin),
             # The stage's axis is fixed in the carrier, so the carrier's rate turns it.
             body_alpha_rad_s2=matvec(device_R_body, alpha + np.cross(w, spin)),
@@ -71,11 +80,15 @@ class MountedMotion:
 
     def _mounted(self, of: Poses, t_ns: I8) -> tuple[Poses, F8]:
         """Poses of the device on a carrier with poses `of`, and its rotations (n, 3, 3), or (1, 3, 3) on a fixed stage."""
-        turns, poses = self._tilts[:1], Poses(t_ns, np.empty((len(t_ns), 3, 3)), np.empty((len(t_ns), 3)))
+        turns = self._tilts[:1]
+        poses = Poses(t_ns, np.empty((len(t_ns), 3, 3)), np.empty((len(t_ns), 3)))
         if self._spin_hz != 0.0:
-            elapsed_ns, turns = t_ns - self._start_ns, np.empty((len(t_ns), 3, 3))
+            elapsed_ns = t_ns - self._start_ns
+            turns = np.empty((len(t_ns), 3, 3))
             _spin(elapsed_ns // S_NS, elapsed_ns % S_NS, self._spin_hz, self._tilts, turns)
-        _mount(of.world_R_body, of.world_p_body_m, turns, self._arm_m, poses.world_R_body, poses.world_p_body_m)
+        _mount(
+            of.world_R_body, of.world_p_body_m, turns, self._arm_m, poses.world_R_body, poses.world_p_body_m
+        )
         return poses, turns
 
 
@@ -98,7 +111,8 @@ def _mount(world_R_body: F8, world_p_body_m: F8, body_R_device: F8, arm_m: F8, R
         n = i if len(world_R_body) > 1 else 0
         m = i if len(body_R_device) > 1 else 0
         for a in range(3):
-            row, turn = world_R_body[n, a], body_R_device[m]
+            row = world_R_body[n, a]
+            turn = body_R_device[m]
             p_m[i, a] = world_p_body_m[n, a] + row[0] * arm_m[0] + row[1] * arm_m[1] + row[2] * arm_m[2]
             for b in range(3):
                 R[i, a, b] = row[0] * turn[0, b] + row[1] * turn[1, b] + row[2] * turn[2, b]

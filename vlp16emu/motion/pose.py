@@ -42,9 +42,15 @@ class Motion(Protocol):
 @inline_kernel
 def fill_rotation(cy: float, sy: float, cp: float, sp: float, cr: float, sr: float, out: F8) -> None:
     """Fill the rotation (3, 3) of `rotate` from cosines and sines of yaw, pitch and roll."""
-    out[0, 0], out[0, 1], out[0, 2] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
-    out[1, 0], out[1, 1], out[1, 2] = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
-    out[2, 0], out[2, 1], out[2, 2] = -sp, cp * sr, cp * cr
+    out[0, 0] = cy * cp
+    out[0, 1] = cy * sp * sr - sy * cr
+    out[0, 2] = cy * sp * cr + sy * sr
+    out[1, 0] = sy * cp
+    out[1, 1] = sy * sp * sr + cy * cr
+    out[1, 2] = sy * sp * cr - cy * sr
+    out[2, 0] = -sp
+    out[2, 1] = cp * sr
+    out[2, 2] = cp * cr
 
 
 @inline_kernel
@@ -87,6 +93,7 @@ class StaticMotion:
 
     def kinematics_at(self, t_ns: I8) -> Kinematics:
         """Repeat the one pose at instants (n,), without any motion."""
-        n, still = len(t_ns), np.zeros((len(t_ns), 3))
+        n = len(t_ns)
+        still = np.zeros((len(t_ns), 3))
         turns = np.repeat(self._poses.world_R_body, n, axis=0)
         return Kinematics(t_ns, turns, np.repeat(self._poses.world_p_body_m, n, axis=0), *(still,) * 4)

@@ -69,7 +69,9 @@ class MotionSection(Section):
         """True if poses come in while the run is streamed."""
         return False
 
-    def carrier(self, site: "Site", *, gps: "Gps", reach_m: float, start_ns: int, seed: int) -> "tuple[Motion, F8]":
+    def carrier(
+        self, site: "Site", *, gps: "Gps", reach_m: float, start_ns: int, seed: int
+    ) -> "tuple[Motion, F8]":
         """Return the motion of the carrier over the ground, and points (n, 2) of its path on the map.
 
         Raises TrajectoryError if the motion is impossible.
@@ -121,7 +123,8 @@ class Static(MotionSection):
 class Gps(Section):
     """The GPS receiver wired to the sensor, and its errors.
 
-    Errors under open sky follow an automotive receiver (Garmin GPS 16x, 190-00228-08 Rev. C, section 1.5.4.4: 3 m in 95 % of
+    Errors under open sky follow an automotive receiver (Garmin GPS 16x, 190-00228-08 Rev. C, section 1.5.4.4:
+    3 m in 95 % of
     cases with WAAS, and 0.1 knot); their split and the effect of trees are assumptions.
     """
 

@@ -17,13 +17,16 @@ from vlp16emu.types import F4, F8, I8, U1, U2, Packet, PacketKind, ReturnMode, R
 from vlp16emu.units import HOUR_NS, US_NS
 
 _Time = TypeVar("_Time", int, I8)
-_STRONGEST, _LAST, _SECOND_STRONGEST = 0, 1, 2  # last axis of Returns
+_STRONGEST = 0  # last axis of Returns
+_LAST = 1
+_SECOND_STRONGEST = 2
 
 
 def pack_data(returns: Returns, mode: ReturnMode, model: SensorModel, unit: int = 0) -> list[Packet]:
     """Pack whole packets of a unit of the rig, k / 24 or k / 12 of them; other parameters and errors as in `data_payloads`.
 
-    `due_ns` is the end of a packet's last firing sequence: 1327.104 us after its first pulse, or 663.552 us in dual return,
+    `due_ns` is the end of a packet's last firing sequence: 1327.104 us after its first pulse, or 663.552 us
+    in dual return,
     if no sequence is left out.
     """
     payloads = data_payloads(returns, mode, model)
@@ -53,7 +56,8 @@ def data_payloads(returns: Returns, mode: ReturnMode, model: SensorModel) -> U1:
     mode : which returns are sent
     model : determines the factory byte
 
-    Raises InputError unless angles and distances are finite and not negative; ValueError unless there are 16 lasers and
+    Raises InputError unless angles and distances are finite and not negative; ValueError unless there are 16
+    lasers and
     whole packets.
     """
     _check(returns)
@@ -65,7 +69,8 @@ def data_payloads(returns: Returns, mode: ReturnMode, model: SensorModel) -> U1:
     blocks = packets["blocks"]
     blocks["flag"] = layout.BLOCK_FLAG
     if mode is ReturnMode.DUAL:
-        even, odd = blocks[:, 0::2], blocks[:, 1::2]
+        even = blocks[:, 0::2]
+        odd = blocks[:, 1::2]
         even["azimuth_cdeg"] = odd["azimuth_cdeg"] = codes
         _write(even["records"], returns.distance_m[..., _LAST], returns.reflectivity[..., _LAST])
         place = odd_column(returns)[..., None]
@@ -91,7 +96,10 @@ def timestamp_us(clock_ns: _Time) -> _Time:
 
 
 def _check(returns: Returns) -> None:
-    for name, values in (("firings.reading_deg", returns.firings.reading_deg), ("distance_m", returns.distance_m)):
+    for name, values in (
+        ("firings.reading_deg", returns.firings.reading_deg),
+        ("distance_m", returns.distance_m),
+    ):
         low, high = values.min(initial=0.0), values.max(initial=0.0)  # both propagate NaN
         if not (low >= 0.0 and high < np.inf):
             raise InputError(f"pack_data: {name}", f"from {low} to {high}", "finite numbers from 0 upwards")
@@ -113,7 +121,8 @@ def odd_column(returns: Returns) -> I8:
     """
     strongest_is_last = returns.distance_m[..., _STRONGEST] == returns.distance_m[..., _LAST]
     # A return nearer than 0.5 m has no distance, but keeps its reflectivity.
-    second_m, second = (returns.distance_m[..., _SECOND_STRONGEST], returns.reflectivity[..., _SECOND_STRONGEST])
+    second_m = returns.distance_m[..., _SECOND_STRONGEST]
+    second = returns.reflectivity[..., _SECOND_STRONGEST]
     has_second = (second_m > 0) | (second > 0)
     return np.where(strongest_is_last & has_second, _SECOND_STRONGEST, _STRONGEST)
 

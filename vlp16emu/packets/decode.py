@@ -1,7 +1,9 @@
 """Decoding of both packets: data packets become points by the manual's formulas.
 
-With distance R, azimuth a, elevation w and the laser's vertical correction c the manual has X = R cos w sin a to the right,
-Y = R cos w cos a forward and Z = R sin w + c up (63-9243 Rev D, sections 9.1 and 9.2, p. 52 to 54). Points here are in the
+With distance R, azimuth a, elevation w and the laser's vertical correction c the manual has X = R cos w sin a
+to the right,
+Y = R cos w cos a forward and Z = R sin w + c up (63-9243 Rev D, sections 9.1 and 9.2, p. 52 to 54). Points
+here are in the
 `sensor` frame, as in ROS drivers: x = Y forward, y = -X left, z = Z.
 """
 
@@ -29,9 +31,11 @@ _MODEL = MappingProxyType(
     {layout.FACTORY_BYTE[model]: model for model in (SensorModel.VLP_16, SensorModel.PUCK_HI_RES)}
 )
 PRODUCT_BEFORE_RELEASE = 0x21
-"""Product byte of a VLP-16 of 2014; also an HDL-32E's (63-9243 Rev D, table 9-2), so the byte alone is ambiguous."""
+"""Product byte of a VLP-16 of 2014; also an HDL-32E's (63-9243 Rev D, table 9-2), so the byte alone is
+ambiguous."""
 _MAX_STEP_CDEG = 100
-"""A wider step from block to block is the edge of a limited field of view: the fastest speed, 1200 rpm, gives 79.6."""
+"""A wider step from block to block is the edge of a limited field of view: the fastest speed, 1200 rpm, gives
+79.6."""
 
 _FASTEST_DEG_PER_NS = 1.5 * MOST_RPM * 6 / S_NS
 """Fastest rotor, with a margin for units that run too fast."""
@@ -68,7 +72,8 @@ class Points:
     xyz_m: F4  # (n, 3) sensor frame: x forward at azimuth 0, y left, z up; NaN without return
     reflectivity: U1  # (n,) 0..100 diffuse, 101..255 retroreflective
     is_last: NDArray[np.bool_]
-    """(n,) True for a last return. Else it is the strongest, or in dual return, if the strongest is also the last,
+    """(n,) True for a last return. Else it is the strongest, or in dual return, if the strongest is also the
+    last,
     the second strongest or the same return again."""
 
 
@@ -138,7 +143,9 @@ def decode_data(payloads: U1, *, keep_no_returns: bool, model: SensorModel | Non
     )
 
 
-def faults_in(fields: NDArray[np.void], factory: int | None = None, model: SensorModel | None = None) -> list[Fault]:
+def faults_in(
+    fields: NDArray[np.void], factory: int | None = None, model: SensorModel | None = None
+) -> list[Fault]:
     """Find packets that are not from a VLP-16, or from another model than the others; return the first fault of each.
 
     Parameters
@@ -147,7 +154,9 @@ def faults_in(fields: NDArray[np.void], factory: int | None = None, model: Senso
     factory : product byte of earlier packets, if any
     model : sensor model of prototype units, whose product byte names another sensor
     """
-    flags, azimuth_cdeg, products = (fields["blocks"]["flag"], fields["blocks"]["azimuth_cdeg"], fields["factory"])
+    flags = fields["blocks"]["flag"]
+    azimuth_cdeg = fields["blocks"]["azimuth_cdeg"]
+    products = fields["factory"]
     modes = [*layout.RETURN_MODE_BYTE.values()]
     known = [*_MODEL] if model is None else [*_MODEL, PRODUCT_BEFORE_RELEASE]
     ours = products[np.isin(products, known)]
@@ -172,7 +181,8 @@ def faults_in(fields: NDArray[np.void], factory: int | None = None, model: Senso
 def scan_starts(azimuth_deg: F8, t_ns: I8 | None = None) -> I8:
     """Find the starts of scans (m,) in azimuths (n,) of points or blocks: the first, each wrap, and after a jump of time.
 
-    With times (n,) a decrease of the azimuth is a wrap only if the rotor can complete the revolution in the time between.
+    With times (n,) a decrease of the azimuth is a wrap only if the rotor can complete the revolution in the
+    time between.
     """
     step_deg = np.diff(azimuth_deg)
     if t_ns is None:
@@ -184,13 +194,17 @@ def scan_starts(azimuth_deg: F8, t_ns: I8 | None = None) -> I8:
         jump = (np.abs(step_ns) > JUMP_NS).astype(np.int64)
         can_turn_deg = 1.0 + _FASTEST_DEG_PER_NS * np.clip(step_ns, 0, JUMP_NS)
         in_packet = (step_ns > 0) & (step_ns <= BLOCK_PERIOD_NS)
-    # The rotor only turns forward: a decrease is a wrap, except for encoder noise (0.01 deg) and late packets, and
+    # The rotor only turns forward: a decrease is a wrap, except for encoder noise (0.01 deg) and late
+    # packets, and
     # an increase that the rotor cannot make is a step back across the wrap.
-    # Two blocks of a packet may have a gap of azimuths that are not sent between them, which their times do not show.
+    # Two blocks of a packet may have a gap of azimuths that are not sent between them, which their times do
+    # not show.
     wrap = (step_deg < -1.0) & ((step_deg + 360.0 <= can_turn_deg) | in_packet)
     turn = np.cumsum(wrap.astype(np.int64) - ((step_deg > 180.0) & (step_deg > can_turn_deg)))
     scan = np.maximum.accumulate(turn) + np.cumsum(jump)
-    return np.flatnonzero(np.diff(np.concatenate([np.zeros(min(1, len(azimuth_deg)), np.int64), scan]), prepend=-1))
+    return np.flatnonzero(
+        np.diff(np.concatenate([np.zeros(min(1, len(azimuth_deg)), np.int64), scan]), prepend=-1)
+    )
 
 
 def decode_position(payload: bytes) -> PositionFields:
@@ -214,7 +228,11 @@ def _model(fields: NDArray[np.void], model: SensorModel | None) -> SensorModel:
     """Return the model of the product byte, or `model` for a prototype unit; refuse other sensors."""
     if faults := faults_in(fields, None, model):
         raise PacketError(f"data packet {faults[0].packet}: {faults[0].what}", *faults[0][2:])
-    return _MODEL.get(int(fields["factory"][0]), model or SensorModel.VLP_16) if len(fields) else SensorModel.VLP_16
+    return (
+        _MODEL.get(int(fields["factory"][0]), model or SensorModel.VLP_16)
+        if len(fields)
+        else SensorModel.VLP_16
+    )
 
 
 def _is_dual(fields: NDArray[np.void]) -> NDArray[np.bool_]:

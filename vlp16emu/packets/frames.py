@@ -13,16 +13,23 @@ from ipaddress import IPv4Address
 from vlp16emu.packets.layout import DATA_BYTES
 
 DATA_PORT = 2368
-"""UDP port of data packets, source and by default destination. Source: 63-9243 Rev D, section 9.3.2, p. 56."""
+"""UDP port of data packets, source and by default destination. Source: 63-9243 Rev D, section 9.3.2, p.
+56."""
 POSITION_PORT = 8308  # UDP port of position packets, likewise. Source: 63-9243 Rev D, section 9.3.3, p. 60.
 DATA_TTL = 255  # Time to live of data frames, measured
 POSITION_TTL = 64  # Time to live of position frames, measured
 
 _IP_HEADER_BYTES = 20
 _UDP_HEADER_BYTES = 8
-_IP, _IDENTIFICATION, _IP_CHECKSUM = slice(14, 34), slice(18, 20), slice(24, 26)
-_ADDRESSES, _UDP_CHECKSUM = slice(26, 34), slice(40, 42)
-_IPV4, _VERSION_AND_LENGTH, _DONT_FRAGMENT, _UDP = 0x0800, 0x45, 0x4000, 17
+_IP = slice(14, 34)
+_IDENTIFICATION = slice(18, 20)
+_IP_CHECKSUM = slice(24, 26)
+_ADDRESSES = slice(26, 34)
+_UDP_CHECKSUM = slice(40, 42)
+_IPV4 = 0x0800
+_VERSION_AND_LENGTH = 0x45
+_DONT_FRAGMENT = 0x4000
+_UDP = 17
 """EtherType, first byte of the IPv4 header, its flag, and its protocol (RFC 791)."""
 
 
@@ -53,7 +60,8 @@ FACTORY_LINK = Link(
 def data_header(link: Link, payload_bytes: int = DATA_BYTES) -> bytes:
     """Headers of data packets, the same for all.
 
-    They have 42 bytes, on which readers with fixed offsets rely: identification 0, don't fragment, UDP checksum 0 (none).
+    They have 42 bytes, on which readers with fixed offsets rely: identification 0, don't fragment, UDP
+    checksum 0 (none).
     """
     header = bytearray(_header(link, DATA_PORT, link.data_port, payload_bytes, DATA_TTL, _DONT_FRAGMENT))
     header[_IP_CHECKSUM] = _checksum(header[_IP])

@@ -23,7 +23,8 @@ SEQUENCES_PER_BLOCK = 2  # Source: 63-9243 Rev D, section 9.3.2, p. 56.
 BLOCKS_PER_PACKET = 12  # Source: 63-9243 Rev D, section 9.3.2, p. 56.
 RECORDS_PER_PACKET = BLOCKS_PER_PACKET * SEQUENCES_PER_BLOCK * LASERS  # Distances in a packet
 SEQUENCES_PER_PACKET = MappingProxyType({ReturnMode.STRONGEST: 24, ReturnMode.LAST: 24, ReturnMode.DUAL: 12})
-"""Firing sequences per packet; in dual return two blocks share theirs. Source: 63-9243 Rev D, section 9.3.2, p. 57."""
+"""Firing sequences per packet; in dual return two blocks share theirs. Source: 63-9243 Rev D, section 9.3.2,
+p. 57."""
 
 BLOCK_PERIOD_NS = SEQUENCES_PER_BLOCK * SEQUENCE_NS
 """Time between the azimuths of two blocks with own firing sequences."""
@@ -34,13 +35,19 @@ MIN_DISTANCE_LSB = 250
 AZIMUTH_CODES = 36_000  # Hundredths of a degree, 0 .. 35999. Source: 63-9243 Rev D, section 9.3.1.4.
 
 BLOCK_FLAG = 0xEEFF  # Bytes FF EE in this order. Source: 63-9243 Rev D, section 9.3.2, p. 56.
-RETURN_MODE_BYTE = MappingProxyType({ReturnMode.STRONGEST: 0x37, ReturnMode.LAST: 0x38, ReturnMode.DUAL: 0x39})
+RETURN_MODE_BYTE = MappingProxyType(
+    {ReturnMode.STRONGEST: 0x37, ReturnMode.LAST: 0x38, ReturnMode.DUAL: 0x39}
+)
 """First factory byte. Source: 63-9243 Rev D, table 9-2, p. 56."""
-FACTORY_BYTE = MappingProxyType({SensorModel.VLP_16: 0x22, SensorModel.PUCK_LITE: 0x22, SensorModel.PUCK_HI_RES: 0x24})
+FACTORY_BYTE = MappingProxyType(
+    {SensorModel.VLP_16: 0x22, SensorModel.PUCK_LITE: 0x22, SensorModel.PUCK_HI_RES: 0x24}
+)
 """Second factory byte, the product. Source: 63-9243 Rev D, table 9-2, p. 56."""
 
 RECORD = np.dtype([("distance_lsb", "<u2"), ("reflectivity", "u1")])  # One laser's return, 3 bytes
-BLOCK = np.dtype([("flag", "<u2"), ("azimuth_cdeg", "<u2"), ("records", RECORD, (SEQUENCES_PER_BLOCK, LASERS))])
+BLOCK = np.dtype(
+    [("flag", "<u2"), ("azimuth_cdeg", "<u2"), ("records", RECORD, (SEQUENCES_PER_BLOCK, LASERS))]
+)
 """Two firing sequences, 100 bytes; the azimuth belongs to the first pulse of the first one."""
 DATA_PAYLOAD = np.dtype(
     [

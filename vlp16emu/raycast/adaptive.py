@@ -2,9 +2,12 @@
 
 Two criteria are tested after each round of eight. First, the error of the strongest echo's range: the
 mean absolute error, where another echo in its place counts as the resolution. It is
-estimated for each pulse; if estimates fall as 1/n with the number of sub-rays, rays are spent best if the last ray of
-every pulse gains the same, estimate / n = constant, and the mean error falls as the root of that constant. Second, the
-detection of the strongest echo: if it is near the detection threshold, and its sub-rays leave its amplitude less certain
+estimated for each pulse; if estimates fall as 1/n with the number of sub-rays, rays are spent best if the
+last ray of
+every pulse gains the same, estimate / n = constant, and the mean error falls as the root of that constant.
+Second, the
+detection of the strongest echo: if it is near the detection threshold, and its sub-rays leave its amplitude
+less certain
 than the receiver's own noise does, another round decides about lost or invented echoes.
 """
 
@@ -20,16 +23,22 @@ from vlp16emu.types import F4, F8, NO_SURFACE, U4
 _NONE = np.uint32(NO_SURFACE)
 _LEAST_SQUARED = np.float32(1e-12)  # smallest squared range, in m2
 _PER_RAY = 5200.0
-"""Error reduction required of a ray over the target to the power 3.5, in m-2.5, fitted so that scenes/reference_forest and
+"""Error reduction required of a ray over the target to the power 3.5, in m-2.5, fitted so that
+scenes/reference_forest and
 birch_walk reach targets from 0.02 to 0.05 m or better."""
 _MOST = 0.65
-"""Upper limit of an estimated error, in resolutions: half of one for another echo, plus the rest for eight rays of one."""
-_EVENNESS = 0.27  # variance of a share from one or two rounds of sub-rays over that from random points; see `beam`
+"""Upper limit of an estimated error, in resolutions: half of one for another echo, plus the rest for eight
+rays of one."""
+_EVENNESS = (
+    0.27  # variance of a share from one or two rounds of sub-rays over that from random points; see `beam`
+)
 _DOUBT = 0.75
-"""Probability that sub-rays decide whether an echo is seen, over its maximum, from which another round is cast. Chosen on
+"""Probability that sub-rays decide whether an echo is seen, over its maximum, from which another round is
+cast. Chosen on
 scenes/reference_forest: 6 % more rays remove a third of the lost or invented echoes."""
 _PLAIN = 0.4, 2.0
-"""Amplitudes over the threshold, of all hits and of one ray's share, below and above which there is no doubt."""
+"""Amplitudes over the threshold, of all hits and of one ray's share, below and above which there is no
+doubt."""
 
 
 class RayBudget(NamedTuple):
@@ -49,7 +58,9 @@ def worth_of_ray_m(target_m: float) -> float:
 
 
 @inline_kernel
-def enough(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, budget: RayBudget, order: F8) -> bool:
+def enough(
+    range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, budget: RayBudget, order: F8
+) -> bool:
     """Return whether n sub-rays determine the strongest echo and its detection well enough for the target.
 
     Parameters
@@ -58,7 +69,8 @@ def enough(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, budget:
     reflectance : (m,) reflectance of the surfaces
     order : (2, n or more) scratch for sorting
     """
-    n, resolution_m = range_m.shape[0], budget.resolution_m
+    n = range_m.shape[0]
+    resolution_m = budget.resolution_m
     worth_m = n * budget.worth_m
     is_precise = worth_m >= _MOST * resolution_m
     if is_precise and _is_plain(range_m, surface, cos_incidence, reflectance, n * budget.threshold):
@@ -74,7 +86,8 @@ def enough(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, budget:
 @inline_kernel
 def _is_plain(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, threshold: float) -> bool:
     """Return whether the rays clearly give an echo, or none, against the threshold."""
-    total, bright = np.float32(0.0), _PLAIN[1] * threshold
+    total = np.float32(0.0)
+    bright = _PLAIN[1] * threshold
     for i in range(range_m.shape[0]):
         if surface[i] != _NONE:
             squared = max(range_m[i] * range_m[i], _LEAST_SQUARED)
@@ -101,8 +114,12 @@ def _is_doubtful(order: F8, met: int, n: int, budget: RayBudget) -> bool:
 @kernel
 def _error_m(order: F8, met: int, resolution_m: float) -> float:
     first, last, strongest = _strongest(order, 0, met, resolution_m)
-    second = max(_strongest(order, 0, first, resolution_m)[2], _strongest(order, last + 1, met, resolution_m)[2])
-    mean_m, squares, spread = 0.0, 0.0, 0.0
+    second = max(
+        _strongest(order, 0, first, resolution_m)[2], _strongest(order, last + 1, met, resolution_m)[2]
+    )
+    mean_m = 0.0
+    squares = 0.0
+    spread = 0.0
     for a in range(first, last + 1):
         mean_m += order[1, a] * order[0, a] / strongest
         squares += order[1, a] * order[1, a]
@@ -130,7 +147,8 @@ def _sort_echoes(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, o
             while a > 0 and order[0, a - 1] > reach_m:
                 order[0, a], order[1, a] = order[0, a - 1], order[1, a - 1]
                 a -= 1
-            order[0, a], order[1, a] = reach_m, energy
+            order[0, a] = reach_m
+            order[1, a] = energy
             met += 1
     return met
 
@@ -138,13 +156,18 @@ def _sort_echoes(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, o
 @kernel
 def _strongest(order: F8, first: int, stop: int, resolution_m: float) -> tuple[int, int, float]:
     """Return first, last and energy of the strongest interval within the resolution, among sorted echoes."""
-    best, best_first, best_last = 0.0, first, first - 1
-    near, energy = first, 0.0
+    best = 0.0
+    best_first = first
+    best_last = first - 1
+    near = first
+    energy = 0.0
     for far in range(first, stop):
         energy += order[1, far]
         while order[0, far] - order[0, near] > resolution_m:
             energy -= order[1, near]
             near += 1
         if energy > best:
-            best, best_first, best_last = energy, near, far
+            best = energy
+            best_first = near
+            best_last = far
     return best_first, best_last, best

@@ -1,17 +1,24 @@
 """Footprint of a pulse, and the sub-rays that sample it.
 
 At range D the beam is `spot + divergence * D` wide: on a VLP-16 horizontally 12.7 mm + 3.0 mrad, vertically
-9.5 mm + 1.5 mrad. Divergences are full angles, the growth of the beam's diameter (VLS-128 manual, appendix F.2.3,
-table F-1). Assumption: the diameter is the 1/e2 diameter of a Gaussian profile, so four standard deviations. A sub-ray
-with standard normal coordinates (x, y) starts x and y standard deviations of the spot off the centre of the lens, and leans
+9.5 mm + 1.5 mrad. Divergences are full angles, the growth of the beam's diameter (VLS-128 manual, appendix
+F.2.3,
+table F-1). Assumption: the diameter is the 1/e2 diameter of a Gaussian profile, so four standard deviations.
+A sub-ray
+with standard normal coordinates (x, y) starts x and y standard deviations of the spot off the centre of the
+lens, and leans
 x and y standard deviations of the divergence off the pulse's direction.
 
 Sub-rays of an adaptive beam are support points of that profile: the set of eight with the least energy
-distance to it (Mak and Joseph, "Support points", Annals of Statistics 46, 2018), and each further eight the best addition
-to the previous ones. A pulse rotates and mirrors them at random. Sub-rays of a fixed beam, and of an adaptive one from the
-65th on, are points of the R2 sequence, steps of the plastic number and of its square (M. Roberts, "The unreasonable
+distance to it (Mak and Joseph, "Support points", Annals of Statistics 46, 2018), and each further eight the
+best addition
+to the previous ones. A pulse rotates and mirrors them at random. Sub-rays of a fixed beam, and of an adaptive
+one from the
+65th on, are points of the R2 sequence, steps of the plastic number and of its square (M. Roberts, "The
+unreasonable
 effectiveness of quasirandom sequences", 2018), shifted in the unit square by two random numbers of the pulse
-(Cranley and Patterson, SIAM J. Numer. Anal. 13, 1976) and mapped to the plane by Box and Muller (1958): each alone is a
+(Cranley and Patterson, SIAM J. Numer. Anal. 13, 1976) and mapped to the plane by Box and Muller (1958): each
+alone is a
 random draw from the profile, so that means over any number of them are unbiased.
 """
 
@@ -30,8 +37,11 @@ _PLASTIC = 1.32471795724474602596
 _STEP_U, _STEP_V = np.uint32(round(2**32 / _PLASTIC)), np.uint32(round(2**32 / (_PLASTIC * _PLASTIC)))
 ROUND = 8  # sub-rays per round: a packet
 _Y = 4 * ROUND  # offset of the row of the first direction; used before for a coordinate of the profile
-_TOGETHER, _USUAL_RAYS, _MOST_RAYS = 8, 64, 512
-"""Revolutions cast at once, so that geometry in one direction stays in the cache; and, over all of them, usual and greatest
+_TOGETHER = 8
+_USUAL_RAYS = 64
+_MOST_RAYS = 512
+"""Revolutions cast at once, so that geometry in one direction stays in the cache; and, over all of them,
+usual and greatest
 number of sub-rays per direction."""
 _BITS = 12
 _SHIFT = np.uint32(32 - _BITS)
@@ -121,9 +131,9 @@ _SUPPORT = np.array(
 )
 # fmt: on
 """(64, 2) in standard deviations."""
-_REACH = np.append(np.sqrt(np.square(_SUPPORT).sum(axis=1)).reshape(-1, ROUND).max(axis=1), _RADIUS.max()).astype(
-    np.float32
-)
+_REACH = np.append(
+    np.sqrt(np.square(_SUPPORT).sum(axis=1)).reshape(-1, ROUND).max(axis=1), _RADIUS.max()
+).astype(np.float32)
 FARTHEST = float(_REACH[-1])  # greatest distance of a sub-ray from the centre, in standard deviations
 
 
@@ -151,19 +161,32 @@ def lay(rays: F4, axes: F4, sigmas: F4, u: np.uint32, v: np.uint32, first: int, 
         mirror = np.float32(1.0) if u & np.uint32(1) else np.float32(-1.0)
         for lane in range(ROUND):
             a, b = _SUPPORT[first + lane, 0] * mirror, _SUPPORT[first + lane, 1]
-            rays[lane], rays[_Y + lane] = a * cosine - b * sine, a * sine + b * cosine
+            rays[lane] = a * cosine - b * sine
+            rays[_Y + lane] = a * sine + b * cosine
     else:
         for lane in range(ROUND):
             ring = np.uint32(u + np.uint32(first + lane) * _STEP_U) >> _SHIFT
             way = np.uint32(v + np.uint32(first + lane) * _STEP_V) >> _SHIFT
-            rays[lane], rays[_Y + lane] = _RADIUS[ring] * _COS[way], _RADIUS[ring] * _SIN[way]
-    spot_x_m, spot_y_m, spread_x, spread_y = sigmas[0], sigmas[1], sigmas[2], sigmas[3]
-    x_m, y_m, z_m, along_x, along_y, along_z = (axes[0, 0], axes[0, 1], axes[0, 2], axes[1, 0], axes[1, 1], axes[1, 2])
+            rays[lane] = _RADIUS[ring] * _COS[way]
+            rays[_Y + lane] = _RADIUS[ring] * _SIN[way]
+    spot_x_m = sigmas[0]
+    spot_y_m = sigmas[1]
+    spread_x = sigmas[2]
+    spread_y = sigmas[3]
+    x_m = axes[0, 0]
+    y_m = axes[0, 1]
+    z_m = axes[0, 2]
+    along_x = axes[1, 0]
+    along_y = axes[1, 1]
+    along_z = axes[1, 2]
     level_x, level_y, level_z = axes[2, 0], axes[2, 1], axes[2, 2]
     up_x, up_y, up_z = axes[3, 0], axes[3, 1], axes[3, 2]
     for lane in range(ROUND):
         a, b = rays[lane], rays[_Y + lane]
-        a_m, b_m, lean_a, lean_b = a * spot_x_m, b * spot_y_m, a * spread_x, b * spread_y
+        a_m = a * spot_x_m
+        b_m = b * spot_y_m
+        lean_a = a * spread_x
+        lean_b = b * spread_y
         scale = np.float32(1.0) / np.sqrt(np.float32(1.0) + lean_a * lean_a + lean_b * lean_b)
         rays[lane] = x_m + level_x * a_m + up_x * b_m
         rays[ROUND + lane] = y_m + level_y * a_m + up_y * b_m
@@ -185,8 +208,11 @@ def pulse_axes(origin_m: F8, direction: F8, beam_axis: F8, from_m: F8, i: int, j
     for a in range(3):
         b, c = (a + 1) % 3, (a + 2) % 3
         axes[0, a] = np.float32(origin_m[i, j, a] - from_m[a])
-        axes[1, a], axes[2, a] = np.float32(direction[i, j, a]), np.float32(beam_axis[i, j, a])
-        axes[3, a] = np.float32(beam_axis[i, j, b] * direction[i, j, c] - beam_axis[i, j, c] * direction[i, j, b])
+        axes[1, a] = np.float32(direction[i, j, a])
+        axes[2, a] = np.float32(beam_axis[i, j, a])
+        axes[3, a] = np.float32(
+            beam_axis[i, j, b] * direction[i, j, c] - beam_axis[i, j, c] * direction[i, j, b]
+        )
 
 
 def beam_axis_of(firings: Firings, beam: Footprint) -> F8:
@@ -195,5 +221,7 @@ def beam_axis_of(firings: Firings, beam: Footprint) -> F8:
     Raises ValueError if the firings have none.
     """
     if firings.beam_axis is None:
-        raise ValueError(f"cast: found firings without `beam_axis`, expected them for a beam of {beam.section.model}")
+        raise ValueError(
+            f"cast: found firings without `beam_axis`, expected them for a beam of {beam.section.model}"
+        )
     return firings.beam_axis

@@ -37,10 +37,13 @@ def shape_of(meshes: Sequence[Mesh]) -> Shape:
 
 
 _WIDER_M = 2.0**-10
-"""Margin by which edges are moved outwards for Embree: its rays are off by 1 um at 15 m and 8 um at 100 m, times
-1 / cosine in the plane of a face at grazing incidence. Twice the margin casts 4 % slower in `scenes/spruce_walk`."""
+"""Margin by which edges are moved outwards for Embree: its rays are off by 1 um at 15 m and 8 um at 100 m,
+times
+1 / cosine in the plane of a face at grazing incidence. Twice the margin casts 4 % slower in
+`scenes/spruce_walk`."""
 _SHARPEST = 0.25
-"""Least sine of a corner's angle; sharper corners, such as tips of grass blades, move no farther, and their edges
+"""Least sine of a corner's angle; sharper corners, such as tips of grass blades, move no farther, and their
+edges
 move less there: long needles of margin beyond each tip would cost a tenth of casting."""
 
 
@@ -59,7 +62,8 @@ class EmbreeMesh:
         for mesh, (vertices_m, triangles) in enumerate(self.faces):
             self.buffers[:, mesh, 0] = vertices_m.ctypes.data
             self.buffers[:, mesh, 1] = triangles.ctypes.data + triangles.strides[0] * self._begin[:-1, mesh]
-        self._scenes, self._building = dict[int, int](), threading.Lock()
+        self._scenes = dict[int, int]()
+        self._building = threading.Lock()
 
     def scene(self, piece: int) -> int:
         """Return the address of the scene of a piece; build it at the first call.
@@ -74,9 +78,11 @@ class EmbreeMesh:
             return self._scenes[piece]
 
     def _built(self, begin: I8, stop: I8) -> int:
-        lib, device = rtc.library(), rtc.device()
+        lib = rtc.library()
+        device = rtc.device()
         scene, _ = _new_scene(self)
-        # Embree reads these arrays until the scene is committed: only compact scenes refer to them later, others hold corners
+        # Embree reads these arrays until the scene is committed: only compact scenes refer to them later,
+        # others hold corners
         # of their own (Embree 4, `rtcSetSharedGeometryBuffer`).
         read = list[NDArray[np.generic]]()
         for number in np.flatnonzero(stop > begin).tolist():
@@ -117,7 +123,8 @@ def widened(vertices_m: F4, triangles: U4) -> F4:
     Corners (3 t + 1, 3), triangle by triangle; the last is unused, as Embree reads 16 bytes at a vertex of 12
     """
     out = np.zeros((3 * len(triangles) + 1, 3), np.float32)
-    edge_m, length_m = np.empty((3, 3)), np.empty(3)
+    edge_m = np.empty((3, 3))
+    length_m = np.empty(3)
     for t in range(len(triangles)):
         for k in range(3):  # from corner k to the next
             for axis in range(3):
@@ -125,12 +132,14 @@ def widened(vertices_m: F4, triangles: U4) -> F4:
                 edge_m[k, axis] = np.float64(vertices_m[triangles[t, (k + 1) % 3], axis]) - from_m
             x, y, z = edge_m[k]
             length_m[k] = math.sqrt(x * x + y * y + z * z)
-        (ax, ay, az), (bx, by, bz) = edge_m[0], edge_m[1]
+        (ax, ay, az) = edge_m[0]
+        (bx, by, bz) = edge_m[1]
         nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
         doubled_m2 = math.sqrt(nx * nx + ny * ny + nz * nz)
         for k in range(3):
             after_m, before_m = length_m[k], length_m[k - 1]
-            # The corner moves by one over the sine of the angle between both edges, which is this area over their lengths.
+            # The corner moves by one over the sine of the angle between both edges, which is this area over
+            # their lengths.
             by_m = _WIDER_M / max(doubled_m2, _SHARPEST * after_m * before_m)
             for axis in range(3):
                 outwards_m2 = edge_m[k - 1, axis] * after_m - edge_m[k, axis] * before_m
@@ -157,7 +166,9 @@ def inverses(transforms: F8) -> F8:
     determinant = a * rows[0][0] + b * rows[1][0] + c * rows[2][0]
     out = np.empty_like(transforms)
     for k, (p, q, r) in enumerate(rows):
-        out[:, k, 0], out[:, k, 1], out[:, k, 2] = p / determinant, q / determinant, r / determinant
+        out[:, k, 0] = p / determinant
+        out[:, k, 1] = q / determinant
+        out[:, k, 2] = r / determinant
         out[:, k, 3] = -(out[:, k, 0] * x + out[:, k, 1] * y + out[:, k, 2] * z)
     return out
 
@@ -193,7 +204,9 @@ class Placed:
     """
 
     def __init__(self, window: Window, meshes: Sequence[EmbreeMesh], workers: Executor) -> None:
-        self.window, self.meshes, self._workers = window, meshes, workers
+        self.window = window
+        self.meshes = meshes
+        self._workers = workers
         self.motion, self._moving = motion_of(window)
         counts = np.array([len(mesh.boxes_m) for mesh in meshes], np.int64)
         self.placement = np.repeat(np.arange(len(meshes)), counts)  # (n,) placement of each piece
@@ -201,7 +214,9 @@ class Placed:
         """Boxes (n, 2, 3) of pieces, in coordinates of the shape."""
         self.buffers, self.row = _buffers(meshes, counts)
         """Buffers (b, 2) as in `EmbreeMesh`, and the first row (n,) of each piece."""
-        self._pieces = [(mesh, piece) for mesh, count in zip(meshes, counts, strict=True) for piece in range(count)]
+        self._pieces = [
+            (mesh, piece) for mesh, count in zip(meshes, counts, strict=True) for piece in range(count)
+        ]
 
     def scene(self, kept: NDArray[np.bool_]) -> int:
         """Build the scene of selected pieces (n,) and return its address, valid for the life of this object.
@@ -214,7 +229,8 @@ class Placed:
             mesh, piece = self._pieces[number]
             wanted[mesh].add(piece)
         list(self._workers.map(lambda mesh: [mesh.scene(piece) for piece in sorted(wanted[mesh])], wanted))
-        lib, device = rtc.library(), rtc.device()
+        lib = rtc.library()
+        device = rtc.device()
         scene, release = _new_scene(self)
         transforms = relative_to_window(self.window).astype(np.float32)
         first = transforms.ctypes.data
@@ -241,7 +257,9 @@ class Placed:
 
 def _buffers(meshes: Sequence[EmbreeMesh], counts: I8) -> tuple[U8, I8]:
     """Concatenate the buffers of the distinct meshes of placements; return them and the first row of each piece."""
-    first, tables, stop = dict[int, int](), [np.zeros((0, 2), np.uint64)], 0
+    first = dict[int, int]()
+    tables = [np.zeros((0, 2), np.uint64)]
+    stop = 0
     for mesh in meshes:
         if id(mesh) not in first:
             first[id(mesh)] = stop

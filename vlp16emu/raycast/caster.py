@@ -23,7 +23,9 @@ class Geometry(Protocol):
     def surfaces(self) -> NDArray[np.void]:
         """Table (m,) `SURFACE` of the window."""
 
-    def cast(self, firings: Firings, near_m: F8, far_m: float, beam: Footprint = LINE, *, as_far: bool = False) -> Hits:
+    def cast(
+        self, firings: Firings, near_m: F8, far_m: float, beam: Footprint = LINE, *, as_far: bool = False
+    ) -> Hits:
         """Cast the pulses of k sequences, k a multiple of 8; `as_far` casts near content as the medium too, if there is one."""
 
 
@@ -39,7 +41,8 @@ def caster(world: World, workers: Executor) -> Caster:
 
     Raises EmbreeMissingError if the library cannot be loaded.
     """
-    # Kernels bind to the library when they are loaded, and a world without a far medium does not need its kernels.
+    # Kernels bind to the library when they are loaded, and a world without a far medium does not need its
+    # kernels.
     if math.isinf(world.near_m):
         from vlp16emu.raycast.near import EmbreeCaster
 
@@ -51,7 +54,8 @@ def caster(world: World, workers: Executor) -> Caster:
 def sky_cover(geometry: Geometry, t_ns: int, position_m: F8, lowest_deg: float, far_m: float) -> float:
     """Return the hidden share of the sky, 0..1, by solid angle.
 
-    Crowns overhead are cast as the far medium: they hide as much, and are not built unless a pulse meets them.
+    Crowns overhead are cast as the far medium: they hide as much, and are not built unless a pulse meets
+    them.
 
     Parameters
     ----------

@@ -15,10 +15,13 @@ from pathlib import Path
 
 from vlp16emu.errors import RunError, Vlp16emuError
 
-GEOMETRY_TRIANGLE, GEOMETRY_INSTANCE = 0, 121
-BUFFER_INDEX, BUFFER_VERTEX = 0, 1
+GEOMETRY_TRIANGLE = 0
+GEOMETRY_INSTANCE = 121
+BUFFER_INDEX = 0
+BUFFER_VERTEX = 1
 FORMAT_UINT3 = 0x5003
-FORMAT_FLOAT3, FORMAT_FLOAT3X4_ROW_MAJOR = 0x9003, 0x9134
+FORMAT_FLOAT3 = 0x9003
+FORMAT_FLOAT3X4_ROW_MAJOR = 0x9134
 SCENE_FLAGS = 1 << 2 | 1 << 3
 """Scene flags: robust, so that no box is missed by rounding, and with the filter of a query's arguments."""
 FLAG_COHERENT = 1 << 16
@@ -36,19 +39,31 @@ _SIGNATURES: dict[str, tuple[object, list[object]]] = {
     "rtcCommitGeometry": (None, [c_void_p]),
     "rtcReleaseGeometry": (None, [c_void_p]),
     "rtcAttachGeometryByID": (None, [c_void_p, c_void_p, c_uint]),
-    "rtcSetSharedGeometryBuffer": (None, [c_void_p, c_int, c_uint, c_int, c_void_p, c_size_t, c_size_t, c_size_t]),
+    "rtcSetSharedGeometryBuffer": (
+        None,
+        [c_void_p, c_int, c_uint, c_int, c_void_p, c_size_t, c_size_t, c_size_t],
+    ),
     "rtcSetGeometryInstancedScene": (None, [c_void_p, c_void_p]),
     "rtcSetGeometryTimeStepCount": (None, [c_void_p, c_uint]),
     "rtcSetGeometryTransform": (None, [c_void_p, c_uint, c_int, c_void_p]),
     "rtcIntersect8": (None, [c_void_p, c_void_p, c_void_p, c_void_p]),
 }
 
-_MMAP_THRESHOLD, _LARGE_BYTES = -3, 1 << 22
-"""Parameter of glibc's `mallopt`, and its value: larger arrays have pages of their own, huge ones, as numpy asks for from this size on.
-By default the limit grows to 32 MB, and arrays of that size leave holes: a tenth of the memory of a recording of `scenes/reference_forest`."""
+_MMAP_THRESHOLD = -3
+_LARGE_BYTES = 1 << 22
+"""Parameter of glibc's `mallopt`, and its value: larger arrays have pages of their own, huge ones, as numpy
+asks for from this size on.
+By default the limit grows to 32 MB, and arrays of that size leave holes: a tenth of the memory of a recording
+of `scenes/reference_forest`."""
 
 _MAKING = threading.Lock()
-_ERRORS = {1: "unknown error", 2: "invalid argument", 3: "invalid operation", 4: "out of memory", 5: "unsupported CPU"}
+_ERRORS = {
+    1: "unknown error",
+    2: "invalid argument",
+    3: "invalid operation",
+    4: "out of memory",
+    5: "unsupported CPU",
+}
 
 
 class EmbreeMissingError(Vlp16emuError):
@@ -85,7 +100,8 @@ def library() -> ctypes.CDLL:
         lib = ctypes.CDLL(str(path))
         for name, (result, arguments) in _SIGNATURES.items():
             function = getattr(lib, name)
-            function.restype, function.argtypes = result, arguments
+            function.restype = result
+            function.argtypes = arguments
         binding.load_library_permanently(str(path))
     except (OSError, RuntimeError, AttributeError) as error:
         raise EmbreeMissingError(f"{path.name}: {error}") from None

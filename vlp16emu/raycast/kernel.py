@@ -1,8 +1,10 @@
 """The inner loop: sub-rays of a pulse as one packet of eight through near faces, then the misses through the far medium.
 
-Eight sequences are cast at a time, step by step: all their pulses through the near faces, then the remaining ones
+Eight sequences are cast at a time, step by step: all their pulses through the near faces, then the remaining
+ones
 through the far medium, so that their memory does not compete for the cache. Which rays share a packet depends
-on firing numbers and hits, never on threads. Kernels without new arrays count no references (`_nrt=False`), and
+on firing numbers and hits, never on threads. Kernels without new arrays count no references (`_nrt=False`),
+and
 loops take arrays out of tuples first: saves a twentieth of the time.
 """
 
@@ -14,7 +16,18 @@ from numpy.typing import NDArray
 from vlp16emu.kernels.compiler import array_kernel, inline_kernel, kernel
 from vlp16emu.raycast.adaptive import RayBudget, enough
 from vlp16emu.raycast.beam import ROUND, lay, pulse_axes, reach_of, turn
-from vlp16emu.raycast.packet import DIR, NONE, ORG, PACKET, TIME, RayPacket, Target, cast_packet, ray_met, set_filter
+from vlp16emu.raycast.packet import (
+    DIR,
+    NONE,
+    ORG,
+    PACKET,
+    TIME,
+    RayPacket,
+    Target,
+    cast_packet,
+    ray_met,
+    set_filter,
+)
 from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, I8, U2, U4
 
@@ -27,7 +40,8 @@ class PulseBatch(NamedTuple):
     """Pulses to cast, and their width."""
 
     origin_m: F8
-    """(k, L, 3), k a multiple of `PACKET`; `direction` and `beam_axis` alike, the latter empty for light without width."""
+    """(k, L, 3), k a multiple of `PACKET`; `direction` and `beam_axis` alike, the latter empty for light
+    without width."""
     direction: F8
     beam_axis: F8
     time: F4  # (k, L) time between the scene's first knot and its last, 0..1
@@ -52,7 +66,8 @@ class Batch(NamedTuple):
     """Buffers for the pulses of eight sequences, ordered by laser."""
 
     row: F4
-    """Rays (n, ROW) of a pulse, rows of eight: origins, directions, ranges, cosines; one ray for a beam without width."""
+    """Rays (n, ROW) of a pulse, rows of eight: origins, directions, ranges, cosines; one ray for a beam
+    without width."""
     surface: U4  # (n, 8)
     axes: F4  # (n, 4, 3) axes of the pulses; the first two are the centre ray
     axes_row: F4  # (n, 12) the same numbers
@@ -103,42 +118,54 @@ def go_on(passage: Any, cast: Cast, todo: int, count: int, reach: np.float32) ->
 
 
 @array_kernel
-def cast_lines(cast: Cast, beyond: Target | None, passage: Any, range_m: F4, surface: U4, cos_incidence: F4) -> None:
+def cast_lines(
+    cast: Cast, beyond: Target | None, passage: Any, range_m: F4, surface: U4, cos_incidence: F4
+) -> None:
     """Cast one ray per pulse and fill arrays (k, L); packets hold eight consecutive firings of a laser.
 
     Without a far medium, `beyond` and `passage` are None, and numba leaves out their code.
     """
-    batch, pulses, one = cast.batch, PACKET * cast.light.origin_m.shape[1], ZERO + 1
+    batch = cast.batch
+    pulses = PACKET * cast.light.origin_m.shape[1]
+    one = ZERO + 1
     set_filter(cast.packet)
     for first in cast.light.order:
         _cast_middles(cast, beyond, first)
         if passage is not None:
             go_on(passage, cast, pulses, one, np.float32(0.0))
         for q in range(pulses):
-            i, j, met = first + q % PACKET, q // PACKET, batch.surface[q, 0]
+            i = first + q % PACKET
+            j = q // PACKET
+            met = batch.surface[q, 0]
             range_m[i, j] = np.float32(np.inf) if met == NONE else batch.row[q, RANGE]
-            surface[i, j], cos_incidence[i, j] = met, batch.row[q, COSINE]
+            surface[i, j] = met
+            cos_incidence[i, j] = batch.row[q, COSINE]
 
 
 @array_kernel
-def cast_pulses(cast: Cast, beyond: Target | None, passage: Any, budget: RayBudget, count: U2, first_round: U4) -> U4:
+def cast_pulses(
+    cast: Cast, beyond: Target | None, passage: Any, budget: RayBudget, count: U2, first_round: U4
+) -> U4:
     """Cast the sub-rays of every pulse in rounds of eight.
 
     Parameters
     ----------
     count : (k, L) output, sub-rays of each pulse
-    first_round : (3, k L r) output: bits of the ranges, surfaces, bits of the cosines of the first r of each, in order of
+    first_round : (3, k L r) output: bits of the ranges, surfaces, bits of the cosines of the first r of each,
+        in order of
         pulses: most positions are known in advance
 
     Returns
     -------
     (3, n) the same for all further sub-rays, in order of pulses
     """
-    batch, pulses = cast.batch, PACKET * count.shape[1]
+    batch = cast.batch
+    pulses = PACKET * count.shape[1]
     set_filter(cast.packet)
     groups = [np.empty((3, 0), np.uint32) for _ in range(count.shape[0] // PACKET)]
     for first in cast.light.order:
-        todo, have = pulses, ZERO
+        todo = pulses
+        have = ZERO
         for q in range(pulses):
             batch.todo[q] = q
         while todo:
@@ -146,12 +173,14 @@ def cast_pulses(cast: Cast, beyond: Target | None, passage: Any, budget: RayBudg
             _cast_near(cast, beyond, budget, first, todo, have, rays)
             if passage is not None:
                 go_on(passage, cast, todo, rays, reach_of(have, budget.adaptive))
-            todo, have = _settle(cast, budget, first_round, first, todo, have, rays), have + rays
+            todo = _settle(cast, budget, first_round, first, todo, have, rays)
+            have = have + rays
         groups[first // PACKET] = _further(batch, min(ROUND, budget.most), first, count)
     n = ZERO
     for group in groups:
         n += group.shape[1]
-    further, n = np.empty((3, n), np.uint32), ZERO
+    further = np.empty((3, n), np.uint32)
+    n = ZERO
     for group in groups:
         further[:, n : n + group.shape[1]] = group
         n += group.shape[1]
@@ -161,10 +190,13 @@ def cast_pulses(cast: Cast, beyond: Target | None, passage: Any, budget: RayBudg
 @kernel
 def join_rounds(count: U2, first_round: U4, further: U4, hits: U4) -> None:
     """Fill hits (3, n) from first and further rounds, as in `cast_pulses`, in order of pulses."""
-    pulses, lasers = count.size, count.shape[1]
+    pulses = count.size
+    lasers = count.shape[1]
     each = first_round.shape[1] // pulses
     for row in range(3):
-        of_first, rest, out = first_round[row], further[row], hits[row]
+        of_first = first_round[row]
+        rest = further[row]
+        out = hits[row]
         begin = at = used = ZERO
         for pulse in range(pulses):
             more = count[pulse // lasers, pulse % lasers] - each
@@ -172,10 +204,12 @@ def join_rounds(count: U2, first_round: U4, further: U4, hits: U4) -> None:
                 stop = each * (pulse + 1)
                 for a in range(stop - begin):
                     out[at + a] = of_first[begin + a]
-                at, begin = at + stop - begin, stop
+                at = at + stop - begin
+                begin = stop
                 for a in range(more):
                     out[at + a] = rest[used + a]
-                at, used = at + more, used + more
+                at = at + more
+                used = used + more
 
 
 @kernel
@@ -183,7 +217,9 @@ def _cast_middles(cast: Cast, beyond: Target | None, first: int) -> None:
     """Cast the centre rays of the pulses of eight sequences against faces, one packet per laser."""
     near, light, packet, batch = cast
     rays = packet.rays
-    origin_m, direction, from_m = light.origin_m, light.direction, near.window_origin_m
+    origin_m = light.origin_m
+    direction = light.direction
+    from_m = near.window_origin_m
     reach_m = light.reach_m
     for j in range(origin_m.shape[1]):
         for r in range(PACKET):
@@ -206,10 +242,13 @@ def _cast_near(
 ) -> None:
     """Cast the next sub-rays of pulses against faces, one packet per pulse."""
     near, light, packet, batch = cast
-    valid, reach_m = packet.valid, light.reach_m
+    valid = packet.valid
+    reach_m = light.reach_m
     for t in range(todo):
         q = batch.todo[t]
-        i, j, axes = first + q % PACKET, q // PACKET, batch.axes[q]
+        i = first + q % PACKET
+        j = q // PACKET
+        axes = batch.axes[q]
         if not have:
             pulse_axes(light.origin_m, light.direction, light.beam_axis, near.window_origin_m, i, j, axes)
         u, v = turn(light.seed, light.first + i, j)
@@ -225,12 +264,19 @@ def _cast_near(
 def _put_down(cast: Cast, beyond: Target | None, q: int, step: int, count: int) -> None:
     """Store hits of all rays of pulse q (step 0), or of one ray of each pulse from q on (step 1); pass on the misses."""
     near, light, packet, batch = cast
-    instance, valid, row, surface = packet.instance, packet.valid, batch.row, batch.surface
-    missed, far_m = 0, light.far_m
+    instance = packet.instance
+    valid = packet.valid
+    row = batch.row
+    surface = batch.surface
+    missed = 0
+    far_m = light.far_m
     for r in range(count):
-        to, lane = q + step * r, (1 - step) * r
+        to = q + step * r
+        lane = (1 - step) * r
         if instance[r] == NONE:
-            row[to, RANGE + lane], surface[to, lane], row[to, COSINE + lane] = np.float32(far_m), NONE, 0.0
+            row[to, RANGE + lane] = np.float32(far_m)
+            surface[to, lane] = NONE
+            row[to, COSINE + lane] = 0.0
             missed += 1
         else:
             row[to, RANGE + lane], surface[to, lane], row[to, COSINE + lane] = ray_met(near, packet, r)
@@ -244,10 +290,15 @@ def _put_down(cast: Cast, beyond: Target | None, q: int, step: int, count: int) 
 def _send_on(cast: Cast, beyond: Target, q: int, step: int, count: int) -> None:
     """Store the rays that go on for the medium, and cast them against faces at any range."""
     _, light, packet, batch = cast
-    own, instance, valid, row, surface = packet.own, packet.instance, packet.valid, batch.row, batch.surface
+    own = packet.own
+    instance = packet.instance
+    valid = packet.valid
+    row = batch.row
+    surface = batch.surface
     if step == 0:
         for at in range(3 * LANES):
-            row[q, ORIGIN + at], row[q, DIRECTION + at] = own[ORG + at], own[DIR + at]
+            row[q, ORIGIN + at] = own[ORG + at]
+            row[q, DIRECTION + at] = own[DIR + at]
     else:
         for r in range(count):
             if valid[r]:
@@ -259,12 +310,15 @@ def _send_on(cast: Cast, beyond: Target, q: int, step: int, count: int) -> None:
     cast_packet(beyond, packet, light.reach_m, light.far_m)
     for r in range(count):
         if valid[r] and instance[r] != NONE:
-            to, lane = q + step * r, (1 - step) * r
+            to = q + step * r
+            lane = (1 - step) * r
             row[to, RANGE + lane], surface[to, lane], row[to, COSINE + lane] = ray_met(beyond, packet, r)
 
 
 @kernel
-def _settle(cast: Cast, budget: RayBudget, first_round: U4, first: int, todo: int, have: int, count: int) -> int:
+def _settle(
+    cast: Cast, budget: RayBudget, first_round: U4, first: int, todo: int, have: int, count: int
+) -> int:
     """Take the hits of a round; list the pulses that need another round, and return their number.
 
     Parameters
@@ -272,27 +326,41 @@ def _settle(cast: Cast, budget: RayBudget, first_round: U4, first: int, todo: in
     first_round : as in `cast_pulses`
     first : number of the first sequence
     """
-    batch, reflectance = cast.batch, cast.near.reflectance
-    hits, row, met, left = batch.hits, batch.row, batch.surface, 0
-    range_m, surface, cosine = hits.range_m, hits.surface, hits.cos_incidence
-    most, own, lasers = batch.scratch.shape[1], have + count, met.shape[0] // PACKET
-    first_m, first_cosine = first_round[0].view(np.float32), first_round[2].view(np.float32)
+    batch = cast.batch
+    reflectance = cast.near.reflectance
+    hits = batch.hits
+    row = batch.row
+    met = batch.surface
+    left = 0
+    range_m = hits.range_m
+    surface = hits.surface
+    cosine = hits.cos_incidence
+    most = batch.scratch.shape[1]
+    own = have + count
+    lasers = met.shape[0] // PACKET
+    first_m = first_round[0].view(np.float32)
+    first_cosine = first_round[2].view(np.float32)
     for t in range(todo):
         q = batch.todo[t]
-        begin, at = q * most, q * most + have
+        begin = q * most
+        at = q * most + have
         for lane in range(LANES):
             range_m[at + lane] = np.float32(np.inf) if met[q, lane] == NONE else row[q, RANGE + lane]
-            surface[at + lane], cosine[at + lane] = met[q, lane], row[q, COSINE + lane]
+            surface[at + lane] = met[q, lane]
+            cosine[at + lane] = row[q, COSINE + lane]
         if have == 0:
             to = count * ((first + q % PACKET) * lasers + q // PACKET)
             for lane in range(count):
-                first_m[to + lane], first_cosine[to + lane] = range_m[at + lane], cosine[at + lane]
+                first_m[to + lane] = range_m[at + lane]
+                first_cosine[to + lane] = cosine[at + lane]
                 first_round[1, to + lane] = surface[at + lane]
         batch.have[q] = own
         needs_more = own < budget.most
         if needs_more and budget.adaptive:
             stop = begin + own
-            ranges, surfaces, cosines = range_m[begin:stop], surface[begin:stop], cosine[begin:stop]
+            ranges = range_m[begin:stop]
+            surfaces = surface[begin:stop]
+            cosines = cosine[begin:stop]
             needs_more = not enough(ranges, surfaces, cosines, reflectance, budget, batch.scratch)
         if needs_more:
             batch.todo[left] = q
@@ -303,17 +371,21 @@ def _settle(cast: Cast, budget: RayBudget, first_round: U4, first: int, todo: in
 @array_kernel
 def _further(batch: Batch, each: int, first: int, count: U2) -> U4:
     """Count the hits of eight sequences; return the ones after the first `each`, (3, n) as in `cast_pulses`."""
-    most, n = batch.scratch.shape[1], ZERO
+    most = batch.scratch.shape[1]
+    n = ZERO
     for q in range(PACKET * count.shape[1]):
         count[first + q % PACKET, q // PACKET] = batch.have[q]
         n += batch.have[q] - each
-    further, n = np.empty((3, n), np.uint32), ZERO
-    range_m, cosine = further[0].view(np.float32), further[2].view(np.float32)
+    further = np.empty((3, n), np.uint32)
+    n = ZERO
+    range_m = further[0].view(np.float32)
+    cosine = further[2].view(np.float32)
     for i in range(PACKET):
         for j in range(count.shape[1]):
             begin = (PACKET * j + i) * most
             for s in range(each, batch.have[PACKET * j + i]):
-                range_m[n], further[1, n] = batch.hits.range_m[begin + s], batch.hits.surface[begin + s]
+                range_m[n] = batch.hits.range_m[begin + s]
+                further[1, n] = batch.hits.surface[begin + s]
                 cosine[n] = batch.hits.cos_incidence[begin + s]
                 n += 1
     return further

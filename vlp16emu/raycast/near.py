@@ -20,8 +20,10 @@ from vlp16emu.types import F8, I8, Firings, Hits, ShapeKey, Window, World
 from vlp16emu.units import INCLUSIVE
 
 _SECTOR_DEG = 1.6
-"""Width of a sector, whose faces stay in the cache from revolution to revolution: over eight revolutions it saves a fifth
-of the time for one ray per pulse in `scenes/reference_forest`, a seventh for an adaptive beam. 12 degrees save half."""
+"""Width of a sector, whose faces stay in the cache from revolution to revolution: over eight revolutions it
+saves a fifth
+of the time for one ray per pulse in `scenes/reference_forest`, a seventh for an adaptive beam. 12 degrees
+save half."""
 
 
 class Stages(NamedTuple):
@@ -43,7 +45,8 @@ class EmbreeGeometry:
     """
 
     def __init__(self, near: Placed, kept: NDArray[np.bool_] | None = None) -> None:
-        self.meshes, self.surfaces = near.meshes, near.window.surfaces
+        self.meshes = near.meshes
+        self.surfaces = near.window.surfaces
         self._placed = near  # keeps its scenes alive
         self._near = target_of(near, kept)
 
@@ -51,7 +54,9 @@ class EmbreeGeometry:
         """Return the stages for rays up to range `far_m` with a slope of at most `rise`."""
         return Stages(self._near, far_m)
 
-    def cast(self, firings: Firings, near_m: F8, far_m: float, beam: Footprint = LINE, *, as_far: bool = False) -> Hits:
+    def cast(
+        self, firings: Firings, near_m: F8, far_m: float, beam: Footprint = LINE, *, as_far: bool = False
+    ) -> Hits:
         """Cast pulses.
 
         Parameters
@@ -104,7 +109,9 @@ class EmbreeGeometry:
 
 def target_of(placed: Placed, kept: NDArray[np.bool_] | None = None) -> Target:
     """Build the scene of selected pieces (n,), or of all."""
-    window, placement, motion = placed.window, placed.placement, placed.motion
+    window = placed.window
+    placement = placed.placement
+    motion = placed.motion
     scene = placed.scene(np.ones(len(placement), np.bool_) if kept is None else kept)
     return Target(
         scene,
@@ -136,7 +143,8 @@ class EmbreeCaster:
     """
 
     def __init__(self, world: World, workers: Executor) -> None:
-        self._world, self._workers = world, workers
+        self._world = world
+        self._workers = workers
         self._solids: weakref.WeakValueDictionary[ShapeKey, EmbreeMesh] = weakref.WeakValueDictionary()
         self._lock = threading.Lock()
 
@@ -168,5 +176,6 @@ class EmbreeCaster:
         return Placed(window, [meshes[which] for which in window.shape.tolist()], self._workers)
 
     def _solid(self, key: ShapeKey) -> EmbreeMesh:
-        name, world = self._world.shape_name(key), self._world
+        name = self._world.shape_name(key)
+        world = self._world
         return EmbreeMesh(recalled(name and f"faces {name}", lambda: shape_of(world.shape(key))))

@@ -1,9 +1,12 @@
 """The Embree packet: eight rays that are cast together, and their hits.
 
-Embree finds candidates, and `_decide` selects the hit and its range. Embree's rounding depends on the instruction set: with
+Embree finds candidates, and `_decide` selects the hit and its range. Embree's rounding depends on the
+instruction set: with
 another one the same ray hits a leaf at its edge or misses it, or hits the other of two intersecting faces. So
-Embree has slightly wider triangles (`build.widened`), candidates are kept up to `_SLACK_M` behind the nearest, and
-each is decided in float64, by sums, products and one division, from the original corners. Of two at the same range the
+Embree has slightly wider triangles (`build.widened`), candidates are kept up to `_SLACK_M` behind the
+nearest, and
+each is decided in float64, by sums, products and one division, from the original corners. Of two at the same
+range the
 one with the lower number is hit. So neither Embree's arithmetic nor the order of candidates matters.
 
 Kernels without new arrays count no references (`_nrt=False`), and loops take arrays out of tuples first.
@@ -25,22 +28,31 @@ from vlp16emu.types import F4, F8, I4, I8, U4, U8
 PACKET = 8  # rays per packet; 16 is slower without AVX-512
 
 LEVEL = np.float32(sin(math.radians(20.0)))
-"""Greatest slope of a level ray: includes all rays of a VLP-16 that is carried upright, with a lean of up to 3 degrees.
+"""Greatest slope of a level ray: includes all rays of a VLP-16 that is carried upright, with a lean of up to
+3 degrees.
 Half of the near faces of `scenes/reference_forest` are met by no level ray, and are not built."""
 
-_intersect = types.ExternalFunction("rtcIntersect8", types.void(types.uintp, types.uintp, types.uintp, types.uintp))
+_intersect = types.ExternalFunction(
+    "rtcIntersect8", types.void(types.uintp, types.uintp, types.uintp, types.uintp)
+)
 
-ORG, _TNEAR, DIR, TIME, _TFAR, _MASK, _ID, _FLAGS, _SIZE = (PACKET * row for row in (0, 3, 4, 7, 8, 9, 10, 11, 21))
+ORG, _TNEAR, DIR, TIME, _TFAR, _MASK, _ID, _FLAGS, _SIZE = (
+    PACKET * row for row in (0, 3, 4, 7, 8, 9, 10, 11, 21)
+)
 """Offsets of the rows of RTCRayHit8, each of eight 4-byte words (rtcore_ray.h)."""
-_HIT_PRIMITIVE, _HIT_MESH, _HIT_INSTANCE = 5, 6, 7  # rows of the RTCHitN of a candidate
+_HIT_PRIMITIVE = 5  # rows of the RTCHitN of a candidate
+_HIT_MESH = 6
+_HIT_INSTANCE = 7
 _ALIGN = 64
 NONE = np.uint32(0xFFFFFFFF)
 _NO_INSTANCES = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 _SLACK_M = 2.0**-6
-"""Slack of Embree's ranges: they are off by micrometres, times 1 / sine at grazing incidence; ten times this costs no more."""
+"""Slack of Embree's ranges: they are off by micrometres, times 1 / sine at grazing incidence; ten times this
+costs no more."""
 
-# Offsets of rows of `RayPacket.state`: range of the hit, or the limit; the normal there in coordinates of the shape, and
+# Offsets of rows of `RayPacket.state`: range of the hit, or the limit; the normal there in coordinates of the
+# shape, and
 # its product with the direction.
 _LIMIT, _NORMAL, _FACING, _STATE = (PACKET * row for row in (0, 1, 4, 5))
 
@@ -64,12 +76,14 @@ class RayPacket(NamedTuple):
     """A thread's own packet."""
 
     rays: F4
-    """Rows of eight (168,): loops over lanes read and write at constant offsets, so that the compiler vectorizes them."""
+    """Rows of eight (168,): loops over lanes read and write at constant offsets, so that the compiler
+    vectorizes them."""
     valid: I4
     context: U8
     arguments: U8
     own: F4
-    """First rows of `rays` (64,), with the least range: Embree transforms its rays into instances and back."""
+    """First rows of `rays` (64,), with the least range: Embree transforms its rays into instances and
+    back."""
     state: F8  # (40,) likewise
     instance: U4  # (8,) instance that a ray hits, or `NONE`
     face: U8  # (8,) face of it: mesh number in the upper half, triangle number in the lower
@@ -95,9 +109,12 @@ def _pointer(kind: Any) -> Any:
     return pointer
 
 
-_as_float32, _as_float64 = _pointer(types.float32), _pointer(types.float64)
-_as_int32, _as_int64 = _pointer(types.int32), _pointer(types.int64)
-_as_uint32, _as_uint64 = _pointer(types.uint32), _pointer(types.uint64)
+_as_float32 = _pointer(types.float32)
+_as_float64 = _pointer(types.float64)
+_as_int32 = _pointer(types.int32)
+_as_int64 = _pointer(types.int64)
+_as_uint32 = _pointer(types.uint32)
+_as_uint64 = _pointer(types.uint64)
 
 
 @inline_kernel
@@ -123,8 +140,10 @@ def _vector(numbers: Any, at: int, step: int) -> _Vector:
 @inline_kernel
 def _corners(desk: Any, instance: int, face: int) -> _Corners:
     row = 2 * (_as_int64(desk[5])[instance] + np.int64(face >> np.uint64(32)))
-    buffers, triangle = _as_uint64(desk[6]), 3 * np.int64(face & np.uint64(NONE))
-    vertices, corners = _as_float32(buffers[row]), _as_uint32(buffers[row + 1])
+    buffers = _as_uint64(desk[6])
+    triangle = 3 * np.int64(face & np.uint64(NONE))
+    vertices = _as_float32(buffers[row])
+    corners = _as_uint32(buffers[row + 1])
     a, b, c = 3 * corners[triangle], 3 * corners[triangle + 1], 3 * corners[triangle + 2]
     return _vector(vertices, a, 1), _vector(vertices, b, 1), _vector(vertices, c, 1)
 
@@ -132,19 +151,29 @@ def _corners(desk: Any, instance: int, face: int) -> _Corners:
 @inline_kernel
 def _in_shape(desk: Any, own: Any, r: int, instance: int) -> tuple[_Vector, _Vector]:
     """Return origin and direction of ray r in the coordinates of an instance's shape."""
-    (x, y, z), (dx, dy, dz) = _vector(own, r, PACKET), _vector(own, DIR + r, PACKET)
+    (x, y, z) = _vector(own, r, PACKET)
+    (dx, dy, dz) = _vector(own, DIR + r, PACKET)
     knots = np.int64(desk[9])
     if knots:
-        shear, n = _as_float32(desk[8]), np.int64(desk[10])
+        shear = _as_float32(desk[8])
+        n = np.int64(desk[10])
         knot, share = knot_at(knots, own[TIME + r])
-        here, after = 2 * (knot * n + instance), 2 * ((knot + 1) * n + instance)
+        here = 2 * (knot * n + instance)
+        after = 2 * ((knot + 1) * n + instance)
         lean_x = shear[here] + share * (shear[after] - shear[here])
         lean_y = shear[here + 1] + share * (shear[after + 1] - shear[here + 1])
         over_m = z - _as_float64(desk[7])[instance]
-        x, y, dx, dy = x - lean_x * over_m, y - lean_y * over_m, dx - lean_x * dz, dy - lean_y * dz
-    at, T = 12 * instance, _as_float64(desk[4])
-    one, two, three = _vector(T, at, 1), _vector(T, at + 4, 1), _vector(T, at + 8, 1)
-    from_m, along = (x, y, z), (dx, dy, dz)
+        x = x - lean_x * over_m
+        y = y - lean_y * over_m
+        dx = dx - lean_x * dz
+        dy = dy - lean_y * dz
+    at = 12 * instance
+    T = _as_float64(desk[4])
+    one = _vector(T, at, 1)
+    two = _vector(T, at + 4, 1)
+    three = _vector(T, at + 8, 1)
+    from_m = (x, y, z)
+    along = (dx, dy, dz)
     origin_m = _dot(one, from_m) + T[at + 3], _dot(two, from_m) + T[at + 7], _dot(three, from_m) + T[at + 11]
     return origin_m, (_dot(one, along), _dot(two, along), _dot(three, along))
 
@@ -153,7 +182,8 @@ def _in_shape(desk: Any, own: Any, r: int, instance: int) -> tuple[_Vector, _Vec
 def _cut(corners: _Corners, normal: _Vector, ray: tuple[_Vector, _Vector]) -> tuple[float, float, bool]:
     """Intersect a ray with a triangle: return range, product of normal and direction, and whether it passes inside.
 
-    The three determinants of the direction and two corners then have the same sign. For two triangles with a common
+    The three determinants of the direction and two corners then have the same sign. For two triangles with a
+    common
     edge the edge's determinants differ only in sign, so no ray passes between them.
     """
     origin_m, along = ray
@@ -168,27 +198,40 @@ def _cut(corners: _Corners, normal: _Vector, ray: tuple[_Vector, _Vector]) -> tu
 def _decide(arguments: int) -> None:
     """Accept or reject a candidate for some rays: Embree's filter, with the address of RTCFilterFunctionNArguments."""
     words = _as_uint64(arguments)
-    valid, desk, n = (_as_int32(words[0]), _as_uint64(_as_uint64(words[2])[1]), np.int64(words[5] & np.uint64(NONE)))
-    far_m, numbers, hit = _as_float32(words[3]), _as_uint32(words[3]), _as_uint32(words[4])
-    own, state = _as_float32(desk[0]), _as_float64(desk[1])
-    instances, faces = _as_uint32(desk[2]), _as_uint64(desk[3])
-    last, last_face, normal = NONE, np.uint64(0), (0.0, 0.0, 0.0)
+    valid = _as_int32(words[0])
+    desk = _as_uint64(_as_uint64(words[2])[1])
+    n = np.int64(words[5] & np.uint64(NONE))
+    far_m = _as_float32(words[3])
+    numbers = _as_uint32(words[3])
+    hit = _as_uint32(words[4])
+    own = _as_float32(desk[0])
+    state = _as_float64(desk[1])
+    instances = _as_uint32(desk[2])
+    faces = _as_uint64(desk[3])
+    last = NONE
+    last_face = np.uint64(0)
+    normal = (0.0, 0.0, 0.0)
     corners = normal, normal, normal
     for i in range(n):
         if not valid[i]:
             continue
-        r, instance = np.int64(numbers[_ID // PACKET * n + i]), hit[_HIT_INSTANCE * n + i]
+        r = np.int64(numbers[_ID // PACKET * n + i])
+        instance = hit[_HIT_INSTANCE * n + i]
         face = np.uint64(hit[_HIT_MESH * n + i]) << np.uint64(32) | np.uint64(hit[_HIT_PRIMITIVE * n + i])
         if instance != last or face != last_face:  # usually the same for all rays
-            last, last_face, corners = instance, face, _corners(desk, np.int64(instance), face)
+            last = instance
+            last_face = face
+            corners = _corners(desk, np.int64(instance), face)
             normal = _cross(_minus(corners[1], corners[0]), _minus(corners[2], corners[0]))
         range_m, facing, is_inside = _cut(corners, normal, _in_shape(desk, own, r, np.int64(instance)))
         limit_m = state[_LIMIT + r]
         is_first = instance < instances[r] or (instance == instances[r] and face < faces[r])
         is_nearer = range_m < limit_m or (range_m == limit_m and is_first)
         if is_inside and is_nearer and own[_TNEAR + r] <= range_m:
-            instances[r], faces[r] = instance, face
-            state[_LIMIT + r], state[_FACING + r] = range_m, facing
+            instances[r] = instance
+            faces[r] = face
+            state[_LIMIT + r] = range_m
+            state[_FACING + r] = facing
             for axis in range(3):
                 state[_NORMAL + PACKET * axis + r] = normal[axis]
             far_m[_TFAR // PACKET * n + i] = np.float32(range_m + _SLACK_M)
@@ -220,8 +263,10 @@ def _filter(typingctx: Any) -> Any:
 def ray_packet() -> RayPacket:
     """Make an empty packet.
 
-    RTCIntersectArguments: flags and feature mask (all), then pointers to context and filter. Each thread needs its own
-    context: a shared one loses hits on instances silently. RTCRayQueryContext is two words of 4 bytes; behind them is the
+    RTCIntersectArguments: flags and feature mask (all), then pointers to context and filter. Each thread
+    needs its own
+    context: a shared one loses hits on instances silently. RTCRayQueryContext is two words of 4 bytes; behind
+    them is the
     address of our desk.
     """
     sizes = (4 * _SIZE, 4 * PACKET, 64, 64, 32 * PACKET, 8 * _STATE, 4 * PACKET, 8 * PACKET, 8 * 11)
@@ -235,7 +280,8 @@ def ray_packet() -> RayPacket:
     packet.arguments[1] = packet.context.ctypes.data
     packet.desk[:4] = [part.ctypes.data for part in packet[4:8]]
     words = packet.rays.view(np.uint32)
-    words[_MASK : _MASK + PACKET], words[_ID : _ID + PACKET] = NONE, np.arange(PACKET)
+    words[_MASK : _MASK + PACKET] = NONE
+    words[_ID : _ID + PACKET] = np.arange(PACKET)
     return packet
 
 
@@ -248,8 +294,13 @@ def set_filter(packet: RayPacket) -> None:
 @inline_kernel
 def cast_packet(target: Target, packet: RayPacket, near_m: float, far_m: float) -> None:
     """Cast the valid rays of a packet between two ranges; if one is steep, all are cast as steep."""
-    rays, own, valid, desk = packet.rays, packet.own, packet.valid, packet.desk
-    state, instance, rise = packet.state, packet.instance, np.float32(0.0)
+    rays = packet.rays
+    own = packet.own
+    valid = packet.valid
+    desk = packet.desk
+    state = packet.state
+    instance = packet.instance
+    rise = np.float32(0.0)
     for lane in range(PACKET):
         rise = max(rise, abs(rays[DIR + 2 * PACKET + lane]))
     for at in range(8 * PACKET):
@@ -257,15 +308,20 @@ def cast_packet(target: Target, packet: RayPacket, near_m: float, far_m: float) 
     first_m, last_m = np.float32(max(near_m - _SLACK_M, 0.0)), np.float32(far_m + _SLACK_M)
     for lane in range(PACKET):
         own[_TNEAR + lane] = near_m
-        rays[_TNEAR + lane], rays[_TFAR + lane] = first_m, last_m
+        rays[_TNEAR + lane] = first_m
+        rays[_TFAR + lane] = last_m
         state[_LIMIT + lane] = far_m if valid[lane] else state[_LIMIT + lane]
         instance[lane] = NONE if valid[lane] else instance[lane]
     scene = target.scene if rise <= LEVEL else target.steep
     if not scene:
         return
-    desk[4], desk[5] = target.shape_T_window.ctypes.data, target.row.ctypes.data
-    desk[6], desk[7] = target.buffers.ctypes.data, target.foot_m.ctypes.data
-    desk[8], desk[9], desk[10] = target.shear.ctypes.data, target.shear.shape[0], target.shear.shape[1]
+    desk[4] = target.shape_T_window.ctypes.data
+    desk[5] = target.row.ctypes.data
+    desk[6] = target.buffers.ctypes.data
+    desk[7] = target.foot_m.ctypes.data
+    desk[8] = target.shear.ctypes.data
+    desk[9] = target.shear.shape[0]
+    desk[10] = target.shear.shape[1]
     packet.context[0] = _NO_INSTANCES
     _intersect(valid.ctypes.data, scene, rays.ctypes.data, packet.arguments.ctypes.data)
 
@@ -277,7 +333,9 @@ def ray_met(target: Target, packet: RayPacket, r: int) -> tuple[np.float32, np.u
     The normal in the window is the shape's normal times the transpose of `shape_T_window`; a horizontal shear
     changes its vertical component only. Its product with the direction is the same in both frames.
     """
-    instance, state, T = packet.instance[r], packet.state, target.shape_T_window
+    instance = packet.instance[r]
+    state = packet.state
+    T = target.shape_T_window
     surface = np.uint32(target.first_surface[instance] + np.uint32(packet.face[r] >> np.uint64(32)))
     nx, ny, nz = state[_NORMAL + r], state[_NORMAL + PACKET + r], state[_NORMAL + 2 * PACKET + r]
     x = T[instance, 0, 0] * nx + T[instance, 1, 0] * ny + T[instance, 2, 0] * nz
@@ -285,7 +343,8 @@ def ray_met(target: Target, packet: RayPacket, r: int) -> tuple[np.float32, np.u
     z = T[instance, 0, 2] * nx + T[instance, 1, 2] * ny + T[instance, 2, 2] * nz
     if target.shear.shape[0]:
         knot, share = knot_at(target.shear.shape[0], packet.own[TIME + r])
-        here, after = target.shear[knot, instance], target.shear[knot + 1, instance]
+        here = target.shear[knot, instance]
+        after = target.shear[knot + 1, instance]
         z -= (here[0] + share * (after[0] - here[0])) * x + (here[1] + share * (after[1] - here[1])) * y
     cosine = abs(state[_FACING + r]) / math.sqrt(x * x + y * y + z * z)
     return np.float32(state[_LIMIT + r]), surface, np.float32(min(cosine, 1.0))

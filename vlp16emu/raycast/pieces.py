@@ -1,7 +1,9 @@
 """Pieces of shapes with tight boxes, each an instance.
 
-A ray is transformed into the coordinates of every instance whose box it passes, which is a large part of the cost,
-and the rays of a lidar are nearly level: the relevant size of a box is its area seen from the side. So stems are separate
+A ray is transformed into the coordinates of every instance whose box it passes, which is a large part of the
+cost,
+and the rays of a lidar are nearly level: the relevant size of a box is its area seen from the side. So stems
+are separate
 from the ground, and crowns are cut into horizontal slabs, each as wide as the crown there.
 """
 
@@ -15,11 +17,13 @@ from vlp16emu.types import F4, F8, I8, U4, Mesh
 Faces = tuple[F4, U4]  # vertices (v, 3) in metres, and triangles (t, 3)
 
 _SLAB_M = 1.5
-"""Height of a slab: with separate bodies it saves a fifth of the time for near faces in `scenes/reference_forest`; 1 m and
+"""Height of a slab: with separate bodies it saves a fifth of the time for near faces in
+`scenes/reference_forest`; 1 m and
 2 m gain the same within 2 %."""
 
 _WORTH = 0.7
-"""Slabs become pieces if the total area of their boxes is at most this share of the area of the box around them; from 0.6
+"""Slabs become pieces if the total area of their boxes is at most this share of the area of the box around
+them; from 0.6
 to 0.95 the gain is the same, with more pieces."""
 
 
@@ -42,7 +46,8 @@ def in_pieces(faces: Sequence[Faces]) -> tuple[tuple[Faces, ...], I8, F8]:
     The same faces, in each mesh ordered by piece; the first face of each piece, (pieces + 1, meshes); and the
     boxes of pieces, (pieces, 2, 3)
     """
-    ordered, counts = list(faces), [np.zeros((1, len(faces)), np.int64)]
+    ordered = list(faces)
+    counts = [np.zeros((1, len(faces)), np.int64)]
     boxes = [np.zeros((0, 2, 3))]
     for body in _bodies(faces):
         slabs, around = _slabs([faces[mesh] for mesh in body])
@@ -58,7 +63,8 @@ def in_pieces(faces: Sequence[Faces]) -> tuple[tuple[Faces, ...], I8, F8]:
 
 def _bodies(faces: Sequence[Faces]) -> list[list[int]]:
     """Group non-empty meshes, in order, while a common box is no larger than separate ones."""
-    bodies, around = list[list[int]](), np.zeros((2, 3))
+    bodies = list[list[int]]()
+    around = np.zeros((2, 3))
     for mesh, (vertices_m, triangles) in enumerate(faces):
         if not len(triangles):
             continue

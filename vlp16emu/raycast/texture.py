@@ -11,31 +11,44 @@ from vlp16emu.random import Purpose, uniform_pair
 from vlp16emu.trig import ZERO, fold
 from vlp16emu.types import F4, F8, I8, U2, U4, Firings, Hits, PlantPart
 
-_GRID_M, _BARK_GRID_M, _RELIEF_GRID_M = 0.2, 0.1, 0.15
-"""Patch sizes of walls and ground, of bark, and of relief; folds halve them. With these sizes neighbouring returns are
-equal as often, and differ as much, as on real sensors, and relief correlates at pulses 0.2 degrees apart, not at 0.4
+_GRID_M = 0.2
+_BARK_GRID_M = 0.1
+_RELIEF_GRID_M = 0.15
+"""Patch sizes of walls and ground, of bark, and of relief; folds halve them. With these sizes neighbouring
+returns are
+equal as often, and differ as much, as on real sensors, and relief correlates at pulses 0.2 degrees apart, not
+at 0.4
 (protocol/README.md)."""
-_RELIEF_FROM_M, _FINEST = 6.0, 32.0
-"""Range from which on relief has patches of that size, which halve with the range, and the greatest refinement: real
+_RELIEF_FROM_M = 6.0
+_FINEST = 32.0
+"""Range from which on relief has patches of that size, which halve with the range, and the greatest
+refinement: real
 surfaces are rough at all scales, and a pulse resolves its footprint, at 1 m (mrpt) as at 10 m (2014)."""
 _SAME_M = 0.1  # sub-rays of a pulse that end within this distance share a patch
 _SPREAD = math.sqrt(3.0)  # half-width of a uniform distribution of variance one
 _CELL_BITS = 3  # eight patches across share a contrast: a wall, a floor or bark consists of such areas
 _LN_STRENGTH = 1.2
-"""Spread of the logarithm of the contrast over areas: reflectivity scatter, with white errors, has 0.65 to 0.74 on real units."""
+"""Spread of the logarithm of the contrast over areas: reflectivity scatter, with white errors, has 0.65 to
+0.74 on real units."""
 _NORMAL = np.array([0.078, 0.237, 0.402, 0.579, 0.776, 1.01, 1.318, 1.863])
 _STRENGTH = exp(_LN_STRENGTH * np.concatenate([-_NORMAL, _NORMAL]) - _LN_STRENGTH * _LN_STRENGTH) * 1.4229
 """Midpoints of sixteen equal shares of a log-normal distribution, with a mean square of one."""
 _FLATTEST = 0.15
-"""Cosine of incidence below which the contrast no longer grows: unevenness changes the cosine more on slanted surfaces."""
+"""Cosine of incidence below which the contrast no longer grows: unevenness changes the cosine more on slanted
+surfaces."""
 _STANDING_OUT = math.sqrt(11.0)
-"""Half-width for the fifth power of a uniform distribution: most of a wall is flat, few parts stand out far."""
-_EVEN, _UNEVEN = 0.213, 0.8519
-"""Least relief of an area over the setting, and the addition by its contrast: areas differ, with a mean square of one."""
-_COAT = 0.04  # Fresnel reflectance at normal incidence for a refractive index of 1.5, as of paint, varnish and wax
+"""Half-width for the fifth power of a uniform distribution: most of a wall is flat, few parts stand out
+far."""
+_EVEN = 0.213
+_UNEVEN = 0.8519
+"""Least relief of an area over the setting, and the addition by its contrast: areas differ, with a mean
+square of one."""
+# Fresnel reflectance at normal incidence for a refractive index of 1.5, as of paint, varnish and wax
+_COAT = 0.04
 _TEXTURE = ZERO + Purpose.TEXTURE
 _Known = tuple[I8, F8]
-"""Last cells (4, L, 3) hit by each laser, and their draws (4, L): patch and area, of texture and of relief."""
+"""Last cells (4, L, 3) hit by each laser, and their draws (4, L): patch and area, of texture and of
+relief."""
 
 
 def add_texture(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: int) -> None:
@@ -43,8 +56,10 @@ def add_texture(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: 
 
     Brightness scales the cosine of incidence, up to the brightness of a white surface. Relief moves
     hits along the pulse. Both are taken on the axis of the pulse, at the range of the sub-ray.
-    Gloss is the light that facets of a coat mirror back along the pulse (Walter et al., EGSR 2007, equations 20 and 25: Beckmann's
-    distribution). It too ends at the brightness of a white surface: real units send hardly any codes between 100 and those of
+    Gloss is the light that facets of a coat mirror back along the pulse (Walter et al., EGSR 2007, equations
+    20 and 25: Beckmann's
+    distribution). It too ends at the brightness of a white surface: real units send hardly any codes between
+    100 and those of
     retroreflectors. A surface without reflectance stays black.
 
     Parameters
@@ -59,57 +74,90 @@ def add_texture(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: 
     looks = np.stack(
         [*(surfaces[name] for name in ("texture", "reflectance", "relief_m")), per_m, steep * steep], axis=1
     )
-    rays, lasers = (hits.count, hits.range_m, hits.surface, hits.cos_incidence), hits.count.shape[1]
+    rays = (hits.count, hits.range_m, hits.surface, hits.cos_incidence)
+    lasers = hits.count.shape[1]
     known = np.full((4, lasers, 3), np.iinfo(np.int64).min), np.empty((4, lasers))
     _texture(firings.origin_m, firings.direction, rays, looks, seed, known)
 
 
 @kernel
-def _texture(origin_m: F8, direction: F8, rays: tuple[U2, F4, U4, F4], looks: F4, seed: int, known: _Known) -> None:
+def _texture(
+    origin_m: F8, direction: F8, rays: tuple[U2, F4, U4, F4], looks: F4, seed: int, known: _Known
+) -> None:
     """Add the relief to the ranges of the sub-rays of pulses (k, L), and multiply their cosines by the texture.
 
     Parameters
     ----------
-    looks : (m, 5) texture, reflectance, relief, patches per metre and inverse square of the roughness of each surface, in one line of the cache
+    looks : (m, 5) texture, reflectance, relief, patches per metre and inverse square of the roughness of each
+        surface, in one line of the cache
     """
-    (count, range_m, met, cosine), stop = rays, ZERO
+    (count, range_m, met, cosine) = rays
+    stop = ZERO
     for i in range(count.shape[0]):
         for j in range(count.shape[1]):
             start, stop = stop, stop + int(count[i, j])
-            patch_m, patch = -np.inf, 0.0
+            patch_m = -np.inf
+            patch = 0.0
             for ray in range(start, stop):
                 if not range_m[ray] < np.inf:
                     continue
-                row, at_m = met[ray], np.float64(range_m[ray])
-                texture, reflectance, relief_m, per_m = looks[row, 0], looks[row, 1], looks[row, 2], looks[row, 3]
-                slope, steepness = max(np.float64(cosine[ray]), _FLATTEST), np.float64(looks[row, 4])
+                row = met[ray]
+                at_m = np.float64(range_m[ray])
+                texture = looks[row, 0]
+                reflectance = looks[row, 1]
+                relief_m = looks[row, 2]
+                per_m = looks[row, 3]
+                slope = max(np.float64(cosine[ray]), _FLATTEST)
+                steepness = np.float64(looks[row, 4])
                 if texture != 0.0:
                     if abs(range_m[ray] - patch_m) > _SAME_M:
                         patch_m = at_m
-                        drawn, strength = _of_patch(seed, np.float64(per_m), origin_m, direction, i, j, at_m, 0, known)
+                        drawn, strength = _of_patch(
+                            seed, np.float64(per_m), origin_m, direction, i, j, at_m, 0, known
+                        )
                         patch = _SPREAD * (2.0 * drawn - 1.0) * strength
                     slant = 0.5 + 0.5 / slope
                     more = texture * slant * patch
-                    bright = min(1.0 + more, max(1.0, 1.0 / reflectance)) if more >= 0.0 else 1.0 / (1.0 - more)
+                    bright = (
+                        min(1.0 + more, max(1.0, 1.0 / reflectance)) if more >= 0.0 else 1.0 / (1.0 - more)
+                    )
                     cosine[ray] *= np.float32(bright)
                 if steepness > 0.0 and reflectance > 0.0:
                     square = slope * slope
-                    shine = 0.25 * _COAT * steepness * exp((1.0 - 1.0 / square) * steepness) / (square * square * slope)
+                    shine = (
+                        0.25
+                        * _COAT
+                        * steepness
+                        * exp((1.0 - 1.0 / square) * steepness)
+                        / (square * square * slope)
+                    )
                     white = max(cosine[ray], np.float32(1.0 / reflectance))
                     cosine[ray] = min(cosine[ray] + np.float32(shine / reflectance), white)
                 if relief_m > 0.0:
                     finer = 1.0
                     while finer * at_m < _RELIEF_FROM_M and finer < _FINEST:
                         finer *= 2.0
-                    drawn, strength = _of_patch(seed, finer / _RELIEF_GRID_M, origin_m, direction, i, j, at_m, 2, known)
+                    drawn, strength = _of_patch(
+                        seed, finer / _RELIEF_GRID_M, origin_m, direction, i, j, at_m, 2, known
+                    )
                     even = 2.0 * drawn - 1.0
                     square = even * even
-                    range_m[ray] += relief_m * _STANDING_OUT * (square * square * even) * (_EVEN + _UNEVEN * strength)
+                    range_m[ray] += (
+                        relief_m * _STANDING_OUT * (square * square * even) * (_EVEN + _UNEVEN * strength)
+                    )
 
 
 @inline_kernel
 def _of_patch(
-    seed: int, per_m: float, origin_m: F8, direction: F8, i: int, j: int, at_m: float, slot: int, known: _Known
+    seed: int,
+    per_m: float,
+    origin_m: F8,
+    direction: F8,
+    i: int,
+    j: int,
+    at_m: float,
+    slot: int,
+    known: _Known,
 ) -> tuple[float, float]:
     """Draw a number in [0, 1) for the patch at a range along a pulse (i, j), and the contrast of its area.
 
@@ -131,7 +179,9 @@ def _of_cell(seed: int, u: int, v: int, w: int, slot: int, j: int, known: _Known
     """Draw the number of a cell, unless the last pulse of laser j hit it too."""
     cells, values = known
     if cells[slot, j, 0] != u or cells[slot, j, 1] != v or cells[slot, j, 2] != w:
-        cells[slot, j, 0], cells[slot, j, 1], cells[slot, j, 2] = u, v, w
+        cells[slot, j, 0] = u
+        cells[slot, j, 1] = v
+        cells[slot, j, 2] = w
         of_whole = slot & 1
         lane = (w << 1 | of_whole) & 0xFFFFFFFF
         first, second = uniform_pair(seed, _TEXTURE, (u & 0xFFFFFFFF) | (v << 32), lane)

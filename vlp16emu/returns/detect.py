@@ -24,22 +24,32 @@ from vlp16emu.returns.echoes import (
     highest_peak,
 )
 from vlp16emu.returns.lost import lose, raised
-from vlp16emu.returns.noise import NO_RETURN_KNOTS, REFLECTIVITY_TAIL, heavier, range_sigma_m, reflectivity_byte
+from vlp16emu.returns.noise import (
+    NO_RETURN_KNOTS,
+    REFLECTIVITY_TAIL,
+    heavier,
+    range_sigma_m,
+    reflectivity_byte,
+)
 from vlp16emu.returns.settings import DetectorConstants
 from vlp16emu.returns.weather import clutter_echo
 from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, I8, U1, U4, Firings, Hits, PlantPart, Returns, Semantic
 
-_STRONGEST, _LAST, _SECOND = 0, 1, 2  # columns of Returns
+_STRONGEST = 0  # columns of Returns
+_LAST = 1
+_SECOND = 2
 _PEAKS_PER_NODE = 3  # at most: one at the node, and one on each side
 _CERTAIN_SIGMAS = 6.0  # noise does not exceed this: probability 2e-9
-_DETECTION, _RANGE_NOISE = ZERO + Purpose.DETECTION, ZERO + Purpose.RANGE_NOISE
+_DETECTION = ZERO + Purpose.DETECTION
+_RANGE_NOISE = ZERO + Purpose.RANGE_NOISE
 _CODES_PER_M = 500.0  # distance codes of a packet per metre: 2 mm
 _MOST_NO_RETURN = 100.0  # largest wandering code of no-returns on einride
 _UNSHIFTED_CODE = 40.0  # code at which reflectivity does not change the range
 _Pair = tuple[float, float]
 _Laser = tuple[float, float, float, U1]
-"""Range error of a laser in metres, its factor on the white range noise, its gain, and codes as in `sent_codes`."""
+"""Range error of a laser in metres, its factor on the white range noise, its gain, and codes as in
+`sent_codes`."""
 _LANE_BITS = 16  # lane of a random number: the laser in the lower bits, rank or column of the echo above them
 
 
@@ -54,29 +64,39 @@ def detect(
 ) -> Returns:
     """Return the returns of each pulse from its hits.
 
-    Echoes are the peaks of the pulse's waveform (`vlp16emu.returns.echoes`); an echo within the resolution of a
-    stronger one is lost. The strongest return has the highest peak, the last return is the farthest, and a single echo
-    is both (63-9243 Rev D, section 6.2). In strongest return mode the last and second returns are not searched.
+    Echoes are the peaks of the pulse's waveform (`vlp16emu.returns.echoes`); an echo within the resolution of
+    a
+    stronger one is lost. The strongest return has the highest peak, the last return is the farthest, and a
+    single echo
+    is both (63-9243 Rev D, section 6.2). In strongest return mode the last and second returns are not
+    searched.
 
     Echoes measured below the least range are blanked: distance 0, with the reflectivity kept, as real units
     send them. A second strongest return of distance 0 and nonzero reflectivity is such an echo.
 
-    Reflectivity is the height of the peak, corrected for range as the sensor does: for a target that fills the
+    Reflectivity is the height of the peak, corrected for range as the sensor does: for a target that fills
+    the
     beam, reflectance times cosine of incidence in percent; less for a target that is partly hit.
 
     Parameters
     ----------
     surfaces : (m,) `SURFACE`, the window's table
-    truth : True to keep the range of each return before errors, and the surface of the sub-ray that gave most of its light
-    block : firing sequences after which the state of each laser is reset, so that the result does not depend on how a run
+    truth : True to keep the range of each return before errors, and the surface of the sub-ray that gave most
+        of its light
+    block : firing sequences after which the state of each laser is reset, so that the result does not depend
+        on how a run
         is divided; None for all of them
     """
-    shape, constants, first = (*firings.t_ns.shape, 3), detector.constants, firings.index
+    shape = (*firings.t_ns.shape, 3)
+    constants = detector.constants
+    first = firings.index
     lasers = shape[1]
-    distance_m, reflectivity = np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
+    distance_m = np.zeros(shape, np.float32)
+    reflectivity = np.zeros(shape, np.uint8)
     exact_m = np.zeros(shape if truth else (0, 0, 3), np.float32)
     most = int(hits.count.max(initial=1)) + 1  # the air's own echo is one more
-    peaks, noise = np.empty((COLUMNS, _PEAKS_PER_NODE * most)), np.zeros((5, lasers))
+    peaks = np.empty((COLUMNS, _PEAKS_PER_NODE * most))
+    noise = np.zeros((5, lasers))
     room = np.empty((COLUMNS, most)), peaks, np.empty(3, np.int64), noise
     reflectance = np.ascontiguousarray(surfaces["reflectance"])
     rays = SubRays(hits.count, hits.range_m, hits.surface, hits.cos_incidence, reflectance)
@@ -96,10 +116,13 @@ def detect(
         _count_unevenly(detector.parity, distance_m)
     if detector.no_return is not None:
         place = firings.azimuth_deg[:, 0] % 360.0 * (NO_RETURN_KNOTS / 360.0)
-        _mark_silent(constants, detector.no_return, detector.multiples, place, first, block, distance_m, reflectivity)
+        _mark_silent(
+            constants, detector.no_return, detector.multiples, place, first, block, distance_m, reflectivity
+        )
     if not truth:
         return Returns(firings, distance_m, reflectivity, mode=detector.mode)
-    surface, share = np.empty(shape, np.uint32), np.empty(shape, np.float32)
+    surface = np.empty(shape, np.uint32)
+    share = np.empty(shape, np.float32)
     source_m = np.where(distance_m > 0.0, exact_m, np.float32(0.0))
     find_source_surfaces(constants, first, rays, source_m, surface, share)
     return Returns(firings, distance_m, reflectivity, surface, surfaces, exact_m, share, detector.mode)
@@ -141,20 +164,28 @@ def _detect(
     Parameters
     ----------
     block : as in `detect`; the first block begins with row 0
-    room : scratch arrays for nodes, peaks, chosen peaks, and for normal numbers and the codes of previous pulses
+    room : scratch arrays for nodes, peaks, chosen peaks, and for normal numbers and the codes of previous
+        pulses
     exact_m : output, ranges before errors; may be empty
     """
     nodes, peaks, chosen, noise = room
-    stop, keeps_exact, lasers = ZERO, exact_m.shape[0] > 0, rays.counts.shape[1]
+    stop = ZERO
+    keeps_exact = exact_m.shape[0] > 0
+    lasers = rays.counts.shape[1]
     columns = _LAST if constants.strongest_only else _SECOND  # columns that a single echo fills
-    rates, before = constants.lost, noise[2:]
+    rates = constants.lost
+    before = noise[2:]
     for i in range(rays.counts.shape[0]):
         n = first + i
         slot = 24 * n % 5
         if i % block == 0:
-            before[0], before[1:] = -1.0, 0.0
+            before[0] = -1.0
+            before[1:] = 0.0
         if (
-            constants.range_noise_m + constants.reflectivity_noise + constants.reflectivity_noise_share + rates.any
+            constants.range_noise_m
+            + constants.reflectivity_noise
+            + constants.reflectivity_noise_share
+            + rates.any
             > 0.0
         ):
             normal_pairs(constants.seed, _RANGE_NOISE, n, noise[0], noise[1])
@@ -166,7 +197,8 @@ def _detect(
             if constants.extinction_per_m > 0.0:
                 air_m, air = clutter_echo(constants, n, j, start, stop, rays.range_m)
                 if air > 0.0:
-                    nodes[RANGE, lit], nodes[AMPLITUDE, lit] = air_m, air
+                    nodes[RANGE, lit] = air_m
+                    nodes[AMPLITUDE, lit] = air
                     lit += 1
             at_m, light = _only_echo(constants, n, j, nodes, lit, peaks)
             if light > 0.0 and _is_seen(constants, n, j, at_m, light):
@@ -182,8 +214,10 @@ def _detect(
                     if chosen[column] >= 0:
                         exact_m[i, j, column] = peaks[RANGE, chosen[column]]
             if rates.any > 0.0:
-                pulse, dual = (rays, errors.sheet, start, stop), not constants.strongest_only
-                drawn, code = (noise[0, j], noise[1, j]), errors.no_return[j]
+                pulse = (rays, errors.sheet, start, stop)
+                dual = not constants.strongest_only
+                drawn = (noise[0, j], noise[1, j])
+                code = errors.no_return[j]
                 lose(rates, drawn, pulse, before, j, code, dual, distance_m[i, j], reflectivity[i, j])
 
 
@@ -200,17 +234,21 @@ def _mark_silent(
 ) -> None:
     """Fill in the reflectivity of pulses without any return: a constant of the laser, or a multiple of it.
 
-    Near a return in the same block it may be raised; elsewhere it is interpolated between knots (m, L) at `place` (k,) in knots.
+    Near a return in the same block it may be raised; elsewhere it is interpolated between knots (m, L) at
+    `place` (k,) in knots.
     """
-    rates, key = constants.lost, constants.seed
+    rates = constants.lost
+    key = constants.seed
     for i in range(distance_m.shape[0]):
-        knot, rest = min(int(place[i]), NO_RETURN_KNOTS - 1), place[i] % 1.0
+        knot = min(int(place[i]), NO_RETURN_KNOTS - 1)
+        rest = place[i] % 1.0
         for j in range(distance_m.shape[1]):
             silent = True
             for column in range(3):
                 silent &= distance_m[i, j, column] == 0.0 and reflectivity[i, j, column] == 0
             if silent:
-                code, higher = no_return[j], -1.0
+                code = no_return[j]
+                higher = -1.0
                 if rates.raise_code > 0.0:
                     rows = i, i // block * block, min((i // block + 1) * block, distance_m.shape[0])
                     higher = raised(rates, (key, first, j), rows, no_return[j], distance_m, reflectivity)
@@ -235,10 +273,13 @@ def _count_unevenly(parity: F8, distance_m: F4) -> None:
 
 
 @inline_kernel
-def _only_echo(constants: DetectorConstants, n: int, laser: int, nodes: F8, lit: int, peaks: F8) -> tuple[float, float]:
+def _only_echo(
+    constants: DetectorConstants, n: int, laser: int, nodes: F8, lit: int, peaks: F8
+) -> tuple[float, float]:
     """Return range and amplitude of the only echo needed: the single node, or the highest peak in strongest return mode.
 
-    Amplitude is 0 if there may be more echoes, or if the highest peak is not found this way; -1 if no echo is detected.
+    Amplitude is 0 if there may be more echoes, or if the highest peak is not found this way; -1 if no echo is
+    detected.
     """
     if lit == 0:
         return 0.0, -1.0
@@ -257,7 +298,8 @@ def _only_echo(constants: DetectorConstants, n: int, laser: int, nodes: F8, lit:
 @inline_kernel
 def _is_seen(constants: DetectorConstants, n: int, lane: int, range_m: float, amplitude: float) -> bool:
     """Return True if an echo is within range and its peak, with noise, is above the threshold."""
-    excess, certain = amplitude - constants.threshold, _CERTAIN_SIGMAS * constants.amplitude_noise
+    excess = amplitude - constants.threshold
+    certain = _CERTAIN_SIGMAS * constants.amplitude_noise
     if -certain < excess < certain and range_m <= constants.max_range_m:
         a, b = uniform_pair(constants.seed, _DETECTION, n, lane)
         if _falls_short(constants, a, excess):
@@ -270,7 +312,8 @@ def _is_seen(constants: DetectorConstants, n: int, lane: int, range_m: float, am
 def _falls_short(constants: DetectorConstants, a: float, excess: float) -> bool:
     """Return True if noise from the uniform number a stays below the threshold for any second number; needs no logarithm.
 
-    The radius of a normal pair is below t if 1 - a > exp(-t**2 / 2); the test uses an upper bound of this exponential.
+    The radius of a normal pair is below t if 1 - a > exp(-t**2 / 2); the test uses an upper bound of this
+    exponential.
     """
     t = excess / constants.amplitude_noise
     x = 0.5 * t * t
@@ -296,7 +339,8 @@ def _measure(
     constants: DetectorConstants, noise: _Pair, range_m: float, amplitude: float, own: _Laser
 ) -> tuple[np.float32, np.uint8]:
     """Return measured distance and reflectivity; distance 0 below the least range, both 0 beyond the greatest range."""
-    (range_noise, other_noise), (error_m, share, gain, codes) = noise, own
+    (range_noise, other_noise) = noise
+    (error_m, share, gain, codes) = own
     reflectance = amplitude * range_m * range_m
     shown = min(100.0 * reflectance, 100.0)
     measured_m = range_m + error_m + constants.range_walk_m * (shown - _UNSHIFTED_CODE)
@@ -347,16 +391,25 @@ def _leave_out(peaks: F8, chosen: I8, lost: int) -> None:
         if chosen[column] == lost:
             chosen[column] = -1
     if chosen[_STRONGEST] < 0:
-        chosen[_STRONGEST], chosen[_SECOND] = chosen[_SECOND], -1
+        chosen[_STRONGEST] = chosen[_SECOND]
+        chosen[_SECOND] = -1
     if chosen[_LAST] < 0:
-        first, second = chosen[_STRONGEST], chosen[_SECOND]
+        first = chosen[_STRONGEST]
+        second = chosen[_SECOND]
         is_second = second >= 0 and peaks[RANGE, second] > peaks[RANGE, first]
         chosen[_LAST] = second if is_second else first
 
 
 @kernel
 def _write(
-    constants: DetectorConstants, n: int, j: int, own: _Laser, peaks: F8, chosen: I8, distance_m: F4, reflectivity: U1
+    constants: DetectorConstants,
+    n: int,
+    j: int,
+    own: _Laser,
+    peaks: F8,
+    chosen: I8,
+    distance_m: F4,
+    reflectivity: U1,
 ) -> None:
     """Fill the returns (3,) of a pulse; each chosen peak is measured once, and dropped if measured beyond `max_range_m`."""
     share = own[1]
@@ -364,18 +417,29 @@ def _write(
         peak = chosen[column]
         if peak < 0 or (column > 0 and peak == chosen[column - 1]):  # an echo in two columns has one error
             continue
-        at_m, light = peaks[RANGE, peak], peaks[AMPLITUDE, peak]
-        error_m = own[0] + constants.range_walk_m * (min(100.0 * light * at_m * at_m, 100.0) - _UNSHIFTED_CODE)
-        sigma_m = share * range_sigma_m(constants, light * at_m * at_m, light) if constants.range_noise_m > 0.0 else 0.0
-        if at_m + error_m + 2.0 * _CERTAIN_SIGMAS * sigma_m > constants.max_range_m:  # noise may put it beyond
+        at_m = peaks[RANGE, peak]
+        light = peaks[AMPLITUDE, peak]
+        error_m = own[0] + constants.range_walk_m * (
+            min(100.0 * light * at_m * at_m, 100.0) - _UNSHIFTED_CODE
+        )
+        sigma_m = (
+            share * range_sigma_m(constants, light * at_m * at_m, light)
+            if constants.range_noise_m > 0.0
+            else 0.0
+        )
+        if (
+            at_m + error_m + 2.0 * _CERTAIN_SIGMAS * sigma_m > constants.max_range_m
+        ):  # noise may put it beyond
             drawn, _ = normal_pair(constants.seed, _RANGE_NOISE, n, j | column << _LANE_BITS)
             if at_m + error_m + drawn * sigma_m > constants.max_range_m:
                 _leave_out(peaks, chosen, peak)
     for column in range(3):
         peak = chosen[column]
         if column > 0 and peak == chosen[column - 1]:
-            distance_m[column], reflectivity[column] = distance_m[column - 1], reflectivity[column - 1]
+            distance_m[column] = distance_m[column - 1]
+            reflectivity[column] = reflectivity[column - 1]
         elif peak >= 0:
             pair = normal_pair(constants.seed, _RANGE_NOISE, n, j | column << _LANE_BITS)
-            at_m, light = peaks[RANGE, peak], peaks[AMPLITUDE, peak]
+            at_m = peaks[RANGE, peak]
+            light = peaks[AMPLITUDE, peak]
             distance_m[column], reflectivity[column] = _measure(constants, pair, at_m, light, own)

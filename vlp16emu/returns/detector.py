@@ -24,12 +24,16 @@ from vlp16emu.units import INCLUSIVE
 _HALF_LIGHT_M_PER_NS = 0.299792458 / 2.0
 _FWHM_SIGMAS = 2.3548200450309493  # 2 sqrt(2 ln 2)
 _CALIBRATION_REFLECTANCE = 0.1
-_MOST_PARITY, _BALANCED = 0.4, 0.6
+_MOST_PARITY = 0.4
+_BALANCED = 0.6
 _RANGE_WALK_MM = -0.06, 0.18
-"""Change of range per code of reflectivity, uniform over units: 0.08, 0.16 and -0.03 on three real units; -0.16, but of few pulses, on that
-of 2014; the correlation of both noises is -0.01 to 0.14 (protocol/README.md, "The character of a unit", also for the next constant)."""
+"""Change of range per code of reflectivity, uniform over units: 0.08, 0.16 and -0.03 on three real units;
+-0.16, but of few pulses, on that
+of 2014; the correlation of both noises is -0.01 to 0.14 (protocol/README.md, "The character of a unit", also
+for the next constant)."""
 _LASER_NOISE_SPREAD = 0.08
-"""Spread of the logarithm of the white range noise over lasers: 0.076, 0.121 and 0.079 on mrpt, einride and nebula, without the
+"""Spread of the logarithm of the white range noise over lasers: 0.076, 0.121 and 0.079 on mrpt, einride and
+nebula, without the
 part due to chance; the noise of lasers correlates by 0.44, 0.37 and 0.37 between sectors of 45 deg."""
 _WARM_UP_S = 900.0  # time constant (assumption)
 
@@ -45,8 +49,12 @@ class UnitDetector:
     range_beat_m: F8  # (5,) error of the range by (24 sequence + laser) mod 5
     parity: F8 | None  # (L,) share of odd distance codes minus one half; None if it is one half
     codes: U1  # (L, 100 * CODE_PARTS + 1) code that is sent for each reflectivity, from `sent_codes`
-    no_return: F8 | None  # (L,) reflectivity of records without a return, truncated to integers when sent; None for 0
-    multiples: F8  # (m, L) multiples of `no_return` by azimuth, from `no_return_multiples`; empty for no change
+    no_return: (
+        F8 | None
+    )  # (L,) reflectivity of records without a return, truncated to integers when sent; None for 0
+    multiples: (
+        F8  # (m, L) multiples of `no_return` by azimuth, from `no_return_multiples`; empty for no change
+    )
     noise: Noise
     power_up_ns: int  # UTC of power-up, at which warm-up begins
     mode: ReturnMode
@@ -77,7 +85,9 @@ class UnitDetector:
         lasers = len(elevation_deg)
         sigma_m = _HALF_LIGHT_M_PER_NS * detector.pulse_ns / _FWHM_SIGMAS
         least, amplitude_noise = threshold_of(detector)
-        own = exp(noise.unit_spread * normal(seed, Purpose.UNIT_NOISE, 0, 2)).tolist()  # log-normal: no error below 0
+        own = exp(
+            noise.unit_spread * normal(seed, Purpose.UNIT_NOISE, 0, 2)
+        ).tolist()  # log-normal: no error below 0
         least_walk, most_walk = _RANGE_WALK_MM
         walk_mm = least_walk + (most_walk - least_walk) * float(uniform(seed, Purpose.UNIT_NOISE, 2, 1)[0])
         air_per_m = extinction_per_m(weather.visibility_m, weather.rain_mm_h)
@@ -98,10 +108,14 @@ class UnitDetector:
             reflectivity_noise_share=noise.reflectivity_noise_share * own[1],
             heavy_tails=noise.is_real,
             range_walk_m=1e-3 * walk_mm * noise.is_real,
-            lost=loss_rates(seed, noise.records_lost, raised=noise.records_lost > 0.0 and noise.no_return_reflectivity),
+            lost=loss_rates(
+                seed, noise.records_lost, raised=noise.records_lost > 0.0 and noise.no_return_reflectivity
+            ),
         )
         no_return = (
-            no_return_reflectivity(seed, lasers, noise.no_return_level) if noise.no_return_reflectivity else None
+            no_return_reflectivity(seed, lasers, noise.no_return_level)
+            if noise.no_return_reflectivity
+            else None
         )
         multiples = np.zeros((0, lasers))
         if no_return is not None and noise.no_return_wander:
@@ -109,7 +123,9 @@ class UnitDetector:
         return cls(
             constants=constants,
             range_bias_m=range_bias_m(seed, lasers, noise.range_bias_m),
-            range_noise_share=exp(_LASER_NOISE_SPREAD * noise.is_real * normal(seed, Purpose.UNIT_NOISE, 0, lasers, 1)),
+            range_noise_share=exp(
+                _LASER_NOISE_SPREAD * noise.is_real * normal(seed, Purpose.UNIT_NOISE, 0, lasers, 1)
+            ),
             gain=gain(seed, noise.gain_spread, elevation_deg),
             range_beat_m=range_beat_m(seed, noise.range_beat_m, noise.range_beat_phase_deg),
             parity=_parity(seed, lasers, noise.odd_codes_spread) if noise.odd_codes_spread else None,

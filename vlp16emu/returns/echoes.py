@@ -1,14 +1,19 @@
 """Echoes of one pulse: the peaks of the waveform that its sub-rays reflect.
 
-A pulse is a Gaussian in time, so the waveform is a sum of equal Gaussians, one per sub-ray, and a detector that
-searches peaks reports its modes. Surfaces closer than the pulse width give one peak between them: the mixed pixel.
+A pulse is a Gaussian in time, so the waveform is a sum of equal Gaussians, one per sub-ray, and a detector
+that
+searches peaks reports its modes. Surfaces closer than the pulse width give one peak between them: the mixed
+pixel.
 
 Sub-rays within `NODE_M` are merged at their energy-weighted mean. The mode of Gaussians within a span s
-differs from their mean by at most s**3 / (12 sqrt(3) sigma**2) to leading order, because their third moment is at most
+differs from their mean by at most s**3 / (12 sqrt(3) sigma**2) to leading order, because their third moment
+is at most
 s**3 / (6 sqrt(3)): 1.1 mm for a node and a pulse of 6 ns with the most asymmetric light; and the peak is
-lower than the node by 2 % at most. Nodes of a shorter pulse are shorter in proportion. Most pulses are one node and need no waveform.
+lower than the node by 2 % at most. Nodes of a shorter pulse are shorter in proportion. Most pulses are one
+node and need no waveform.
 
-Light that passes through a leaf, some 45 % at 903 nm, is scattered over the half-space behind it. The part that comes
+Light that passes through a leaf, some 45 % at 903 nm, is scattered over the half-space behind it. The part
+that comes
 back has passed the leaf twice and is spread both times, so it is weaker than direct light by the share of the
 half-space that the receiver sees, and makes no echo. Sub-rays model the light that passes beside a leaf.
 
@@ -30,10 +35,16 @@ from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, NO_SURFACE, U2, U4
 
 COLUMNS = 5  # columns of a table of nodes, or of peaks
-RANGE, AMPLITUDE = 0, 1  # columns of both: in metres, and as in `DetectorConstants`
+RANGE = 0  # columns of both: in metres, and as in `DetectorConstants`
+AMPLITUDE = 1
 OPEN = 2  # column of peaks: the amplitude, or 0 after the peak is processed
-_RAY, _PART = 2, 3  # columns of nodes during gathering: sub-rays without a node, and their light
-_HEIGHT, _MEAN, _VARIANCE = 2, 3, 4  # columns of nodes after gathering: result of `_waveform` at each node
+# columns of nodes during gathering: sub-rays without a node, and their light
+_RAY = 2
+_PART = 3
+# columns of nodes after gathering: result of `_waveform` at each node
+_HEIGHT = 2
+_MEAN = 3
+_VARIANCE = 4
 NODE_M = 0.15  # greatest span of sub-rays that are merged
 _NODE_SIGMAS = 0.4  # its limit in sigmas of the pulse: 0.382 m at 6 ns
 _LN2 = 0.6931471805599453
@@ -72,21 +83,29 @@ def amplitude_of(constants: DetectorConstants, energy: float, range_m: float) ->
 def gather(constants: DetectorConstants, rays: SubRays, start: int, stop: int, nodes: F8) -> int:
     """Sum the sub-rays start .. stop - 1 of a pulse into nodes (COLUMNS, n); return the number of nodes.
 
-    Each node takes the sub-rays near the first remaining one. Processors cannot predict which are near, so the code does not branch.
+    Each node takes the sub-rays near the first remaining one. Processors cannot predict which are near, so
+    the code does not branch.
     """
     _, range_m, surface, cos_incidence, reflectance = rays
-    left, found, reach_m = 0, 0, 0.5 * min(NODE_M, _NODE_SIGMAS * constants.sigma_m)
+    left = 0
+    found = 0
+    reach_m = 0.5 * min(NODE_M, _NODE_SIGMAS * constants.sigma_m)
     for ray in range(np.uint64(start), np.uint64(stop)):  # signed indices might count from the end
         if range_m[ray] < np.inf:
             nodes[_RAY, left] = range_m[ray]
             nodes[_PART, left] = np.float64(reflectance[surface[ray]]) * cos_incidence[ray] + _FAINTEST
             left += 1
     while left > 0:
-        first_m, count, energy, moment = nodes[_RAY, 0], left, 0.0, 0.0
+        first_m = nodes[_RAY, 0]
+        count = left
+        energy = 0.0
+        moment = 0.0
         left = 0
         for ray in range(count):
-            ray_m, part = nodes[_RAY, ray], nodes[_PART, ray]
-            nodes[_RAY, left], nodes[_PART, left] = ray_m, part
+            ray_m = nodes[_RAY, ray]
+            part = nodes[_PART, ray]
+            nodes[_RAY, left] = ray_m
+            nodes[_PART, left] = part
             away_m = ray_m - first_m
             near = abs(away_m) <= reach_m
             left += 1 - near
@@ -118,7 +137,8 @@ def brightest_group(nodes: F8, count: int, sigma_m: float) -> tuple[int, int, fl
 
     Returns
     -------
-    first node of the group, and one past the last; its sum, which no peak exceeds; and the greatest sum of other groups
+    first node of the group, and one past the last; its sum, which no peak exceeds; and the greatest sum of
+    other groups
     """
     _sort(nodes, count)
     start = first = last = ZERO
@@ -130,14 +150,16 @@ def brightest_group(nodes: F8, count: int, sigma_m: float) -> tuple[int, int, fl
                 first, last, most, second = start, node + 1, total, most
             else:
                 second = max(second, total)
-            start, total = node + 1, 0.0
+            start = node + 1
+            total = 0.0
     return first, last, most, second
 
 
 @inline_kernel
 def highest_peak(nodes: F8, start: int, stop: int, sigma_m: float, peaks: F8) -> tuple[float, float]:
     """Return range and amplitude of the highest peak of a group of nodes; the nearest of equal peaks."""
-    found, best = _peaks_of_group(nodes, start, stop, sigma_m, peaks, ZERO), 0
+    found = _peaks_of_group(nodes, start, stop, sigma_m, peaks, ZERO)
+    best = 0
     for peak in range(1, found):
         if peaks[AMPLITUDE, peak] > peaks[AMPLITUDE, best]:
             best = peak
@@ -157,12 +179,14 @@ def _add_peak(peaks: F8, found: int, range_m: float, amplitude: float) -> int:
 @inline_kernel
 def _sort(nodes: F8, count: int) -> None:
     for i in range(1, count):
-        range_m, amplitude = nodes[RANGE, i], nodes[AMPLITUDE, i]
+        range_m = nodes[RANGE, i]
+        amplitude = nodes[AMPLITUDE, i]
         j = i
         while j > 0 and nodes[RANGE, j - 1] > range_m:
             nodes[RANGE, j], nodes[AMPLITUDE, j] = nodes[RANGE, j - 1], nodes[AMPLITUDE, j - 1]
             j -= 1
-        nodes[RANGE, j], nodes[AMPLITUDE, j] = range_m, amplitude
+        nodes[RANGE, j] = range_m
+        nodes[AMPLITUDE, j] = amplitude
 
 
 @inline_kernel
@@ -174,7 +198,9 @@ def _quick_exp(x: float) -> float:
     z = r * r
     rest = 0.500000006765061 + r * 0.16666665869323083 + z * (0.041666295063920514 + r * 0.00833349702096706)
     rest += z * z * (0.0013944650820433332 + r * 0.00019790350590949283)
-    bits = np.float64(1.0 + (r + z * rest)).view(np.int64) + (np.float64(shifted).view(np.int64) << np.int64(52))
+    bits = np.float64(1.0 + (r + z * rest)).view(np.int64) + (
+        np.float64(shifted).view(np.int64) << np.int64(52)
+    )
     return np.int64(bits).view(np.float64)
 
 
@@ -221,16 +247,19 @@ def _waveform_at_nodes(nodes: F8, start: int, stop: int, sigma_m: float) -> None
 def _peaks_of_group(nodes: F8, start: int, stop: int, sigma_m: float, peaks: F8, found: int) -> int:
     """Find the peaks of a group of nodes, uphill from each node on both sides.
 
-    The slope of the waveform has the sign of the mean in `_waveform`. A peak lies within sigma of a node, because the
+    The slope of the waveform has the sign of the mean in `_waveform`. A peak lies within sigma of a node,
+    because the
     waveform is convex elsewhere.
     """
     if stop - start == 1:
         return _add_peak(peaks, found, nodes[RANGE, start], nodes[AMPLITUDE, start])
     _waveform_at_nodes(nodes, start, stop, sigma_m)
-    a_m, a = nodes[RANGE, start], (nodes[_MEAN, start], nodes[_VARIANCE, start], nodes[_HEIGHT, start])
+    a_m = nodes[RANGE, start]
+    a = (nodes[_MEAN, start], nodes[_VARIANCE, start], nodes[_HEIGHT, start])
     rises = True  # also if all nodes have the same range
     for node in range(start + 1, stop):
-        b_m, b = nodes[RANGE, node], (nodes[_MEAN, node], nodes[_VARIANCE, node], nodes[_HEIGHT, node])
+        b_m = nodes[RANGE, node]
+        b = (nodes[_MEAN, node], nodes[_VARIANCE, node], nodes[_HEIGHT, node])
         reach_m = min(b_m - a_m, sigma_m)
         one = rises and b[0] <= 0.0 and b_m - a_m <= 2.0 * sigma_m
         if rises:
@@ -242,7 +271,8 @@ def _peaks_of_group(nodes: F8, start: int, stop: int, sigma_m: float, peaks: F8,
             top_m, height = _climb(nodes, start, stop, sigma_m, b_m, b_m - reach_m, b_m < a_m, b)
             if height > 0.0:
                 found = _add_peak(peaks, found, top_m, height)
-        a_m, a = b_m, b
+        a_m = b_m
+        a = b
         rises = a[0] > 0.0 or (a[0] == 0.0 and a[1] > sigma_m * sigma_m)  # or the node is in a minimum
     return found
 
@@ -253,10 +283,13 @@ def _climb(
 ) -> tuple[float, float]:
     """Return range and height of the peak between x_m, where the waveform rises towards end_m, and end_m; height 0 for none.
 
-    It applies Newton's method to the mean, with bisection as fallback. `closed` is True if the waveform is known to fall
+    It applies Newton's method to the mean, with bisection as fallback. `closed` is True if the waveform is
+    known to fall
     at end_m; else this is evaluated when Newton's method fails. `light` is the waveform at x_m.
     """
-    (mean_m, var_m2, height), low_m, high_m = light, min(x_m, end_m), max(x_m, end_m)
+    (mean_m, var_m2, height) = light
+    low_m = min(x_m, end_m)
+    high_m = max(x_m, end_m)
     uphill = mean_m > 0.0
     while True:
         curvature = 1.0 - var_m2 / (sigma_m * sigma_m)
@@ -287,14 +320,16 @@ def find_source_surfaces(
 ) -> None:
     """Fill the surface (k, L, 3) of the sub-ray that gives most of the light at each distance before errors, and its share.
 
-    The share (k, L, 3) is the fraction of the pulse's sub-rays that hit it at any range. Clutter and distance 0 have no surface.
+    The share (k, L, 3) is the fraction of the pulse's sub-rays that hit it at any range. Clutter and distance
+    0 have no surface.
     """
     count, range_m, met, cos_incidence, reflectance = rays
     stop = 0
     for i in range(count.shape[0]):
         for j in range(count.shape[1]):
             start, stop = stop, stop + int(count[i, j])
-            air_m, air = 0.0, 0.0
+            air_m = 0.0
+            air = 0.0
             if constants.extinction_per_m > 0.0:
                 air_m, air = clutter_echo(constants, first + i, j, start, stop, range_m)
             for column in range(3):
@@ -307,7 +342,8 @@ def find_source_surfaces(
                         energy = np.float64(reflectance[met[ray]]) * cos_incidence[ray] / (stop - start)
                         light = amplitude_of(constants, energy, ray_m) * _pulse(constants, ray_m - at_m)
                         if light > most:
-                            most, surface[i, j, column] = light, met[ray]
+                            most = light
+                            surface[i, j, column] = met[ray]
                 same = 0
                 for ray in range(start if surface[i, j, column] != NO_SURFACE else stop, stop):
                     same += met[ray] == surface[i, j, column]

@@ -14,24 +14,38 @@ BIAS_LIMIT_M = 0.03  # accuracy of the data sheet, which no laser exceeds
 _NOISE_AT = 0.2  # reflectance at which the noise has the value of the settings
 _FAINTEST_REFLECTANCE = 0.01
 _OVERTONE_RAD = math.radians(85.0)
-_COARSE, _TOP = 30.0, 90.0  # first code from which some are never sent, and code of spacing `reflectivity_step`
-_SEGMENT, _SLOPES = (7.0, 18.0), (0.75, 1.3)  # codes of a laser at one spacing, and its factor on `reflectivity_step`
+# first code from which some are never sent, and code of spacing `reflectivity_step`
+_COARSE = 30.0
+_TOP = 90.0
+# codes of a laser at one spacing, and its factor on `reflectivity_step`
+_SEGMENT = (7.0, 18.0)
+_SLOPES = (0.75, 1.3)
 CODE_PARTS = 24  # parts of one code in the table of sent codes
-_NARROW, _MISSED = (0.05, 0.16), 1.0
-"""How much narrower codes are that are 2 modulo 3, and how much more often bright ones are left out: 0.11, 0.06, 0.22 and 0.05 at codes 4 to 45
+_NARROW = (0.05, 0.16)
+_MISSED = 1.0
+"""How much narrower codes are that are 2 modulo 3, and how much more often bright ones are left out: 0.11,
+0.06, 0.22 and 0.05 at codes 4 to 45
 of mrpt, einride, nebula and 2014; 0.25, 0.14 and 0.26 at 45 to 98 of the first three."""
-_APART, _ALIKE = 1.5, 10.0
-"""Variance of an independent gain less the mean of its neighbours, over its own variance, and the weight of this expectation, in lasers:
+_APART = 1.5
+_ALIKE = 10.0
+"""Variance of an independent gain less the mean of its neighbours, over its own variance, and the weight of
+this expectation, in lasers:
 units differ by a tenth."""
 NO_RETURN_KNOTS = 56
-"""Azimuth intervals around a unit over which no-return codes change; assumption, after einride: 78 % of neighbours are equal."""
+"""Azimuth intervals around a unit over which no-return codes change; assumption, after einride: 78 % of
+neighbours are equal."""
 _SHARED_CORRELATION = 0.8, 0.98
-"""Correlation of the no-return codes of a place with a part that all lasers share: neighbouring lasers are raised together on real
+"""Correlation of the no-return codes of a place with a part that all lasers share: neighbouring lasers are
+raised together on real
 units, with a correlation of 0.12 to 0.54."""
-_NO_RETURN_MIDDLE, _NO_RETURN_SPREAD = (1.5, 20.0), 0.5
-"""Median over the lasers, and spread of its logarithm: 13 and 0.4 on mrpt, 5 and 0.45 on nebula, 2.7 and 0.7 on einride,
+_NO_RETURN_MIDDLE = (1.5, 20.0)
+_NO_RETURN_SPREAD = 0.5
+"""Median over the lasers, and spread of its logarithm: 13 and 0.4 on mrpt, 5 and 0.45 on nebula, 2.7 and 0.7
+on einride,
 1.3 and 1 on the unit of 2014. Assumption: medians are uniform in their logarithm."""
-_WANDER_OF_UNITS, _WANDER_OF_LASERS, _WANDER_CODES = 0.7, 0.6, 25.0
+_WANDER_OF_UNITS = 0.7
+_WANDER_OF_LASERS = 0.6
+_WANDER_CODES = 25.0
 """Spreads of the logarithm; on nebula the multiple of a laser is 1 in 39 to 98 % of its records."""
 
 
@@ -43,8 +57,10 @@ def range_bias_m(seed: int, lasers: int, sigma_m: float) -> F8:
 def gain(seed: int, spread: float, elevation_deg: F8) -> F8:
     """Return the factor on the reflectivity of each laser, (lasers,), above 0: log-normal, in much the same measure on every unit.
 
-    What can be measured is a laser against its neighbours in elevation: 0.057, 0.093 and 0.097 on einride, nebula and mrpt, the same in all sectors
-    of azimuth. Of 16 independent gains it is between 0.5 and 1.7 of their spread; here within a tenth, one sigma.
+    What can be measured is a laser against its neighbours in elevation: 0.057, 0.093 and 0.097 on einride,
+    nebula and mrpt, the same in all sectors
+    of azimuth. Of 16 independent gains it is between 0.5 and 1.7 of their spread; here within a tenth, one
+    sigma.
     """
     drawn = normal(seed, Purpose.REFLECTIVITY, 0, len(elevation_deg))
     apart = np.diff(drawn[np.argsort(elevation_deg, kind="stable")], 2) / 2.0
@@ -69,21 +85,26 @@ def no_return_reflectivity(seed: int, lasers: int, middle: float | None) -> F8:
 def no_return_multiples(seed: int, no_return: F8, wander: float) -> F8:
     """Return the multiples of `no_return_reflectivity` that no-returns carry at each azimuth.
 
-    Values below 1 are sent as 1: a steady unit (mrpt) sends 1 in 98 % of its records, an unsteady one (einride) in 14 to
-    73 %, and goes through ten multiples. An image of a sweep shows patches that all lasers share, at the same azimuths in each revolution;
+    Values below 1 are sent as 1: a steady unit (mrpt) sends 1 in 98 % of its records, an unsteady one
+    (einride) in 14 to
+    73 %, and goes through ten multiples. An image of a sweep shows patches that all lasers share, at the same
+    azimuths in each revolution;
     on real units they depend on the scene, probably on faint light below the threshold; here they are random.
 
     Parameters
     ----------
     no_return : (lasers,) codes of a multiple of one; larger codes wander less, as on mrpt
-    wander : value of a median unit; units differ by a factor of two, one sigma, and their lasers nearly as much
+    wander : value of a median unit; units differ by a factor of two, one sigma, and their lasers nearly as
+        much
 
     Returns
     -------
     (NO_RETURN_KNOTS + 1, lasers), evenly spaced in azimuth; the last row equals the first
     """
     lasers = len(no_return)
-    *own, shared = (normal(seed, Purpose.NO_RETURN, 0, NO_RETURN_KNOTS, 1 + lane) for lane in range(lasers + 1))
+    *own, shared = (
+        normal(seed, Purpose.NO_RETURN, 0, NO_RETURN_KNOTS, 1 + lane) for lane in range(lasers + 1)
+    )
     low, high = _SHARED_CORRELATION
     alike = low + (high - low) * float(uniform(seed, Purpose.NO_RETURN, 0, 1, 2 + lasers)[0])
     drawn = alike * shared[:, None] + math.sqrt(1.0 - alike * alike) * np.stack(own, axis=1)
@@ -95,13 +116,18 @@ def no_return_multiples(seed: int, no_return: F8, wander: float) -> F8:
 def sent_codes(seed: int, lasers: int, step: float) -> U1:
     """Return the code that a laser sends for each reflectivity of a diffuse target, (lasers, 100 * CODE_PARTS + 1), in steps of 1 / CODE_PARTS.
 
-    Bright codes of a real laser are 1.2 to 2.2 apart, with more spacing at brighter codes: at 45 to 95, mrpt, einride and nebula send 8.5, 7,
-    8, 7, 6.5 and 5 of each ten consecutive codes. The codes of einride are the same at all ranges and in both kinds of sectors, at one spacing
-    for a dozen codes (laser 7: two of three from 47 to 65, then every second), and independent of other lasers: a calibration table from
+    Bright codes of a real laser are 1.2 to 2.2 apart, with more spacing at brighter codes: at 45 to 95, mrpt,
+    einride and nebula send 8.5, 7,
+    8, 7, 6.5 and 5 of each ten consecutive codes. The codes of einride are the same at all ranges and in both
+    kinds of sectors, at one spacing
+    for a dozen codes (laser 7: two of three from 47 to 65, then every second), and independent of other
+    lasers: a calibration table from
     integers of the receiver to codes.
 
-    All lasers of all units have one more quantization after it, whose integers do not coincide with codes: codes that are 2 modulo 3 are
-    rarer than their neighbours, at all levels and on each of four units (`_NARROW`), most of all 44, 53, 62 and 71.
+    All lasers of all units have one more quantization after it, whose integers do not coincide with codes:
+    codes that are 2 modulo 3 are
+    rarer than their neighbours, at all levels and on each of four units (`_NARROW`), most of all 44, 53, 62
+    and 71.
 
     Parameters
     ----------
@@ -120,9 +146,12 @@ def sent_codes(seed: int, lasers: int, step: float) -> U1:
         stop = slope = 0.0
         while at < 100.0:
             if at >= stop:
-                (short, long), (low, high) = _SEGMENT, _SLOPES
+                (short, long) = _SEGMENT
+                (low, high) = _SLOPES
                 stop = at + short + (long - short) * next(drawn)
-                slope = (1.0 + (step - 1.0) * (at - _COARSE) / (_TOP - _COARSE)) * (low + (high - low) * next(drawn))
+                slope = (1.0 + (step - 1.0) * (at - _COARSE) / (_TOP - _COARSE)) * (
+                    low + (high - low) * next(drawn)
+                )
             code = math.floor(at)
             sent.append(code + (code % 3 == 2 and of_code[code] < _MISSED * narrow))
             at += max(slope, 1.0)
@@ -139,7 +168,8 @@ def sent_codes(seed: int, lasers: int, step: float) -> U1:
 def range_beat_m(seed: int, amplitude_m: float, phase_deg: float | None) -> F8:
     """Return the range error by (24 sequence + laser) mod 5, (5,) m.
 
-    It is a sine and its first overtone: the overtone's phase is 78 to 98 deg more than twice the phase of the sine on four units,
+    It is a sine and its first overtone: the overtone's phase is 78 to 98 deg more than twice the phase of the
+    sine on four units,
     with 0.17 to 0.36 of its amplitude. A clock of the receiver that beats with the pulses would explain it.
 
     Parameters
@@ -157,10 +187,14 @@ def range_beat_m(seed: int, amplitude_m: float, phase_deg: float | None) -> F8:
 def range_sigma_m(constants: DetectorConstants, reflectance: float, amplitude: float) -> float:
     """Return the white range noise of an echo, one sigma.
 
-    sigma**2 = noise**2 sqrt(0.2 / reflectance) + (width / signal-to-noise ratio)**2. The first term is measured on four real
-    units on smooth surfaces without the beat (`protocol/README.md`, "The character of a unit"); it does not grow with
-    range, because the sensor fires with more power at far or dark targets: on the HDL-32E one of 11 powers, chosen by the
-    previous shot (its software version 2.0). The second term is the least error of the position of a Gaussian pulse in white
+    sigma**2 = noise**2 sqrt(0.2 / reflectance) + (width / signal-to-noise ratio)**2. The first term is
+    measured on four real
+    units on smooth surfaces without the beat (`protocol/README.md`, "The character of a unit"); it does not
+    grow with
+    range, because the sensor fires with more power at far or dark targets: on the HDL-32E one of 11 powers,
+    chosen by the
+    previous shot (its software version 2.0). The second term is the least error of the position of a Gaussian
+    pulse in white
     noise, and counts at maximum power.
 
     Parameters
@@ -170,12 +204,16 @@ def range_sigma_m(constants: DetectorConstants, reflectance: float, amplitude: f
     """
     shown = min(max(reflectance, _FAINTEST_REFLECTANCE), 1.0)
     far_m = constants.sigma_m * constants.amplitude_noise / amplitude
-    return math.sqrt(constants.range_noise_m * constants.range_noise_m * math.sqrt(_NOISE_AT / shown) + far_m * far_m)
+    return math.sqrt(
+        constants.range_noise_m * constants.range_noise_m * math.sqrt(_NOISE_AT / shown) + far_m * far_m
+    )
 
 
 REFLECTIVITY_TAIL = 0.1
-"""Share of the cube: changes of reflectivity between revolutions match a kurtosis of 6.6. Range noise is Gaussian: residuals over 15 pulses
-have a kurtosis of 2.62 to 2.68 on four real units, and 2.58 with our beat and smooth surfaces, 2.65 with relief."""
+"""Share of the cube: changes of reflectivity between revolutions match a kurtosis of 6.6. Range noise is
+Gaussian: residuals over 15 pulses
+have a kurtosis of 2.62 to 2.68 on four real units, and 2.58 with our beat and smooth surfaces, 2.65 with
+relief."""
 
 
 @inline_kernel
@@ -187,11 +225,16 @@ def heavier(z: float, tail: float) -> float:
     return z * (1.0 + tail * z * z) / math.sqrt(1.0 + 6.0 * tail + 15.0 * tail * tail)
 
 
-RETROREFLECTIVE = 100.5  # percent above which a target is retroreflective; values that round to 100 are diffuse
+RETROREFLECTIVE = (
+    100.5  # percent above which a target is retroreflective; values that round to 100 are diffuse
+)
 _COUNTS_PER_E_FOLD = (255 - 101) / 6.907755278982137  # logarithm of 1000
-"""Counts per factor e of reflectance. 255 means 1000 times the reflectance of a white Lambertian surface. A coefficient of retroreflection
-R (cd/lx/m2) equals a reflectance of pi R: 255 means 318 cd/lx/m2, between high-intensity (about 250) and prismatic
-sheeting (about 700). The manual gives the ends of the scale only; assumption: it is logarithmic between them."""
+"""Counts per factor e of reflectance. 255 means 1000 times the reflectance of a white Lambertian surface. A
+coefficient of retroreflection
+R (cd/lx/m2) equals a reflectance of pi R: 255 means 318 cd/lx/m2, between high-intensity (about 250) and
+prismatic
+sheeting (about 700). The manual gives the ends of the scale only; assumption: it is logarithmic between
+them."""
 
 
 @inline_kernel

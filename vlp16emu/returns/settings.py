@@ -47,13 +47,16 @@ class Detector(Section):
     pulse_ns: Annotated[float, Field(ge=1, le=20)] = 6.0
     """Full width of a pulse at half maximum; not in the data sheet (assumption, 5 ns in other simulators)."""
     resolution_m: Annotated[float, Field(ge=0, le=10)] = 1.4
-    """Echoes closer to each other are merged; gaps of a VLP-16 begin here: protocol/README.md, "The character of a unit"."""
+    """Echoes closer to each other are merged; gaps of a VLP-16 begin here: protocol/README.md, "The character
+    of a unit"."""
     range_at_10_percent_m: Annotated[float, Field(ge=1, le=500)] = 40.0
-    """Range at which a perpendicular target of 10 % that fills the beam is detected every second time. Assumption: a
+    """Range at which a perpendicular target of 10 % that fills the beam is detected every second time.
+    Assumption: a
     white wall is then detected up to 126 m, a leaf of 50 % up to 89 m; the data sheet gives 100 m without a
     reflectivity."""
     threshold_snr: Annotated[float, Field(ge=3, le=20)] = 6.0
-    """Signal over noise at the detection threshold. Assumption: noise alone passes it once in some 1e9 samples."""
+    """Signal over noise at the detection threshold. Assumption: noise alone passes it once in some 1e9
+    samples."""
 
 
 class Noise(Preset):
@@ -62,18 +65,24 @@ class Noise(Preset):
     presets = _PRESETS
 
     preset: Literal["ideal", "typical", "datasheet", "unit"] = "unit"
-    """Values of all keys that are not set: `typical` has only white errors and constant errors per laser. `unit` draws a unit like the
-    measured ones, and has two more of their properties: heavy tails of white errors of reflectivity, and ranges that depend slightly on
+    """Values of all keys that are not set: `typical` has only white errors and constant errors per laser.
+    `unit` draws a unit like the
+    measured ones, and has two more of their properties: heavy tails of white errors of reflectivity, and
+    ranges that depend slightly on
     reflectivity."""
     range_noise_m: _Metres = 0.0065
-    """White range noise, one sigma, at a reflectivity of 20; it falls with the fourth root of the reflectivity, as on four real units."""
+    """White range noise, one sigma, at a reflectivity of 20; it falls with the fourth root of the
+    reflectivity, as on four real units."""
     range_beat_m: Annotated[float, Field(ge=0, le=0.02)] = 0.0
-    """Amplitude of the error that repeats every five pulses of 2.304 us, the same for all lasers and ranges; 4 to 7 mm on
+    """Amplitude of the error that repeats every five pulses of 2.304 us, the same for all lasers and ranges;
+    4 to 7 mm on
     real units. Units differ by a third, and in phase. 0 switches it off."""
     range_beat_phase_deg: Annotated[float, Field(ge=0, lt=360)] | None = None
-    """Phase of that error at the first pulse, for a unit whose amplitude is exactly `range_beat_m`; random if not set."""
+    """Phase of that error at the first pulse, for a unit whose amplitude is exactly `range_beat_m`; random if
+    not set."""
     range_bias_m: _Metres = 0.010
-    """Constant range error per laser, one sigma; assumption within the 3 cm of the data sheet, to which it is clipped."""
+    """Constant range error per laser, one sigma; assumption within the 3 cm of the data sheet, to which it is
+    clipped."""
     elevation_error_deg: _Degrees = 0.02
     """Elevation error of each laser of a unit, one sigma; assumption."""
     azimuth_error_deg: _Degrees = 0.02
@@ -83,22 +92,27 @@ class Noise(Preset):
     reflectivity_noise: Annotated[float, Field(ge=0, le=20)] = 1.5
     """White reflectivity noise, one sigma, in counts; real units show 1 to 2."""
     reflectivity_noise_share: Annotated[float, Field(ge=0, le=0.2)] = 0.0
-    """White noise as a share of the reflectivity, added to `reflectivity_noise`; 0.03 to 0.04 on real units."""
+    """White noise as a share of the reflectivity, added to `reflectivity_noise`; 0.03 to 0.04 on real
+    units."""
     reflectivity_step: Annotated[float, Field(ge=0, le=10)] = 0.0
-    """Spacing of reflectivity codes at 90, less for darker ones; 2 to 2.5 on real units. Up to 1 sends every code."""
+    """Spacing of reflectivity codes at 90, less for darker ones; 2 to 2.5 on real units. Up to 1 sends every
+    code."""
     unit_spread: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Unit-to-unit spread of the white errors, one sigma of the logarithm. 0 for exactly the set values."""
     odd_codes_spread: Annotated[float, Field(ge=0, le=0.4)] = 0.0
     """Spread of the share of odd distance codes over the lasers, one sigma; 0.08 to 0.17 on real units."""
     gain_spread: Annotated[float, Field(ge=0, le=0.3)] = 0.03
-    """Relative error of reflectivity per laser, one sigma, as far as neighbours in elevation differ; 0.057 to 0.097 on real units."""
+    """Relative error of reflectivity per laser, one sigma, as far as neighbours in elevation differ; 0.057 to
+    0.097 on real units."""
     records_lost: Annotated[float, Field(ge=0, le=2)] = 0.0
-    """Factor on the loss of records at steps of brightness or range, and on dark surfaces; 1 for the random rates of real units, 0 for
+    """Factor on the loss of records at steps of brightness or range, and on dark surfaces; 1 for the random
+    rates of real units, 0 for
     none."""
     weak_echoes_lost: bool = True
     """True to apply the detection threshold of `[detector]`."""
     no_return_reflectivity: bool = False
-    """True if records without a return carry a constant of their laser, as on real units; the manual gives 0."""
+    """True if records without a return carry a constant of their laser, as on real units; the manual gives
+    0."""
     no_return_level: Annotated[float, Field(gt=0, le=100)] | None = None
     """Median of that constant over the lasers; random from 1.5 to 20 if not set."""
     no_return_wander: Annotated[float, Field(ge=0, le=20)] = 0.0

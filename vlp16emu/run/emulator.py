@@ -30,7 +30,8 @@ Scene = str | Path | Mapping[str, Any] | Scenario
 class Emulator:
     """A sensor, or several on one carrier, in the world of a scene.
 
-    All random numbers come from the scene's seed: the same scene and settings give the same scans and the same
+    All random numbers come from the scene's seed: the same scene and settings give the same scans and the
+    same
     bytes, with any number of threads.
 
     Parameters
@@ -39,8 +40,10 @@ class Emulator:
     settings : changed values of the scene by key: `{"sensor.rpm": 1200, "seed": 7}`
     ideal : a sensor without errors: beams without width, no noise, clear air
     threads : workers, 0 for one per core; they change the speed only
-    audit : cast 0.05 % of the pulses of recordings and streams again, to estimate their error; not in a live run
-    like : another emulator; if both follow the same path through the same world, its grown and built geometry is
+    audit : cast 0.05 % of the pulses of recordings and streams again, to estimate their error; not in a live
+        run
+    like : another emulator; if both follow the same path through the same world, its grown and built geometry
+        is
         reused. Never changes a byte.
 
     Raises InputError if the scene cannot be read, or a part of it cannot be made.
@@ -68,9 +71,12 @@ class Emulator:
         # The poses of a live run are not available when its pulses are cast a second time.
         wanted = audit and has_door("audit") and not scenario.motion.takes_poses
         self.audit: Any = door("audit")(scenario) if wanted else None
-        """Tap that casts a sample of the pulses again, an `extras.accuracy.audit.Audit`; None without an audit."""
+        """Tap that casts a sample of the pulses again, an `extras.accuracy.audit.Audit`; None without an
+        audit."""
         taps = [self.audit] if self.audit else []
-        self.engine: Engine = Engine.of(scenario, threads=threads, taps=taps, like=like.engine if like else None)
+        self.engine: Engine = Engine.of(
+            scenario, threads=threads, taps=taps, like=like.engine if like else None
+        )
         """Engine that makes the packets."""
         is_named = isinstance(scene, str | Path)
         self.name = str(scene) if is_named else scenario.title  # Name, path or title of the scene
@@ -99,7 +105,9 @@ class Emulator:
         Raises InputError if there is no such unit.
         """
         if not 1 <= unit <= (units := len(self.parts.units)):
-            expected = "1, as the scene has one unit" if units == 1 else f"1 to {units}, the units of the scene"
+            expected = (
+                "1, as the scene has one unit" if units == 1 else f"1 to {units}, the units of the scene"
+            )
             raise InputError("unit", f"found {unit}", expected)
         return unit - 1
 
@@ -115,7 +123,8 @@ class Emulator:
 
     def changed(self, settings: Mapping[str, object] | Sequence[str]) -> Self:
         """Return an emulator with changed settings; it shares the world if that stays the same."""
-        scenario, engine = load(self.scenario, settings), self.engine
+        scenario = load(self.scenario, settings)
+        engine = self.engine
         if scenario == self.scenario:
             return self
         other = type(self)(scenario, threads=engine.threads, audit=self.audit is not None, like=self)
@@ -145,7 +154,8 @@ class Emulator:
     def packets(self, start_s: float = 0.0, stop_s: float | None = None) -> Iterator[Packet]:
         """Return the packets due from `start_s` until before `stop_s` after the first pulse, in order of sending.
 
-        Raises ScenarioError if the sensor has no packets; TrajectoryError if the span begins before the first pulse, or
+        Raises ScenarioError if the sensor has no packets; TrajectoryError if the span begins before the first
+        pulse, or
         if the walk ends before the span.
         """
         return self.engine.packets(start_s, stop_s)
@@ -168,7 +178,8 @@ class Emulator:
         Parameters
         ----------
         start_s : begin since the first pulse
-        duration_s : duration, by default to the end of the scene; incomplete revolutions at both ends are left out
+        duration_s : duration, by default to the end of the scene; incomplete revolutions at both ends are
+            left out
         unit : sensor of a rig, from 1
         truth : True for scans with labels
 
@@ -194,15 +205,20 @@ class Emulator:
 
         Parameters
         ----------
-        path : .pcap, .cap, .dump, .dmp or without an ending; overwritten if it exists; `-` is standard output;
+        path : .pcap, .cap, .dump, .dmp or without an ending; overwritten if it exists; `-` is standard
+            output;
             a bag with .mcap, .bag, or as a new folder with a slash at its end
         progress : called with the simulated seconds so far, packet by packet
-        stop : ends the recording from another thread; the file is valid, and there is none before the first packet
+        stop : ends the recording from another thread; the file is valid, and there is none before the first
+            packet
         options : fields of `RecordOptions`: `start_s`, `duration_s`, `split`, `truth`, `bag`
 
-        Raises InputError for a wrong option; OutputError if file or folder cannot be written, or are an input of
-        the scene, or if the name belongs to another format; ScenarioError if the sensor has no packets; TrajectoryError if
-        the walk ends before the span; RunError if the disk is full; the packets before it are kept; CancelledError, and
+        Raises InputError for a wrong option; OutputError if file or folder cannot be written, or are an input
+        of
+        the scene, or if the name belongs to another format; ScenarioError if the sensor has no packets;
+        TrajectoryError if
+        the walk ends before the span; RunError if the disk is full; the packets before it are kept;
+        CancelledError, and
         earlier files stay, if `stop` is set before the first packet.
         """
         return record(self, path, RecordOptions.from_fields(options), progress=progress, stop=stop)
@@ -210,11 +226,14 @@ class Emulator:
     def stream(self, **options: Any) -> Streamed:
         """Send packets over UDP, each at its time; nothing leaves this machine unless `to` names another one.
 
-        The options are fields of `extras.bench.options.BenchOptions`, and functions that `stream_run` calls while it runs.
+        The options are fields of `extras.bench.options.BenchOptions`, and functions that `stream_run` calls
+        while it runs.
 
-        Raises OutputError if the receiver is unknown or unreachable, or the sensor's address is not this machine's;
+        Raises OutputError if the receiver is unknown or unreachable, or the sensor's address is not this
+        machine's;
         InputError for a wrong option, options that exclude each other, or poses for a scene that is not live;
-        ScenarioError if the sensor has no packets; TrajectoryError if the walk ends before the span; RunError if
+        ScenarioError if the sensor has no packets; TrajectoryError if the walk ends before the span; RunError
+        if
         the system can no longer send.
         """
         names = signature(stream_run).parameters.keys() - {"emulator", "options"}
@@ -224,14 +243,18 @@ class Emulator:
     def keep_up(self, speed: float = 1.0) -> Any:
         """Measure this machine for some seconds, and set beam and reach so that a stream leaves a fifth of its time free.
 
-        `speed` is in simulated seconds per second. Returns `extras.keep_up.KeptUp` with the chosen step of the ladder;
+        `speed` is in simulated seconds per second. Returns `extras.keep_up.KeptUp` with the chosen step of
+        the ladder;
         its settings can be given to `vlp16emu record --set` and give the same bytes.
         """
         chosen, kept = door("keep_up")(self, speed)
-        self.engine, self.audit = chosen.engine, chosen.audit
+        self.engine = chosen.engine
+        self.audit = chosen.audit
         return kept
 
-    def put_pose(self, position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None = None) -> bool:
+    def put_pose(
+        self, position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None = None
+    ) -> bool:
         """Put a pose into a live scene, from any thread; parameters, result and errors as in `PoseInput.put`.
 
         Raises TrajectoryError if the scene is not live.

@@ -1,6 +1,7 @@
 """Options of runs, each declared once as a field of a frozen dataclass: name, unit, limits and help.
 
-Python uses the dataclasses directly; `vlp16emu.cli.verb` makes command-line options from the same fields. They need no
+Python uses the dataclasses directly; `vlp16emu.cli.verb` makes command-line options from the same fields.
+They need no
 library, so `vlp16emu stream --help` loads nothing else.
 """
 
@@ -30,7 +31,8 @@ class Option:
     ----------
     help : one or two sentences
     metavar : placeholder of the value in help; None for a flag or a choice
-    name : name on the command line; by default the field's name without unit. A name without dashes is an argument
+    name : name on the command line; by default the field's name without unit. A name without dashes is an
+        argument
     ge, gt, le, lt : limits of a number
     words : valid texts
     parse : parses the text of the command line, ValueError if invalid; by default the type of the field
@@ -52,7 +54,12 @@ class Option:
 
     def check(self, where: str, kind: type, value: Any, found: object = None) -> None:
         """Raise InputError for `where` if `value` is not valid."""
-        limits = (operator.ge, self.ge), (operator.gt, self.gt), (operator.le, self.le), (operator.lt, self.lt)
+        limits = (
+            (operator.ge, self.ge),
+            (operator.gt, self.gt),
+            (operator.le, self.le),
+            (operator.lt, self.lt),
+        )
         if kind in (int, float):
             kept = [holds(value, limit) for holds, limit in limits if limit is not None]
             is_right = abs(value) < math.inf and all(kept)  # `math.isfinite` fails for an integer above 1e308
@@ -101,7 +108,9 @@ def declared(name: str, annotation: Any, default: Any = MISSING) -> Declared | N
     option = next((other for other in others if isinstance(other, Option)), None)
     if option is None:
         return None
-    kinds = [kind for kind in get_args(inner) if kind is not NoneType] if NoneType in get_args(inner) else [inner]
+    kinds = (
+        [kind for kind in get_args(inner) if kind is not NoneType] if NoneType in get_args(inner) else [inner]
+    )
     bare = next((name.removesuffix(unit) for unit in _UNITS if name.endswith(unit)), name)
     of_field = option.name or f"--{bare.replace('_', '-')}"
     return Declared(name, of_field, get_origin(kinds[0]) or kinds[0], default, option)
@@ -151,8 +160,12 @@ class Span(Options):
     duration_s: Duration = None
 
 
-TruthRate = Annotated[int, Option("Poses per second in trajectory.tum.", "HZ", "--truth-rate", ge=1, le=10_000)]
-TruthPackets = Annotated[bool, Option("Also write packets.tum, one pose for each data packet.", name="--truth-packets")]
+TruthRate = Annotated[
+    int, Option("Poses per second in trajectory.tum.", "HZ", "--truth-rate", ge=1, le=10_000)
+]
+TruthPackets = Annotated[
+    bool, Option("Also write packets.tum, one pose for each data packet.", name="--truth-packets")
+]
 TruthReturns = Annotated[
     bool,
     Option(
@@ -167,7 +180,8 @@ class TruthTo(Options):
     """Folder for the ground truth of a run, and its files."""
 
     folder: Annotated[
-        Path, Option("Also write the ground truth of the run: trajectory, GNSS, rig, scenario.", "DIR", "--truth")
+        Path,
+        Option("Also write the ground truth of the run: trajectory, GNSS, rig, scenario.", "DIR", "--truth"),
     ]
     rate_hz: TruthRate = 200
     per_packet: TruthPackets = False
@@ -214,7 +228,9 @@ class BagOptions(Options):
 class RecordOptions(Span):
     """Options of a recording."""
 
-    split: Annotated[bool, Option("Write each sensor of a rig into a separate file: OUT_1.pcap and so on.")] = False
+    split: Annotated[
+        bool, Option("Write each sensor of a rig into a separate file: OUT_1.pcap and so on.")
+    ] = False
     truth: TruthPlace | None = None
     bag: BagOptions | None = None
     """None for a bag with the defaults, or no bag."""
@@ -255,15 +271,23 @@ class SendOptions(Options):
         ),
     ] = "pace"
     as_sensor: Annotated[
-        bool, Option("Send from the sensor's address, 192.168.1.201, which this machine must have, with its headers.")
+        bool,
+        Option(
+            "Send from the sensor's address, 192.168.1.201, which this machine must have, with its headers."
+        ),
     ] = False
     interface: Annotated[
         str | None,
-        Option("As --as-sensor, through this network interface, for instance eth0, regardless of the routes.", "IFACE"),
+        Option(
+            "As --as-sensor, through this network interface, for instance eth0, regardless of the routes.",
+            "IFACE",
+        ),
     ] = None
     now: Annotated[
         bool,
-        Option("Move time stamps and sentences by whole seconds into the present, for drivers that trust GPS time."),
+        Option(
+            "Move time stamps and sentences by whole seconds into the present, for drivers that trust GPS time."
+        ),
     ] = False
 
     @property
@@ -279,7 +303,9 @@ class SendOptions(Options):
         if not (port.isascii() and port.isdecimal() and 1 <= int(port) <= LAST_PORT):
             raise InputError("--to", f"found {to}", "HOST or HOST:PORT, with a port from 1 to 65535")
         if self.data_port not in (None, int(port)):
-            raise InputError("--to", f"found {to} beside --data-port {self.data_port}", "one port for data packets")
+            raise InputError(
+                "--to", f"found {to} beside --data-port {self.data_port}", "one port for data packets"
+            )
         return host, int(port)
 
     @property
@@ -292,8 +318,12 @@ class SendOptions(Options):
 class ReplayOptions(SendOptions):
     """Options of a replay."""
 
-    loop: Annotated[bool, Option("Begin again at the end, until Ctrl-C; time stamps and sentences go on.")] = False
-    keep_gaps: Annotated[bool, Option("Wait through gaps of more than a minute instead of shortening them.")] = False
+    loop: Annotated[
+        bool, Option("Begin again at the end, until Ctrl-C; time stamps and sentences go on.")
+    ] = False
+    keep_gaps: Annotated[
+        bool, Option("Wait through gaps of more than a minute instead of shortening them.")
+    ] = False
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,9 @@ if TYPE_CHECKING:
 _LONGEST_US = 4_500.0  # limit of a host's delay: `verify` treats 5 ms as a network delay
 _LANES_PER_UNIT = 8
 _LANE = {kind: place for place, kind in enumerate(PacketKind)}
-_MIDDLE_PPM, _SPREAD_PPM, _AHEAD_MS = 3.0, 10.0, 3.0
+_MIDDLE_PPM = 3.0
+_SPREAD_PPM = 10.0
+_AHEAD_MS = 3.0
 
 
 def record(
@@ -42,7 +44,8 @@ def record(
     stop: Event | None = None,
 ) -> Recording:
     """Write the packets of a run into a file; parameters and errors as in `Emulator.record`."""
-    units, truth = emulator.parts.units, TruthTo.of(options.truth)
+    units = emulator.parts.units
+    truth = TruthTo.of(options.truth)
     stop = stop or Event()
     emulator = emulator.with_truth_in(truth).stopped_by(stop)
     paths = _paths(emulator, Path(path), split=options.split)
@@ -51,8 +54,10 @@ def record(
     span_s = scenario.span_s(options.start_s, options.duration_s)
     host = HostClock(scenario.capture, scenario.seed, scenario.start_ns)
     packets = emulator.engine.packets(*span_s)  # checks the span before a file is opened
-    began_s, simulated_s = time.perf_counter(), 0.0
-    sent, returns = [Counter[PacketKind]() for _ in units], [0] * len(units)
+    began_s = time.perf_counter()
+    simulated_s = 0.0
+    sent = [Counter[PacketKind]() for _ in units]
+    returns = [0] * len(units)
     begin_ns = scenario.start_ns + seconds_to_ns(span_s[0])
     with files as sinks, emulator.truth(truth, span_s) as writer:
         with suppress(CancelledError):
@@ -66,7 +71,8 @@ def record(
     interrupted = stop.is_set()
     simulated_s = simulated_s if interrupted else span_s[1] - span_s[0]
     ran_s = span_s[0], span_s[0] + simulated_s
-    written, run_s = [sink.result for sink in sinks], emulator.parts.motion.run_time_s
+    written = [sink.result for sink in sinks]
+    run_s = emulator.parts.motion.run_time_s
     counts = zip(units, sent, returns, strict=True)
     return Recording(
         file=", ".join(map(str, paths)),
@@ -95,7 +101,11 @@ def _paths(emulator: "Emulator", path: Path, *, split: bool) -> list[Path]:
 
 
 def _files(
-    emulator: "Emulator", name: str | Path, paths: Sequence[Path], truth: TruthTo | None, options: RecordOptions
+    emulator: "Emulator",
+    name: str | Path,
+    paths: Sequence[Path],
+    truth: TruthTo | None,
+    options: RecordOptions,
 ) -> AbstractContextManager[Sequence[Any]]:
     """Return the files of a run, captures or a bag, as a context manager that opens them."""
     is_bag = paths[0].suffix.lower() in (".mcap", ".bag") or str(name).endswith("/")
@@ -112,7 +122,9 @@ def _files(
     return bag
 
 
-def _written(packets: Iterable[Packet], sinks: Sequence[Any], host: "HostClock", stop: Event) -> Iterator[Packet]:
+def _written(
+    packets: Iterable[Packet], sinks: Sequence[Any], host: "HostClock", stop: Event
+) -> Iterator[Packet]:
     """Write packets to the file of their unit, and yield each after it is written."""
     for packet in packets:
         if stop.is_set():  # between packets, so that the file ends with a whole one
@@ -140,11 +152,15 @@ class HostClock:
     """
 
     def __init__(self, section: CaptureClock, seed: int, start_ns: int) -> None:
-        self._seed, self._start_ns, self._latest_ns = seed, start_ns, 0
-        names, is_real = ("jitter_us", "late_share", "late_us"), section.preset != "ideal"
+        self._seed = seed
+        self._start_ns = start_ns
+        self._latest_ns = 0
+        names = ("jitter_us", "late_share", "late_us")
+        is_real = section.preset != "ideal"
         *drawn, rate, offset = normal(seed, Purpose.CAPTURE_HOST, 0, len(names) + 2).tolist()
         own = {
-            name: getattr(section, name) * exp(section.host_spread * z) for name, z in zip(names, drawn, strict=True)
+            name: getattr(section, name) * exp(section.host_spread * z)
+            for name, z in zip(names, drawn, strict=True)
         }
         self._section = section = section.model_copy(update=own)
         self._ppm = section.ppm if section.ppm is not None else is_real * (_MIDDLE_PPM + _SPREAD_PPM * rate)
@@ -162,9 +178,12 @@ class HostClock:
         return replace(packet, due_ns=self._latest_ns)
 
     def _delay_us(self, packet: Packet) -> float:
-        section, number = self._section, packet.due_ns // US_NS
+        section = self._section
+        number = packet.due_ns // US_NS
         lane = packet.unit * _LANES_PER_UNIT + _LANE[packet.kind]
-        delay_us = section.jitter_us * abs(float(normal(self._seed, Purpose.CAPTURE_STAMP, number, 1, lane)[0]))
+        delay_us = section.jitter_us * abs(
+            float(normal(self._seed, Purpose.CAPTURE_STAMP, number, 1, lane)[0])
+        )
         is_late, how = uniform(self._seed, Purpose.CAPTURE_LATE, 2 * number, 2, lane).tolist()
         if is_late < section.late_share:
             delay_us += -section.late_us * log(1.0 - how)

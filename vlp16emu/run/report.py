@@ -27,7 +27,9 @@ class About:
     @classmethod
     def of(cls, name: str, scenario: Scenario) -> Self:
         """Describe a scenario."""
-        return cls(name, scenario.seed, scenario.beam.summary, scenario.noise.summary, scenario.weather.summary)
+        return cls(
+            name, scenario.seed, scenario.beam.summary, scenario.noise.summary, scenario.weather.summary
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +77,11 @@ class UnitSent:
 
     @classmethod
     def of(
-        cls, unit: Unit, sent: Mapping[PacketKind, int], span_s: tuple[float, float], returns: int | None = None
+        cls,
+        unit: Unit,
+        sent: Mapping[PacketKind, int],
+        span_s: tuple[float, float],
+        returns: int | None = None,
     ) -> Self:
         """Describe the packets sent by a sensor of a scene in a span, by kind."""
         sensor = require_packets(unit.section)
@@ -138,7 +144,8 @@ class Streamed(OfUnits):
     late: str  # Treatment of late packets, `pace` or `skip`
     units: tuple[UnitSent, ...]
     sent: StreamReport
-    """Send times; `moved_s` is the offset from scene time, used by the ground truth, to stamps and sentences."""
+    """Send times; `moved_s` is the offset from scene time, used by the ground truth, to stamps and
+    sentences."""
     keeps_up_with: tuple[str, ...]
     """Options of `vlp16emu stream` that would let the engine keep up, each sufficient alone."""
     audit: Any  # `AuditFinding` of `extras.accuracy.audit`; None without an audit

@@ -15,7 +15,16 @@ from vlp16emu.errors import InputError
 from vlp16emu.output import write_json
 from vlp16emu.run.options import StreamOptions, TruthTo
 from vlp16emu.run.report import About, Streamed, UnitSent
-from vlp16emu.sinks import LOOK_AHEAD_PACKETS, FellBehind, Late, Pacer, PacketSink, StreamReport, UdpSink, stream
+from vlp16emu.sinks import (
+    LOOK_AHEAD_PACKETS,
+    FellBehind,
+    Late,
+    Pacer,
+    PacketSink,
+    StreamReport,
+    UdpSink,
+    stream,
+)
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, seconds_to_ns
 
@@ -40,33 +49,41 @@ def stream_run(
     Parameters
     ----------
     watched : called with the sink of the packets and their clock; returns the sink that replaces it
-    opened : called with the sensors, which have their ports, before the first packet is computed, when the sockets are open
+    opened : called with the sensors, which have their ports, before the first packet is computed, when the
+        sockets are open
     look_ahead : packets of a sensor that are computed before the first one is sent
     preparing : called with the simulated seconds computed so far into `prepare`
     progress : called with the simulated seconds so far, packet by packet
     notify : called each time that the stream falls behind
     stop : ends the stream from another thread
     """
-    (host, _), truth, pacer = options.receiver, TruthTo.of(options.truth), Pacer(options.speed)
-    http, stop = options.http, stop or Event()
+    (host, _) = options.receiver
+    truth = TruthTo.of(options.truth)
+    pacer = Pacer(options.speed)
+    http = options.http
+    stop = stop or Event()
     _check(options, truth)
     with ExitStack() as stack:
         enter = stack.enter_context
         on_ports = enter(_on_ports(emulator.with_truth_in(truth), options))  # frames contain the ports
         emulator = on_ports.stopped_by(stop)
-        scenario, units = emulator.scenario, emulator.parts.units
+        scenario = emulator.scenario
+        units = emulator.parts.units
         span_s = scenario.span_s(0.0, options.duration_s)
         is_live = scenario.motion.takes_poses or options.poses is not None
         flight = enter(door("live")(emulator, options.poses)) if is_live else None
         policy = flight.prepare(stop, pacer) if flight else Late(options.late)  # waits for the first pose
         outlets = enter(door("outlets")(options.outlets)) if options.outlets else None
-        engine = replace(emulator.engine, prompt=http is not None)  # settings from there should take effect soon
+        engine = replace(
+            emulator.engine, prompt=http is not None
+        )  # settings from there should take effect soon
         feed = enter(closing(PacketFeed(engine, *span_s, also=outlets.kinds if outlets else ())))
         udp = enter(_udp(emulator, options, host, progress))  # a wrong address fails before any casting
         way = outlets.open(udp, scenario.imu) if outlets else udp
         opened(units)
         packets = enter(_packets(emulator, options, feed, span_s, progress=preparing, stop=stop))
-        way, powered_for_s = watched(way, pacer), units[0].section.powered_for_s or 0.0
+        way = watched(way, pacer)
+        powered_for_s = units[0].section.powered_for_s or 0.0
         gps_in = options.gps_in and door("gps_in")(options.gps_in, scenario.gps, powered_for_s)
         way = enter(gps_in).sink(way) if gps_in else way  # outermost: watchers see the packets that are sent
         way = flight.begun(way, pacer, now=options.now) if flight else way
@@ -78,7 +95,11 @@ def stream_run(
             begun=lambda now: http and enter(door("web")(feed, udp, now, http)),
             late=policy,
             notify=notify,
-            go_on_from=None if options.prepare else flight.going_on(feed.go_on_from) if flight else feed.go_on_from,
+            go_on_from=None
+            if options.prepare
+            else flight.going_on(feed.go_on_from)
+            if flight
+            else feed.go_on_from,
             now=options.now,
             stop=stop,
             look_ahead_packets=ahead + (outlets.look_ahead(scenario.imu) if outlets else 0),
@@ -93,7 +114,11 @@ def stream_run(
 
 @contextmanager
 def _packets(
-    emulator: "Emulator", options: StreamOptions, feed: "PacketFeed", span_s: tuple[float, float], **hooks: Any
+    emulator: "Emulator",
+    options: StreamOptions,
+    feed: "PacketFeed",
+    span_s: tuple[float, float],
+    **hooks: Any,
 ) -> Iterator[Iterable[Packet]]:
     """Yield the packets to send: prepared ones, or those of the feed, with the ground truth written beside them."""
     if options.prepare:
@@ -103,25 +128,40 @@ def _packets(
             yield writer.beside(feed) if writer else feed
 
 
-def _streamed(emulator: "Emulator", options: StreamOptions, report: StreamReport, udp: UdpSink, *more: Any) -> Streamed:
+def _streamed(
+    emulator: "Emulator", options: StreamOptions, report: StreamReport, udp: UdpSink, *more: Any
+) -> Streamed:
     """Return the result of a stream, with `more` as its last fields, and write its start time to the ground truth."""
-    scenario, speed = emulator.scenario, options.speed
-    if (truth := TruthTo.of(options.truth)) and report.first:  # so that live results can be compared with the truth
+    scenario = emulator.scenario
+    speed = options.speed
+    if (
+        truth := TruthTo.of(options.truth)
+    ) and report.first:  # so that live results can be compared with the truth
         times = {"moved_s": report.moved_s, "speed": speed, "packet_0": asdict(report.first)}
         write_json(truth.folder / "time.json", times)
     is_known = report.behind and has_door("keeps_up_with")
     enough = door("keeps_up_with")(report.behind, scenario, speed) if is_known else ()
-    units = (UnitSent.of(*each, (0.0, report.simulated_s)) for each in zip(emulator.parts.units, udp.sent, strict=True))
+    units = (
+        UnitSent.of(*each, (0.0, report.simulated_s))
+        for each in zip(emulator.parts.units, udp.sent, strict=True)
+    )
     asked = str(options.to), speed, options.late, tuple(units)
     return Streamed(About.of(emulator.name, scenario), *asked, report, tuple(enough), emulator.finding, *more)
 
 
 def _check(options: StreamOptions, truth: TruthTo | None) -> None:
     """Refuse options that exclude each other."""
-    http, outlets, fine = options.http, options.outlets, truth and (truth.per_packet or truth.per_return)
+    http = options.http
+    outlets = options.outlets
+    fine = truth and (truth.per_packet or truth.per_return)
     for given, option, other, excluded in (
         (options.prepare, "--prepare", "--http", http),
-        (options.prepare, "--prepare", "--gps-out or --imu-out", outlets and (outlets.gps_out or outlets.imu_out)),
+        (
+            options.prepare,
+            "--prepare",
+            "--gps-out or --imu-out",
+            outlets and (outlets.gps_out or outlets.imu_out),
+        ),
         (options.now, "--now", "--gps-in", options.gps_in),
         (http, "--http", "--truth-packets or --truth-returns", fine),
     ):
@@ -135,7 +175,8 @@ def _on_ports(emulator: "Emulator", options: StreamOptions) -> Iterator["Emulato
     _, data_port = options.receiver
     ports = {"sensor.data_port": data_port, "sensor.position_port": options.position_port}
     settings: dict[str, object] = {key: port for key, port in ports.items() if port is not None}
-    free, rig = [key for key, port in settings.items() if port == 0], emulator.scenario.rig
+    free = [key for key, port in settings.items() if port == 0]
+    rig = emulator.scenario.rig
     with door("free_ports")(len(free) * (1 + len(rig))) if free else nullcontext([]) as found:
         given = iter(found)
         settings |= {key: next(given) for key in free}
@@ -146,8 +187,11 @@ def _on_ports(emulator: "Emulator", options: StreamOptions) -> Iterator["Emulato
         yield emulator.changed(settings)
 
 
-def _udp(emulator: "Emulator", options: StreamOptions, host: str, progress: Callable[[float], None]) -> UdpSink:
-    links, start_ns = [unit.link for unit in emulator.parts.units], emulator.scenario.start_ns
+def _udp(
+    emulator: "Emulator", options: StreamOptions, host: str, progress: Callable[[float], None]
+) -> UdpSink:
+    links = [unit.link for unit in emulator.parts.units]
+    start_ns = emulator.scenario.start_ns
     return UdpSink(
         links,
         host,
@@ -169,8 +213,11 @@ class PacketFeed:
     Raises InputError if the engine does not have the span, or the scene lacks a device for `also`.
     """
 
-    def __init__(self, engine: Engine, start_s: float, stop_s: float, *, also: Collection[PacketKind] = ()) -> None:
-        self.engine, self._stop_s = engine, stop_s  # Makes the packets from here on
+    def __init__(
+        self, engine: Engine, start_s: float, stop_s: float, *, also: Collection[PacketKind] = ()
+    ) -> None:
+        self.engine = engine  # Makes the packets from here on
+        self._stop_s = stop_s
         self._beside = door("beside")(engine, also) if also else None
         self._packets = self._from(start_s)
         self._reached_ns = engine.scenario.start_ns
@@ -182,7 +229,8 @@ class PacketFeed:
         return self
 
     def __next__(self) -> Packet:
-        from_ns, self._from_ns = self._from_ns, None
+        from_ns = self._from_ns
+        self._from_ns = None
         if from_ns is not None:
             self._leave_out(from_ns)
         packet = next(self._packets)
@@ -202,11 +250,15 @@ class PacketFeed:
 
     def begin_again(self, from_ns: int, engine: Engine) -> None:
         """Continue from a UTC time, or from the present packet if that is earlier, with another engine; between packets."""
-        before, self.engine = self._packets, engine
-        if isinstance(before, Generator):  # its workers end in the background, as the next packet is due at once
+        before = self._packets
+        self.engine = engine
+        if isinstance(
+            before, Generator
+        ):  # its workers end in the background, as the next packet is due at once
             Thread(target=before.close, name="let go", daemon=True).start()
         if from_ns > self._reached_ns:
-            from_ns, there = self._reached_ns, self._at_reached.copy()
+            from_ns = self._reached_ns
+            there = self._at_reached.copy()
         else:
             there = set()
         self._packets = self._after(from_ns, there)
@@ -234,7 +286,8 @@ class PacketFeed:
 
     def _count(self, before_ns: int) -> Counter[PacketKind]:
         """Count the packets of all units due before a UTC time, by kind."""
-        scenario, units = self.engine.scenario, self.engine.parts.units
+        scenario = self.engine.scenario
+        units = self.engine.parts.units
         since_ns = before_ns - scenario.start_ns
         kinds = PacketKind.DATA, PacketKind.POSITION
         sent = {kind: sum(sent_before(scenario, unit, kind, since_ns) for unit in units) for kind in kinds}

@@ -55,7 +55,8 @@ def load(
     ----------
     scene : name or path (.json is the form of a run's ground truth folder), the tables of a scene
         file as a dictionary, or a scenario
-    settings : values by `key.path`, or `key.path=value` with the value in TOML, in order; their files are relative to
+    settings : values by `key.path`, or `key.path=value` with the value in TOML, in order; their files are
+        relative to
         the current folder, words may have any case, and 600.0 is the whole number 600
     ideal : beams without width, clear air, and sensors without errors, unless settings change them
     folder : base of relative paths in a dictionary; by default the current folder
@@ -75,7 +76,9 @@ def load(
         raise ScenarioError(_origin(source, changes, fault), *fault[1:]) from None
 
 
-def rewrite(tree: dict[str, Any], settings: Mapping[str, object] | Sequence[str], *, folder: Path, to: Path) -> None:
+def rewrite(
+    tree: dict[str, Any], settings: Mapping[str, object] | Sequence[str], *, folder: Path, to: Path
+) -> None:
     """Apply settings to the tables of a scene file in place, and name its relative files from another folder.
 
     Parameters
@@ -107,7 +110,9 @@ def _move_files(tree: Any, kinds: Sequence[Any], before: Path, after: str) -> No
 
 def _settings(settings: Mapping[str, object] | Sequence[str]) -> list[_Setting]:
     given = settings.items() if isinstance(settings, Mapping) else ()
-    read = [_Setting(key, value, f"setting {key} = {value!r}") for key, value in given] or [*map(_parsed, settings)]
+    read = [_Setting(key, value, f"setting {key} = {value!r}") for key, value in given] or [
+        *map(_parsed, settings)
+    ]
     return [_converted(one) for one in read]
 
 
@@ -116,7 +121,11 @@ def _changed(source: _Source, changes: Iterable[_Setting]) -> _Source:
     for change in changes:
         _apply(source.tree, change)
     _check_depth(source.where, source.tree)
-    return source._replace(tree=door("field")(source.tree)) if source.tree.get("conditions") == "field" else source
+    return (
+        source._replace(tree=door("field")(source.tree))
+        if source.tree.get("conditions") == "field"
+        else source
+    )
 
 
 def _source(scene: str | Path | Mapping[str, Any] | Scenario, folder: Path | None) -> _Source:
@@ -179,11 +188,15 @@ def _without_errors(tree: dict[str, Any]) -> None:
 
 def _converted(setting: _Setting) -> _Setting:
     """Return a setting with its value converted for its key, and with excluded keys, from the tables on its path."""
-    kinds, rivals = list[Any]([Scenario]), list[set[str]]()
+    kinds = list[Any]([Scenario])
+    rivals = list[set[str]]()
     for name in setting.key.split("."):
         tables = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Section)]
         groups = [
-            {*group} for table in tables for group in (table.either_or, getattr(table, "one_of", ())) if name in group
+            {*group}
+            for table in tables
+            for group in (table.either_or, getattr(table, "one_of", ()))
+            if name in group
         ]
         rivals.append({*chain(*groups)} - {name})
         kinds = _kinds_of(kinds, name)
@@ -325,9 +338,13 @@ def find(scene: str) -> Path:
 
 def named_files(scenario: object) -> list[Path]:
     """Return the files named in a scenario or a part of it: poses, waypoints, heights, trees, meshes."""
-    own, parts = list[Path](), list(scenario) if isinstance(scenario, list | tuple) else []
+    own = list[Path]()
+    parts = list(scenario) if isinstance(scenario, list | tuple) else []
     if isinstance(scenario, Section):
-        kinds, parts = _hints(type(scenario)), [inner for _, inner in scenario]
+        kinds = _hints(type(scenario))
+        parts = [inner for _, inner in scenario]
         named = (key for key, inner in scenario if isinstance(inner, str))
-        own = [Path(getattr(scenario, key)) for key in named if SceneFile in (kinds[key], *get_args(kinds[key]))]
+        own = [
+            Path(getattr(scenario, key)) for key in named if SceneFile in (kinds[key], *get_args(kinds[key]))
+        ]
     return [*own, *(file for part in parts for file in named_files(part))]

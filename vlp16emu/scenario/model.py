@@ -38,7 +38,8 @@ _NO_START = datetime(2106, 1, 1, tzinfo=UTC)
 
 _HOSTS: dict[str, dict[str, object]] = {
     "ideal": {},
-    # On mrpt and nebula half of all stamps are within 1 us of an even spacing, and 6 % of nebula's are 10 to 230 us late.
+    # On mrpt and nebula half of all stamps are within 1 us of an even spacing, and 6 % of nebula's are 10 to
+    # 230 us late.
     "quiet_pc": {"jitter_us": 1.3, "late_share": 0.06, "late_us": 60.0, "host_spread": 0.4},
     # Up to 640 us were seen; the distribution is an assumption.
     "busy_pc": {"jitter_us": 40.0, "late_share": 0.04, "late_us": 1500.0, "host_spread": 0.4},
@@ -53,10 +54,12 @@ class CaptureClock(Preset):
     preset: Literal["ideal", "quiet_pc", "busy_pc"] = "quiet_pc"
     """Preset of the keys that are not given; `ideal` stamps packets when they are due."""
     ppm: Annotated[float, Field(ge=-100, le=100)] | None = None
-    """Rate error of the host's clock, positive if fast; drawn unless given, as in captures of real units, where it is -15 to
+    """Rate error of the host's clock, positive if fast; drawn unless given, as in captures of real units,
+    where it is -15 to
     20 against the sensor's. 0 with `ideal`."""
     ahead_ms: Annotated[float, Field(ge=-1000, le=1000)] | None = None
-    """Offset of the host's clock at the first pulse, positive if ahead; drawn unless given, one sigma of 3 ms as for a host on
+    """Offset of the host's clock at the first pulse, positive if ahead; drawn unless given, one sigma of 3 ms
+    as for a host on
     NTP (assumption). 0 with `ideal`."""
     jitter_us: Annotated[float, Field(ge=0, le=500)] = 0.0
     """Delay of a stamp, one sigma of the half-normal distribution."""
@@ -76,7 +79,8 @@ _OWN = frozenset({"name", "serial_number", "address", "data_port", "position_por
 class RigUnit(Sensor):
     """A further sensor, which inherits the keys of `[sensor]` that are not given.
 
-    Name, serial number, address and ports count up from `[sensor]`; a preset given here replaces the preset of `[sensor]`.
+    Name, serial number, address and ports count up from `[sensor]`; a preset given here replaces the preset
+    of `[sensor]`.
     """
 
     mount: Mount = Mount()
@@ -141,10 +145,12 @@ class Scenario(Section):
     title: str = "scene"
     """Title in reports and pictures, one line; by default the name of the file."""
     seed: Seed = 1
-    """Seed of all random numbers: the same scenario and seed give the same bytes. `world.seed`, `motion.seed` and `sensor.seed`
+    """Seed of all random numbers: the same scenario and seed give the same bytes. `world.seed`, `motion.seed`
+    and `sensor.seed`
     replace it for the stand, the walk and the sensor."""
     start_utc: Annotated[AwareDatetime, BeforeValidator(_from_text)] = datetime(2026, 5, 20, 9, 0, tzinfo=UTC)
-    """Time of the first pulse, from 1970 to 2105. For a whole second the instant within it is drawn, unless `sensor.preset` is
+    """Time of the first pulse, from 1970 to 2105. For a whole second the instant within it is drawn, unless
+    `sensor.preset` is
     `steady`; a time with a fraction of a second is exact."""
     duration_s: Annotated[float, Field(gt=0, le=7 * 86400)] = 10.0
     """Duration of a recording, unless the command gives another."""
@@ -173,7 +179,8 @@ class Scenario(Section):
     people: People | None = None
     """People beside a walking carrier; none without this table."""
     conditions: Literal["perfect", "field"] = "perfect"
-    """Preset; `field` sets the keys of a difficult real walk unless given: errors of the extrinsics, a bending `mast`,
+    """Preset; `field` sets the keys of a difficult real walk unless given: errors of the extrinsics, a
+    bending `mast`,
     `imu.preset = "field"`, a light wind in a forest, and `people`."""
 
     @field_validator("start_utc")
@@ -261,16 +268,21 @@ class Scenario(Section):
             within_ns = int(uniform(self.sensor_seed, Purpose.POWER_UP, 0, 1, 3)[0] * S_NS)
         return (since.days * 86400 + since.seconds) * S_NS + within_ns
 
-    def span_s(self, start_s: float, duration_s: float | None, *, where: str = "start_s") -> tuple[float, float]:
+    def span_s(
+        self, start_s: float, duration_s: float | None, *, where: str = "start_s"
+    ) -> tuple[float, float]:
         """Return begin and end of a run, in seconds since the first pulse; by default it ends with the scene.
 
-        Raises InputError if the run would begin after the end of the scene; `where` is the name of its begin in the
+        Raises InputError if the run would begin after the end of the scene; `where` is the name of its begin
+        in the
         error.
         """
         if duration_s is not None:
             return start_s, start_s + duration_s
         if start_s >= self.duration_s:
-            expected = f"less than the scene's {self.duration_s:g} s, or a {where.replace('start', 'duration')}"
+            expected = (
+                f"less than the scene's {self.duration_s:g} s, or a {where.replace('start', 'duration')}"
+            )
             raise InputError(where, f"found {start_s:g}", expected)
         return start_s, self.duration_s
 
@@ -287,7 +299,8 @@ class _SceneSchema(GenerateJsonSchema):
 
     def model_schema(self, schema: core_schema.ModelSchema) -> JsonSchemaValue:
         """Add the descriptions of a section's keys."""
-        table, section = super().model_schema(schema), schema["cls"]
+        table = super().model_schema(schema)
+        section = schema["cls"]
         for name, text in _docstrings(section).items():
             field = section.model_fields.get(name)
             if field is not None and field.description is None:

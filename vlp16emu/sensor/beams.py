@@ -16,7 +16,9 @@ from vlp16emu.random import Purpose, normal
 from vlp16emu.types import F8, SensorModel
 
 LASER_NS = 2_304  # time between the pulses of consecutive lasers (63-9243 Rev D, section 8.1)
-SEQUENCE_NS = 55_296  # period of firing sequences: 16 pulses and 18.432 us of recharge (63-9243 Rev D, section 8.1)
+SEQUENCE_NS = (
+    55_296  # period of firing sequences: 16 pulses and 18.432 us of recharge (63-9243 Rev D, section 8.1)
+)
 
 LENS_RADIUS_M = 0.0419
 """Distance from the spin axis at which all beams cross the horizontal plane: -correction / tan(elevation)."""
@@ -53,21 +55,46 @@ def table_of(
     laser_ns: int = LASER_NS,
 ) -> BeamTable:
     """Return the table of a unit without angle errors, from columns of `BeamTable`."""
-    elevation, errors_deg = np.array(elevation_deg, np.float64), np.zeros(len(elevation_deg))
-    return BeamTable(elevation, vertical_offset_m, lens_radius_m, sequence_ns, laser_ns, errors_deg, errors_deg)
+    elevation = np.array(elevation_deg, np.float64)
+    errors_deg = np.zeros(len(elevation_deg))
+    return BeamTable(
+        elevation, vertical_offset_m, lens_radius_m, sequence_ns, laser_ns, errors_deg, errors_deg
+    )
 
 
 _VLP_16 = table_of(
     (-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15),
-    np.array((11.2, -0.7, 9.7, -2.2, 8.1, -3.7, 6.6, -5.1, 5.1, -6.6, 3.7, -8.1, 2.2, -9.7, 0.7, -11.2)) * 1e-3,
+    np.array((11.2, -0.7, 9.7, -2.2, 8.1, -3.7, 6.6, -5.1, 5.1, -6.6, 3.7, -8.1, 2.2, -9.7, 0.7, -11.2))
+    * 1e-3,
 )
 # Offsets of ids 0..6 follow from ids 15..9 by antisymmetry.
 _PUCK_HI_RES = table_of(
-    (-10.0, 0.667, -8.667, 2.0, -7.333, 3.333, -6.0, 4.667, -4.667, 6.0, -3.333, 7.333, -2.0, 8.667, -0.667, 10.0),
+    (
+        -10.0,
+        0.667,
+        -8.667,
+        2.0,
+        -7.333,
+        3.333,
+        -6.0,
+        4.667,
+        -4.667,
+        6.0,
+        -3.333,
+        7.333,
+        -2.0,
+        8.667,
+        -0.667,
+        10.0,
+    ),
     np.array((7.4, -0.9, 6.5, -1.8, 5.5, -2.7, 4.6, -3.7, 3.7, -4.6, 2.7, -5.5, 1.8, -6.5, 0.9, -7.4)) * 1e-3,
 )
 
-BEAM_TABLES = {SensorModel.VLP_16: _VLP_16, SensorModel.PUCK_LITE: _VLP_16, SensorModel.PUCK_HI_RES: _PUCK_HI_RES}
+BEAM_TABLES = {
+    SensorModel.VLP_16: _VLP_16,
+    SensorModel.PUCK_LITE: _VLP_16,
+    SensorModel.PUCK_HI_RES: _PUCK_HI_RES,
+}
 
 
 def with_angle_errors(

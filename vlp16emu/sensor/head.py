@@ -38,7 +38,9 @@ class Head:
         clock_ns = self.clock.reading_ns(self.start_ns + elapsed_ns)
         return self.rotor.read(self.rotor.angle_deg(elapsed_ns), elapsed_ns, first, clock_ns)
 
-    def aim(self, first: int, count: int, poses_at: Callable[[I8], Poses], *, beam_axis: bool = False) -> Firings:
+    def aim(
+        self, first: int, count: int, poses_at: Callable[[I8], Poses], *, beam_axis: bool = False
+    ) -> Firings:
         """Return the pulses of `count` firing sequences from number `first`.
 
         Parameters
@@ -48,8 +50,10 @@ class Head:
         """
         beams = self.beams
         t_ns = self.times_ns(first, count)
-        azimuth_deg, clock_ns = self.rotor.angle_deg(t_ns - self.start_ns), self.clock.reading_ns(t_ns[:, 0])
-        origin_m, direction = np.empty((*t_ns.shape, 3)), np.empty((*t_ns.shape, 3))
+        azimuth_deg = self.rotor.angle_deg(t_ns - self.start_ns)
+        clock_ns = self.clock.reading_ns(t_ns[:, 0])
+        origin_m = np.empty((*t_ns.shape, 3))
+        direction = np.empty((*t_ns.shape, 3))
         level = np.empty((*t_ns.shape, 3) if beam_axis else (0, 0, 3))
         elevation_rad = np.radians(beams.elevation_deg + beams.elevation_error_deg)
         table = np.radians(beams.azimuth_error_deg), elevation_rad, beams.vertical_offset_m
@@ -63,7 +67,9 @@ class Head:
             t_ns=t_ns,
             clock_ns=clock_ns,
             azimuth_deg=azimuth_deg,
-            reading_deg=self.rotor.read(azimuth_deg[:, 0].copy(), t_ns[:, 0] - self.start_ns, first, clock_ns),
+            reading_deg=self.rotor.read(
+                azimuth_deg[:, 0].copy(), t_ns[:, 0] - self.start_ns, first, clock_ns
+            ),
             origin_m=origin_m,
             direction=direction,
             beam_axis=level if beam_axis else None,
@@ -91,12 +97,16 @@ def _aim(
 ) -> None:
     """Fill origins and directions: x = cos w cos a, y = -cos w sin a, z = sin w; azimuth 0 is forward.
 
-    The level axis is the derivative of the direction by azimuth, over cos w; not computed if `beam_axis` is empty.
+    The level axis is the derivative of the direction by azimuth, over cos w; not computed if `beam_axis` is
+    empty.
     """
     count, lasers = azimuth_deg.shape
     moving = len(world_p_body_m) > 1
     body = np.empty(3)
-    cosine, sine, flat, up = np.empty(lasers), np.empty(lasers), np.empty(lasers), np.empty(lasers)
+    cosine = np.empty(lasers)
+    sine = np.empty(lasers)
+    flat = np.empty(lasers)
+    up = np.empty(lasers)
     for j in range(lasers):
         flat[j], up[j] = cos_sin(elevation_rad[j])
     for i in range(count):
@@ -105,11 +115,16 @@ def _aim(
         for j in range(lasers):
             n = i * lasers + j if moving else 0
             R, p = world_R_body[n], world_p_body_m[n]
-            c, s = cosine[j], sine[j]
-            body[0], body[1], body[2] = flat[j] * c, -flat[j] * s, up[j]
+            c = cosine[j]
+            s = sine[j]
+            body[0] = flat[j] * c
+            body[1] = -flat[j] * s
+            body[2] = up[j]
             turn(R, body, direction[i, j])
             if len(beam_axis):
-                body[0], body[1], body[2] = -s, -c, 0.0
+                body[0] = -s
+                body[1] = -c
+                body[2] = 0.0
                 turn(R, body, beam_axis[i, j])
             for a in range(3):
                 # The spin axis is the body's z axis, also if the mount turns the head about it.

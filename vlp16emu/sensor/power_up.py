@@ -8,14 +8,21 @@ from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.sensor.settings import Lidar
 
 _POWERED_S = 60.0, 6 * 3600.0
-"""Shortest and longest time since power-up (assumption: captures of real units do not begin with power-up)."""
+"""Shortest and longest time since power-up (assumption: captures of real units do not begin with
+power-up)."""
 _STEADY = {"powered_for_s": 0.0, "start_azimuth_deg": 0.1, "clock_error_ppm": 0.0}
-"""State of a unit with `preset = "steady"`: power-up is the start of the run, and the first revolution is complete."""
-_CLOCK_PPM, _OFF_SHARE, _FAR_OFF_PPM = 0.6, 0.15, 20.0
-"""Rate of the stamp clock relative to the firing clock: 0.27, -0.90, 0.39, -0.6 ppm on mrpt, einride, nebula and the unit of 2014. On other
-units up to 140 ppm; no stamp clock is more than 20 ppm off the host's clock, so their firing clock is off, which has no error here.
+"""State of a unit with `preset = "steady"`: power-up is the start of the run, and the first revolution is
+complete."""
+_CLOCK_PPM = 0.6
+_OFF_SHARE = 0.15
+_FAR_OFF_PPM = 20.0
+"""Rate of the stamp clock relative to the firing clock: 0.27, -0.90, 0.39, -0.6 ppm on mrpt, einride, nebula
+and the unit of 2014. On other
+units up to 140 ppm; no stamp clock is more than 20 ppm off the host's clock, so their firing clock is off,
+which has no error here.
 Assumption: every seventh unit is one of these."""
-_VENDOR, _SERIES = "607688", ("10", "38")
+_VENDOR = "607688"
+_SERIES = ("10", "38")
 """First bytes of MAC addresses: vendor, and units from before and after 2017."""
 
 _Section = TypeVar("_Section", bound=Lidar)
@@ -34,7 +41,9 @@ def powered_up(section: _Section, seed: int) -> _Section:
         else _CLOCK_PPM * float(normal(seed, Purpose.POWER_UP, 0, 1, 1)[0]),
     }
     values = _STEADY if section.preset == "steady" else drawn
-    return section.model_copy(update={key: value for key, value in values.items() if getattr(section, key) is None})
+    return section.model_copy(
+        update={key: value for key, value in values.items() if getattr(section, key) is None}
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,26 +15,37 @@ from vlp16emu.trig import cos_sin
 from vlp16emu.types import F8, I8
 from vlp16emu.units import HOUR_NS, S_NS
 
-_TICK_NS, _LATEST_TICK_NS = 1_200, (500, 300)
-"""Period of the clock that samples the encoder, and its phase in the stamp: on mrpt, einride and nebula, and on the unit of
+_TICK_NS = 1_200
+_LATEST_TICK_NS = (500, 300)
+"""Period of the clock that samples the encoder, and its phase in the stamp: on mrpt, einride and nebula, and
+on the unit of
 2014. A block has 92.16 ticks, which gives a spectral line at 0.16 cycles per block."""
 _CDEG_PER_LASER = 6.0 * 2.304e-4  # hundredths of a degree in 2.304 us, the period of a firing, at 1 rpm
 _SPEEDS_CDEG = np.array([0.25, 0.375, 0.5, 0.625, 1.0, 1.25, 2.0, 2.5, 4.0])
-"""Speeds of the reading between two encoder lines, in hundredths of a degree per 2.304 us: 3/8 and 1/2 at 300 rpm, 5/8 and 1 at 500 and 600 rpm,
+"""Speeds of the reading between two encoder lines, in hundredths of a degree per 2.304 us: 3/8 and 1/2 at 300
+rpm, 5/8 and 1 at 500 and 600 rpm,
 5/4 and 2 at 1200 rpm on real units; the first and the last are assumptions."""
-_LAG, _LEAD, _LEADS_FROM_RPM = 0.945, 1.17, 750.0
-"""Mean speed of the reading between two lines over the true speed. Shares of the faster speed are 0.15, 0.06 and 0.43 at 300, 500 and 600 rpm, and
-0.93 at 1200 rpm, where the reading waits at the last code of a line. The speed at which the lag changes to a lead is an assumption."""
+_LAG = 0.945
+_LEAD = 1.17
+_LEADS_FROM_RPM = 750.0
+"""Mean speed of the reading between two lines over the true speed. Shares of the faster speed are 0.15, 0.06
+and 0.43 at 300, 500 and 600 rpm, and
+0.93 at 1200 rpm, where the reading waits at the last code of a line. The speed at which the lag changes to a
+lead is an assumption."""
 _RATE_ERROR = 0.2464  # deficit of 5/8 of a hundredth of a degree in 2.304 us relative to 600 rpm
-_SLOW_SHARES, _SHARE_SPREAD = (0.91, 0.64, 0.245, 0.455), 0.8
-"""Share of readings at the lower speed after each of four consecutive lines, at 600 rpm: 0.90 to 0.98, 0.52 to 0.76, 0.15 to 0.29 and 0.38 to 0.52
-on four real units; and the width of its draw over share times (1 - share). The variance of steps is 0.52 to 0.57 on these units, of
+_SLOW_SHARES = (0.91, 0.64, 0.245, 0.455)
+_SHARE_SPREAD = 0.8
+"""Share of readings at the lower speed after each of four consecutive lines, at 600 rpm: 0.90 to 0.98, 0.52
+to 0.76, 0.15 to 0.29 and 0.38 to 0.52
+on four real units; and the width of its draw over share times (1 - share). The variance of steps is 0.52 to
+0.57 on these units, of
 which 0.538 and 0.562 are the best measured; these shares have 0.51 to 0.59."""
 _SLOW = sum(_SLOW_SHARES) / len(_SLOW_SHARES)
 _MOST_SIGMAS = 1.9  # limit of the error of the mean speed: 0.93 rpm on the slowest of four real units, mrpt
 _HALF_WIDTH = math.sqrt(3.0)  # half-width of a uniform distribution, in standard deviations
 _PITCH_DEG = 0.05
-"""Spacing of the lines on real units: codes modulo five repeat (protocol/README.md, "The character of a unit")."""
+"""Spacing of the lines on real units: codes modulo five repeat (protocol/README.md, "The character of a
+unit")."""
 _LINE_GAP_DEG = 1e-5  # least distance of a reading from the next line
 _KNOT_BITS = 20  # a swing is linear between multiples of 2**20 ns, 1 ms
 PULL = 0.05  # relative change of the speed while the rotor is pulled into its phase (assumption)
@@ -61,7 +72,8 @@ class Spin:
         # Only the time since the last whole turn on a whole second counts, so no error grows with time.
         rpm = round(self.rpm)
         per_minute = math.gcd(rpm, 60)
-        span_ns, turns = 60 // per_minute * S_NS, rpm // per_minute
+        span_ns = 60 // per_minute * S_NS
+        turns = rpm // per_minute
         _turn(since_ns, span_ns, turns * 360.0 / span_ns, self.angle_deg, out)
         return out
 
@@ -84,19 +96,25 @@ class Swing:
         return self.amplitude_ns * per_ns * cos(per_ns * elapsed_ns + self.phase_rad)
 
     @classmethod
-    def sample(cls, seed: int, error_rpm: float, wander_rpm: float, *, is_exact: bool = False) -> "tuple[Swing, ...]":
+    def sample(
+        cls, seed: int, error_rpm: float, wander_rpm: float, *, is_exact: bool = False
+    ) -> "tuple[Swing, ...]":
         """Sample the swings of one unit at 600 rpm: one of the mean speed over minutes, two within seconds, and one within a turn.
 
-        One unit (einride) deviated by 0.04 deg from constant speed within half a second, others by 0.02. Between 6.5 and 20 cycles per turn
-        the errors of mrpt, einride, nebula and the unit of 2014 are 0.37, 0.39, 0.76 and 0.37 cdeg (RMS); the reading alone has 0.2. Their
+        One unit (einride) deviated by 0.04 deg from constant speed within half a second, others by 0.02.
+        Between 6.5 and 20 cycles per turn
+        the errors of mrpt, einride, nebula and the unit of 2014 are 0.37, 0.39, 0.76 and 0.37 cdeg (RMS); the
+        reading alone has 0.2. Their
         lines are at 7 to 13 cycles.
 
         Parameters
         ----------
-        is_exact : True if the error of the mean speed at the start is exactly `error_rpm`; else this is one sigma
+        is_exact : True if the error of the mean speed at the start is exactly `error_rpm`; else this is one
+            sigma
         """
         draws = uniform(seed, Purpose.MOTOR_SPEED, 0, 11)
-        within_s, fast_deg_per_rpm = 0.1 / (6.5 + 7.5 * draws[8]), 0.045 + 0.075 * draws[9] * draws[9]
+        within_s = 0.1 / (6.5 + 7.5 * draws[8])
+        fast_deg_per_rpm = 0.045 + 0.075 * draws[9] * draws[9]
         sigmas = np.clip(normal(seed, Purpose.MOTOR_SPEED, 0, 1, 1), -_MOST_SIGMAS, _MOST_SIGMAS)
         sigma, phase_rad = (1.0, 0.0) if is_exact else (float(sigmas[0]), (draws[1] - 0.5) * 0.5)
         wanted = (
@@ -116,8 +134,10 @@ class Swing:
 class Encoder:
     """Encoder of one unit: it reads the true angle with periodic errors and white noise.
 
-    On real units the steps between blocks have a lag-1 autocorrelation near -0.5: the noise belongs to the reading and not
-    to the speed. Between two lines of an encoder the reading advances at one of two speeds, one too low and one
+    On real units the steps between blocks have a lag-1 autocorrelation near -0.5: the noise belongs to the
+    reading and not
+    to the speed. Between two lines of an encoder the reading advances at one of two speeds, one too low and
+    one
     too high.
     """
 
@@ -131,17 +151,24 @@ class Encoder:
     pitch_deg: float = 0.0  # spacing of the lines; 0 for an encoder without lines
     rate_error: float = 0.0  # relative deficit of the lower speed at 600 rpm; in proportion at other speeds
     first_deg: float = 0.0  # reading of the line after which readings have the first of `slow_shares`
-    slow_shares: Sequence[float] = _SLOW_SHARES  # shares of readings at the lower speed after consecutive lines
+    slow_shares: Sequence[float] = (
+        _SLOW_SHARES  # shares of readings at the lower speed after consecutive lines
+    )
 
     @classmethod
     def of_unit(cls, section: Lidar, seed: int) -> Self:
         """Sample the encoder of one unit; with `rotation_spread` also its unit-to-unit deviations."""
-        spread, own = section.rotation_spread, uniform(seed, Purpose.AZIMUTH_PATTERN, 0, 12)
+        spread = section.rotation_spread
+        own = uniform(seed, Purpose.AZIMUTH_PATTERN, 0, 12)
         shares = np.array(_SLOW_SHARES)
-        factor, turned_deg = 1.0 + spread * (2.0 * own[:3] - 1.0), 360.0 * own[3:6] * (spread > 0.0)
+        factor = 1.0 + spread * (2.0 * own[:3] - 1.0)
+        turned_deg = 360.0 * own[3:6] * (spread > 0.0)
         return cls(
             seed=seed,
-            once=(section.eccentricity_deg * factor[0], (section.eccentricity_phase_deg + turned_deg[0]) % 360.0),
+            once=(
+                section.eccentricity_deg * factor[0],
+                (section.eccentricity_phase_deg + turned_deg[0]) % 360.0,
+            ),
             twice=(section.twice_per_turn_deg * factor[1], turned_deg[1]),
             hum_deg=section.hum_deg * (1.0 + 0.1 * (factor[2] - 1.0)),
             tick_ns=_LATEST_TICK_NS[int(spread > 0.0 and own[5] < 0.2)],
@@ -150,7 +177,9 @@ class Encoder:
             pitch_deg=_PITCH_DEG * (section.preset == "unit"),
             rate_error=section.encoder_rate_error,
             first_deg=math.floor(20.0 * own[6]) / 100,
-            slow_shares=(shares + spread * _SHARE_SPREAD * shares * (1.0 - shares) * (own[8:] - 0.5)).tolist(),
+            slow_shares=(
+                shares + spread * _SHARE_SPREAD * shares * (1.0 - shares) * (own[8:] - 0.5)
+            ).tolist(),
         )
 
     def read(self, angle_deg: F8, first: int, clock_ns: I8, rpm: F8 | float) -> F8:
@@ -182,11 +211,15 @@ class Encoder:
         # The four lines keep their order: all shares fall to 0, or rise to 1, with their mean.
         share = np.take(self.slow_shares, line.astype(int) % len(self.slow_shares))
         share = np.where(
-            slow_share < _SLOW, share * slow_share / _SLOW, 1.0 - (1.0 - share) * (1.0 - slow_share) / (1.0 - _SLOW)
+            slow_share < _SLOW,
+            share * slow_share / _SLOW,
+            1.0 - (1.0 - share) * (1.0 - slow_share) / (1.0 - _SLOW),
         )
         is_slow = uniform(self.seed, Purpose.AZIMUTH_READING, first, len(angle_deg), 1) < share
         rate = 1.0 + self.rate_error / _RATE_ERROR * (np.where(is_slow, slow, fast) - 1.0)
-        return np.asarray(angle_deg - since_deg + np.minimum(since_deg * rate, self.pitch_deg - _LINE_GAP_DEG))
+        return np.asarray(
+            angle_deg - since_deg + np.minimum(since_deg * rate, self.pitch_deg - _LINE_GAP_DEG)
+        )
 
 
 def _speeds(rpm: F8) -> tuple[F8, F8, F8]:
@@ -210,7 +243,9 @@ class Rotor:
     wobbles: tuple[Any, ...] = ()  # speed changes by events, each an `extras.bench.changes.Wobbling`
     swings: tuple[Swing, ...] = ()
     drift: Swing | None = None  # error of the mean speed over minutes, which a phase lock removes
-    locks_ns: tuple[tuple[int, int], ...] = ()  # spans since the start with phase lock, in order, without overlap
+    locks_ns: tuple[
+        tuple[int, int], ...
+    ] = ()  # spans since the start with phase lock, in order, without overlap
 
     @property
     def rpm(self) -> float:
@@ -309,13 +344,16 @@ def _turn(elapsed_ns: I8, span_ns: int, deg_per_ns: float, start_deg: float, out
 def _swung(elapsed_ns: I8, amplitude_ns: F8, period_ns: F8, phase_rad: F8) -> I8:
     """Return times (n,) at which a motor of constant speed has the angle of this motor; 0 stays 0."""
     out = np.empty_like(elapsed_ns)
-    last, at_ns, further_ns = np.int64(np.iinfo(np.int64).min), 0.0, 0.0
+    last = np.int64(np.iinfo(np.int64).min)
+    at_ns = 0.0
+    further_ns = 0.0
     for i in range(elapsed_ns.shape[0]):
         knot = elapsed_ns[i] >> _KNOT_BITS
         if knot != last:
             at_ns = further_ns = 0.0
             for s in range(amplitude_ns.shape[0]):
-                per_knot, zero = 2.0 * math.pi / period_ns[s] * 2**_KNOT_BITS, cos_sin(phase_rad[s])[1]
+                per_knot = 2.0 * math.pi / period_ns[s] * 2**_KNOT_BITS
+                zero = cos_sin(phase_rad[s])[1]
                 at_ns += amplitude_ns[s] * (cos_sin(per_knot * knot + phase_rad[s])[1] - zero)
                 further_ns += amplitude_ns[s] * (cos_sin(per_knot * (knot + 1) + phase_rad[s])[1] - zero)
             last = knot
@@ -339,8 +377,12 @@ class ClockSpan:
     """The sensor's clock after an instant."""
 
     from_ns: int  # UTC
-    reading_ns: int | None = None  # reading of a free-running clock at that instant; None if it is locked to GPS
-    error_ppm: float = 0.0  # rate error, positive is fast; a locked clock is fast in one second and slow in the next
+    reading_ns: int | None = (
+        None  # reading of a free-running clock at that instant; None if it is locked to GPS
+    )
+    error_ppm: float = (
+        0.0  # rate error, positive is fast; a locked clock is fast in one second and slow in the next
+    )
 
     def reading(self, t_ns: I8) -> I8:
         """Return nanoseconds past the counter's hour at UTC instants of any shape; the first reading before the span."""
@@ -348,7 +390,9 @@ class ClockSpan:
             if not self.error_ppm:
                 return np.asarray(t_ns % HOUR_NS)
             in_two_s = t_ns % (2 * S_NS)
-            ahead = np.rint(np.minimum(in_two_s, 2 * S_NS - in_two_s) * (self.error_ppm * 1e-6)).astype(np.int64)
+            ahead = np.rint(np.minimum(in_two_s, 2 * S_NS - in_two_s) * (self.error_ppm * 1e-6)).astype(
+                np.int64
+            )
             return np.asarray((t_ns + ahead) % HOUR_NS)
         since = np.maximum(t_ns - self.from_ns, 0)
         if self.error_ppm:
@@ -361,7 +405,8 @@ class Clock:
     """The sensor's top-of-hour counter.
 
     Locked to GPS it shows nanoseconds past the UTC hour; without GPS it runs from power-up on its own
-    oscillator and rolls over every 3600 s (63-9243 Rev D, appendix G). Before power-up it stays at zero: the stamp of a
+    oscillator and rolls over every 3600 s (63-9243 Rev D, appendix G). Before power-up it stays at zero: the
+    stamp of a
     position packet is older than the packet, and can be older than the clock.
     """
 

@@ -24,23 +24,29 @@ _FINEST_NS = 1  # 0 would restore the default of 50 us
 
 
 _SWITCH_INTERVAL_S = 0.000_2
-"""Longest time for which the computing thread may hold the interpreter before the sending thread. Python's default of
+"""Longest time for which the computing thread may hold the interpreter before the sending thread. Python's
+default of
 5 ms would delay four packets."""
-_lock, _before_s = threading.Lock(), list[float]()
-"""Switch interval before each active stream: the interpreter has one for all, and the last stream restores the first."""
+_lock = threading.Lock()
+_before_s = list[float]()
+"""Switch interval before each active stream: the interpreter has one for all, and the last stream restores
+the first."""
 
 
 @contextmanager
 def prompt() -> Iterator[None]:
     """Make the calling thread wake promptly from sleeps and get the interpreter soon; restore the state afterwards.
 
-    Linux's timer slack delays wake-ups by up to 50 us to save power. On other systems sleeps end as late as the system
+    Linux's timer slack delays wake-ups by up to 50 us to save power. On other systems sleeps end as late as
+    the system
     decides, and the report of a stream shows it.
     """
-    prctl, before_ns = None, 0
+    prctl = None
+    before_ns = 0
     if sys.platform == "linux":
         prctl = ctypes.CDLL(None).prctl
-        # The arguments are unsigned longs, and prctl is variadic: a plain int would leave half a register undefined.
+        # The arguments are unsigned longs, and prctl is variadic: a plain int would leave half a register
+        # undefined.
         before_ns = prctl(_PR_GET_TIMERSLACK, *[ctypes.c_ulong(0)] * 4)
         prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(_FINEST_NS), *[ctypes.c_ulong(0)] * 3)
     with _lock:
@@ -58,7 +64,8 @@ def prompt() -> Iterator[None]:
 
 
 TOLERANCE_NS = 50_000_000
-"""Lateness up to which a stream is not behind: half a revolution at 600 rpm. Pauses of 5 to 40 ms are common if
+"""Lateness up to which a stream is not behind: half a revolution at 600 rpm. Pauses of 5 to 40 ms are common
+if
 other programs use the same cores; the usual receive buffer of Linux, 208 KiB, holds 120 ms of packets."""
 
 
@@ -76,7 +83,8 @@ class FellBehind:
     at_s: float  # Deadline of the first packet that was too late, from the start of the stream
     behind_s: float  # Lateness of that packet
     engine: bool
-    """True if the packet was not computed in time; else it was ready, and the process stood still or could not send."""
+    """True if the packet was not computed in time; else it was ready, and the process stood still or could
+    not send."""
     engine_speed: float | None
     """Simulated seconds per second that the engine computed since it was last ahead; None if unknown."""
     speed: float = 1.0  # Requested simulated seconds per second
@@ -95,10 +103,12 @@ class FellBehind:
 
 
 _CLOSEST = 0.94
-"""Share of the sensor's spacing that packets of a unit and kind keep on average while they catch up. The shortest
+"""Share of the sensor's spacing that packets of a unit and kind keep on average while they catch up. The
+shortest
 interval of a real sensor in 293 packets is 1 246 of 1 327 us: mrpt_vlp16_gps.pcap."""
 _JITTER_NS = 10_000_000
-"""Lateness of single packets that does not delay later ones: two or three time slices of 3 to 4 ms that Linux gives to
+"""Lateness of single packets that does not delay later ones: two or three time slices of 3 to 4 ms that Linux
+gives to
 other threads before ours. After such a late wake-up several packets are sent at once, at most 8."""
 _NAP_S = 0.2
 """Longest single sleep: a signal sets an event, and Python resumes a sleep after a signal (PEP 475)."""
@@ -163,7 +173,9 @@ class Pacer:
         clock_ns: Callable[[], int] = time.monotonic_ns,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        self.speed, self.now_ns, self._sleep = speed, clock_ns, sleep
+        self.speed = speed
+        self.now_ns = clock_ns
+        self._sleep = sleep
         self.first_due_ns: int | None = None  # Due time of the first packet; None before it
         self.start_ns = 0  # Instant on the pacer's clock at which it was due
         self._planned_ns = 0
@@ -174,7 +186,8 @@ class Pacer:
 
     def begin(self, due_ns: int, ago_ns: int = 0) -> None:
         """Start the clock so that `due_ns` was `ago_ns` before now; negative for the future."""
-        self.first_due_ns, self.start_ns = due_ns, self.now_ns() - ago_ns
+        self.first_due_ns = due_ns
+        self.start_ns = self.now_ns() - ago_ns
 
     def deadline_ns(self, due_ns: int) -> int:
         """Instant on the pacer's clock at which a packet is due; the first call starts the clock."""
@@ -198,7 +211,8 @@ class Pacer:
         """Sleep until a packet may be sent or `is_over`, and return the lateness after its deadline, in ns.
 
         It is sent at its deadline, or later if predecessors of the same unit and kind were late: n packets
-        take at least 0.94 of the sensor's time for n packets, minus 10 ms. (A leaky bucket: the generic cell rate
+        take at least 0.94 of the sensor's time for n packets, minus 10 ms. (A leaky bucket: the generic cell
+        rate
         algorithm of ITU-T I.371.)
         """
         last_due_ns, planned_ns = self._last.get((packet.unit, packet.kind), (packet.due_ns, deadline_ns))

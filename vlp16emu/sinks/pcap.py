@@ -14,7 +14,9 @@ from vlp16emu.packets.frames import FACTORY_LINK, Link, data_header, position_fr
 from vlp16emu.types import Packet, PacketKind, PacketSink
 from vlp16emu.units import S_NS, US_NS
 
-_ENDINGS = frozenset({"", ".pcap", ".cap", ".dump", ".dmp"})  # endings of classic pcap files; a name may have none
+_ENDINGS = frozenset(
+    {"", ".pcap", ".cap", ".dump", ".dmp"}
+)  # endings of classic pcap files; a name may have none
 _WAYS_TO = {
     ".pcapng": ", which `editcap -F pcapng` converts",
     ".db3": "; a name that ends in / is a bag of ROS 2, a folder with SQLite",
@@ -37,16 +39,20 @@ class PcapResult:
 class PcapSink(PacketSink):
     """Writes data and position packets to a file, stamped with their due times.
 
-    Each record is passed to the operating system in one write, so a killed program leaves a file NAME.xxxxxxxx.part that is
-    readable to its last whole packet. After an error other than `KeyboardInterrupt` the file also stays under that name
-    and ends with a whole packet, and an earlier file NAME is unchanged. An error leaves no file without packets.
+    Each record is passed to the operating system in one write, so a killed program leaves a file
+    NAME.xxxxxxxx.part that is
+    readable to its last whole packet. After an error other than `KeyboardInterrupt` the file also stays under
+    that name
+    and ends with a whole packet, and an earlier file NAME is unchanged. An error leaves no file without
+    packets.
 
     Parameters
     ----------
     path : as for `OutputFile`; an existing file is replaced when this one is complete
     links : addresses and ports of each unit
 
-    Raises OutputError if the file cannot be opened, or another run writes it; RunError if it cannot be written: here,
+    Raises OutputError if the file cannot be opened, or another run writes it; RunError if it cannot be
+    written: here,
     or later in `send`.
     """
 
@@ -54,7 +60,9 @@ class PcapSink(PacketSink):
         self.path = path
         self._is_stdout = path == STDOUT
         self._links = links
-        self._sent, self._bytes, self._failed = 0, 0, False
+        self._sent = 0
+        self._bytes = 0
+        self._failed = False
         self._hash = hashlib.sha256()
         self._output = OutputFile(path, where="standard output" if self._is_stdout else None, buffering=0)
         self._file = self._output.file
@@ -78,7 +86,8 @@ class PcapSink(PacketSink):
     def send(self, packet: Packet) -> None:
         """Append one packet.
 
-        Raises RunError if the disk is full or the device gone; it names the file with the packets before this one;
+        Raises RunError if the disk is full or the device gone; it names the file with the packets before this
+        one;
         ValueError for an NMEA packet, which is sent by serial line, not by Ethernet.
         """
         frame = self._frame(packet)
@@ -107,8 +116,11 @@ class PcapSink(PacketSink):
                 written += self._file.write(record[written:])
         except OSError as error:
             self._failed = True
-            name, sent = "standard output" if self._is_stdout else self.path, self._sent
-            kept = f"the {sent} packets before it are in {self._output.place}" if sent else "no file is written"
+            name = "standard output" if self._is_stdout else self.path
+            sent = self._sent
+            kept = (
+                f"the {sent} packets before it are in {self._output.place}" if sent else "no file is written"
+            )
             raise RunError(f"{name}: {error.strerror} at packet {sent + 1}; {kept}") from error
         self._hash.update(record)
         self._bytes += len(record)

@@ -23,7 +23,8 @@ _SPACING_NS = 1_327_104
 _PATIENCE_NS = 250_000_000
 """Time of computing dropped packets before the engine is asked to skip further ahead."""
 _LEAD_NS = 250_000_000
-"""First lead of the engine: most engines have ended their blocks and started new ones by then; else it doubles."""
+"""First lead of the engine: most engines have ended their blocks and started new ones by then; else it
+doubles."""
 _SETTLED_NS = 5 * S_NS
 """Time without late packets after which the next late packet counts as falling behind again."""
 _POLL_S = 0.05  # interval at which a waiting thread checks for a stop
@@ -31,16 +32,20 @@ _REFILLS = 8
 """Share of the full buffer that is taken before it is filled again: waking the computing thread for each
 packet would cost the sending thread as much as sending."""
 _NICE = 3
-"""Niceness added to computing threads. A driver that shares a core with one of them gets two thirds of it; at equal
-priority it gets half, and a driver that needs half loses packets. More niceness would cost speed beside other programs, and
-the sending thread would be late more often: it waits for the interpreter, which a thread without a core may hold."""
+"""Niceness added to computing threads. A driver that shares a core with one of them gets two thirds of it; at
+equal
+priority it gets half, and a driver that needs half loses packets. More niceness would cost speed beside other
+programs, and
+the sending thread would be late more often: it waits for the interpreter, which a thread without a core may
+hold."""
 
 
 class LookAhead:
     """Iterates over packets in its own thread, at most `capacity` of them ahead of `take`.
 
     A context manager; leaving it stops the thread after the current packet. The thread is
-    a daemon, so a second Ctrl-C need not wait for it. On Linux it and the threads that it starts have a lower priority,
+    a daemon, so a second Ctrl-C need not wait for it. On Linux it and the threads that it starts have a lower
+    priority,
     which new threads inherit; on other systems the priority belongs to the process.
 
     Parameters
@@ -51,7 +56,8 @@ class LookAhead:
     """
 
     def __init__(self, packets: Iterable[Packet], capacity: int, stop: threading.Event) -> None:
-        self._capacity, self._stop = capacity, stop
+        self._capacity = capacity
+        self._stop = stop
         self._room_at = capacity - max(capacity // _REFILLS, 1)
         self._ready = deque[Packet]()
         self._changed = threading.Condition()
@@ -61,7 +67,9 @@ class LookAhead:
         self._made_due_ns = 0
         self._full: tuple[int, int] | None = None
         self._redo: tuple[int, Callable[[int], None]] | None = None
-        self._thread = threading.Thread(target=self._run, args=(iter(packets),), name="look-ahead", daemon=True)
+        self._thread = threading.Thread(
+            target=self._run, args=(iter(packets),), name="look-ahead", daemon=True
+        )
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -131,7 +139,8 @@ class LookAhead:
             while self._ready and self._ready[-1].due_ns >= earliest_ns:
                 self._ready.pop()
             # A finished thread waits until its buffer is empty, so that it can still start again.
-            self._redo, self._done = (earliest_ns, restart), False
+            self._redo = (earliest_ns, restart)
+            self._done = False
             self._made_due_ns = min(self._made_due_ns, earliest_ns)
             self._changed.notify_all()
 
@@ -146,7 +155,8 @@ class LookAhead:
         """
         most = self._room_at
         if packet is None:
-            most, self._done = 0, True
+            most = 0
+            self._done = True
             self._changed.notify_all()
         elif len(self._ready) < self._capacity:
             return
@@ -163,7 +173,8 @@ class LookAhead:
                 packet = next(packets, None)
                 with self._changed:
                     self._wait_for_room(packet)
-                    redo, self._redo = self._redo, None
+                    redo = self._redo
+                    self._redo = None
                     if self._over or (packet is None and redo is None):
                         return
                     if packet is not None and (redo is None or packet.due_ns < redo[0]):
@@ -221,7 +232,9 @@ class StreamReport:
     lateness: Lateness  # Relative to the deadlines valid when each packet was handled
     simulated_s: float  # Time that the packets span
     wall_s: float  # Time from sending the first to sending the last
-    behind: tuple[FellBehind, ...]  # Each time that packets were late by more than the tolerance, from any cause
+    behind: tuple[
+        FellBehind, ...
+    ]  # Each time that packets were late by more than the tolerance, from any cause
     delay_s: float  # Total shift of deadlines; 0 if late packets are skipped
     skipped: Counter[PacketKind]  # Packets dropped because they were late
     moved_s: int  # Whole seconds by which packets were moved into the present; 0 if not moved
@@ -270,8 +283,11 @@ def stream(
         raise InputError("--now", f"a speed of {pacer.speed:g}", "a speed of 1, the speed of the clock")
     stop = stop or threading.Event()
     present: Any = door("present")(sink) if now else None
-    sender = Sender(present or sink, pacer, late=late, notify=notify, go_on_from=go_on_from, is_over=stop.is_set)
-    left, interrupted = None, False
+    sender = Sender(
+        present or sink, pacer, late=late, notify=notify, go_on_from=go_on_from, is_over=stop.is_set
+    )
+    left = None
+    interrupted = False
     try:
         with prompt(), LookAhead(packets, look_ahead_packets, stop) as ahead:
             ahead.fill()
@@ -306,29 +322,37 @@ class Sender:
         go_on_from: Callable[[int], None] | None,
         is_over: Callable[[], bool] = lambda: False,
     ) -> None:
-        self._sink, self._pacer, self._is_over = sink, pacer, is_over
-        self._late, self._go_on_from = late, go_on_from
-        self._notify, self._last_ns = notify, 0
+        self._sink = sink
+        self._pacer = pacer
+        self._is_over = is_over
+        self._late = late
+        self._go_on_from = go_on_from
+        self._notify = notify
+        self._last_ns = 0
         self._behind = list[FellBehind]()
-        self._lateness, self._skipped = LatenessHistogram(), Counter[PacketKind]()
+        self._lateness = LatenessHistogram()
+        self._skipped = Counter[PacketKind]()
         self._skipping_since_ns: int | None = None
         self._lead_ns = self._gone_on_from_ns = 0
         self._next_due_ns: int | None = None
 
     def send(self, packet: Packet, *, had_to_wait: bool, engine_speed: float | None = None) -> None:
         """Send at the deadline; `had_to_wait` is True if the packet was not ready when requested."""
-        pacer, self._next_due_ns = self._pacer, packet.due_ns + _SPACING_NS
+        pacer = self._pacer
+        self._next_due_ns = packet.due_ns + _SPACING_NS
         deadline_ns = pacer.deadline_ns(packet.due_ns)
         late_ns = pacer.now_ns() - deadline_ns
         if late_ns > TOLERANCE_NS:
-            behind, late_s = self._fell_behind(late_ns, deadline_ns, engine_speed, engine=had_to_wait), late_ns / S_NS
+            behind = self._fell_behind(late_ns, deadline_ns, engine_speed, engine=had_to_wait)
+            late_s = late_ns / S_NS
             if self._late is Late.SKIP:
                 behind.total_s = max(behind.total_s, late_s)
                 self._skip(packet, deadline_ns + late_ns, had_to_wait=had_to_wait)
                 return
             behind.total_s += late_s
             pacer.delay_ns += late_ns  # permanently: catching up would be a burst, which no sensor sends
-        self._skipping_since_ns, self._lead_ns = None, 0
+        self._skipping_since_ns = None
+        self._lead_ns = 0
         late_ns = pacer.wait(packet, deadline_ns, is_over=self._is_over)
         if self._is_over():
             return
@@ -343,9 +367,12 @@ class Sender:
             if (late_ns := self._pacer.now_ns() - deadline_ns) > TOLERANCE_NS:
                 self._fell_behind(late_ns, deadline_ns, engine_speed, engine=True)
 
-    def _fell_behind(self, late_ns: int, deadline_ns: int, engine_speed: float | None, *, engine: bool) -> FellBehind:
+    def _fell_behind(
+        self, late_ns: int, deadline_ns: int, engine_speed: float | None, *, engine: bool
+    ) -> FellBehind:
         """Return the present period behind, or start one and notify of it."""
-        before_ns, self._last_ns = self._last_ns, deadline_ns + late_ns
+        before_ns = self._last_ns
+        self._last_ns = deadline_ns + late_ns
         if not self._behind or self._last_ns - before_ns > _SETTLED_NS:
             at_s = (deadline_ns - self._pacer.start_ns) / S_NS
             self._behind.append(FellBehind(at_s, late_ns / S_NS, engine, engine_speed, self._pacer.speed))
@@ -354,7 +381,9 @@ class Sender:
             self._behind[-1].engine_speed = engine_speed
         return self._behind[-1]
 
-    def report(self, *, interrupted: bool, moved_s: int = 0, first: FirstPacket | None = None) -> StreamReport:
+    def report(
+        self, *, interrupted: bool, moved_s: int = 0, first: FirstPacket | None = None
+    ) -> StreamReport:
         """Sum up."""
         simulated_ns, wall_ns = self._pacer.elapsed_ns
         return StreamReport(

@@ -14,8 +14,10 @@ from vlp16emu.types import Packet, PacketKind, PacketSink
 LOOPBACK = "127.0.0.1"  # Default destination of packets: this machine
 
 # Linux socket options that Python does not name. Source: linux/in.h and asm-generic/socket.h.
-_SO_NO_CHECK, _IP_MTU_DISCOVER = 11, 10
-_IP_PMTUDISC_DONT, _IP_PMTUDISC_DO = 0, 2
+_SO_NO_CHECK = 11
+_IP_MTU_DISCOVER = 10
+_IP_PMTUDISC_DONT = 0
+_IP_PMTUDISC_DO = 2
 
 _PORTS = {PacketKind.DATA: DATA_PORT, PacketKind.POSITION: POSITION_PORT}  # source port of a sensor by kind
 _OF_SENSOR = {
@@ -25,7 +27,8 @@ _OF_SENSOR = {
         (socket.IPPROTO_IP, socket.IP_TTL, DATA_TTL),
         (socket.IPPROTO_IP, _IP_MTU_DISCOVER, _IP_PMTUDISC_DO),
     ),
-    # Fragmentation allowed, hence an identification that counts up: by one on a sensor, by one or two at this rate on
+    # Fragmentation allowed, hence an identification that counts up: by one on a sensor, by one or two at this
+    # rate on
     # Linux between unconnected sockets.
     POSITION_PORT: (
         (socket.IPPROTO_IP, socket.IP_TTL, POSITION_TTL),
@@ -45,12 +48,14 @@ class UdpSink(PacketSink):
     ----------
     links : addresses of each unit; packets go to their ports
     host : address or name of the receiver; may be a broadcast address
-    as_sensor : send from the units' own addresses, which must be this machine's, with the ports and header fields of a real
+    as_sensor : send from the units' own addresses, which must be this machine's, with the ports and header
+        fields of a real
         sensor; else from any address, any free ports, and with headers as the system makes them
     interface : network interface for all packets; None for the system's routes
     sent : called after each packet with its due time, UTC ns
 
-    Raises OutputError if the host is unknown or unreachable, or the interface, address or port to send from is not
+    Raises OutputError if the host is unknown or unreachable, or the interface, address or port to send from
+    is not
     available.
     """
 
@@ -66,7 +71,8 @@ class UdpSink(PacketSink):
         self.sent = [Counter[PacketKind]() for _ in links]  # Packets sent so far by each unit, by kind
         self.latest_position = [b""] * len(links)
         """Payload of the last position packet sent by each unit; empty before the first."""
-        self._after, self._interface = sent, interface
+        self._after = sent
+        self._interface = interface
         self._sources = [link.source if as_sensor else None for link in links]
         with ExitStack() as stack:
             self._sockets = [
@@ -96,15 +102,20 @@ class UdpSink(PacketSink):
             for opened in self._sockets[unit].values():
                 opened.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         # One assignment, because `send` runs on another thread and must see both ports change together.
-        self._to[unit] = {PacketKind.DATA: (address, data_port), PacketKind.POSITION: (address, position_port)}
+        self._to[unit] = {
+            PacketKind.DATA: (address, data_port),
+            PacketKind.POSITION: (address, position_port),
+        }
 
     def send(self, packet: Packet) -> None:
         """Send one packet.
 
-        Raises RunError if the system can no longer send, for instance because the link is down; ValueError for an
+        Raises RunError if the system can no longer send, for instance because the link is down; ValueError
+        for an
         NMEA packet, which is sent by serial line, not by Ethernet.
         """
-        unit, kind = packet.unit, packet.kind
+        unit = packet.unit
+        kind = packet.kind
         if kind not in _PORTS:
             raise ValueError(f"found a packet of kind {kind}, expected data or position")
         address, port = self._to[unit][kind]
@@ -137,7 +148,8 @@ def resolve(host: str) -> str:
 def _is_broadcast(address: str, as_sensor: str | None, interface: str | None) -> bool:
     """Query the routing table with a temporary socket that sends nothing.
 
-    Whether 192.168.1.255 is a broadcast address depends on the netmask of the interface, which only the system
+    Whether 192.168.1.255 is a broadcast address depends on the netmask of the interface, which only the
+    system
     knows: it refuses broadcast addresses to a socket without SO_BROADCAST.
     """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:

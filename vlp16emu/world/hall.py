@@ -17,7 +17,8 @@ from vlp16emu.world.vectors import closed
 _log = logging.getLogger(__name__)
 Thing = HallBox | HallPole | HallSphere
 _TOLERANCE_M = 5e-5
-"""Largest gap between a chord and its arc. Round things deviate by about half of it to either side of the true shape;
+"""Largest gap between a chord and its arc. Round things deviate by about half of it to either side of the
+true shape;
 on a sphere the gaps of both angles add up to at most twice that."""
 _FEWEST_SIDES = 256
 _WALL_INSTANCE = 1  # walls and ceiling; things follow from 2 in the given order: boxes, poles, spheres
@@ -37,23 +38,31 @@ class HallWorld:
     """
 
     materials = ("room", "box", "pole", "sphere")  # names by `SURFACE` material number
-    near_m, seed = math.inf, 0  # fields of `World`: all near, nothing random or kept
-    name, origin_m, obstacles = "flat", (0.0, 0.0, 0.0), None  # fields of `Site`
+    near_m = math.inf  # fields of `World`: all near, nothing random or kept
+    seed = 0
+    name = "flat"  # fields of `Site`
+    origin_m = (0.0, 0.0, 0.0)
+    obstacles = None
 
     def __init__(self, section: Hall, _seed: int = 0) -> None:
         self._section = section
         room = _Room((section.length_m, section.width_m, section.height_m))
-        boxes, poles, spheres = section.boxes, section.poles, section.spheres
+        boxes = section.boxes
+        poles = section.poles
+        spheres = section.spheres
         things: list[Thing] = [*boxes, *poles, *spheres]
         for thing in things:
             _check_inside(thing, room)
         self.size_m = room.size_m  # along x, y and z; centred on x = y = 0, floor at z = 0
-        self._keys, self._things = (room, *things), things
+        self._keys = (room, *things)
+        self._things = things
         self.names = {_WALL_INSTANCE: "walls", **{i + 2: thing.name for i, thing in enumerate(things)}}
         surfaces = np.zeros(2 + len(things), SURFACE)
         surfaces["reflectance"] = [section.wall_reflectance] * 2 + [thing.brightness for thing in things]
         surfaces["texture"] = [section.texture] * 2 + [thing.texture for thing in things]
-        surfaces["roughness"] = [section.wall_roughness or 0.0] * 2 + [thing.roughness or 0.0 for thing in things]
+        surfaces["roughness"] = [section.wall_roughness or 0.0] * 2 + [
+            thing.roughness or 0.0 for thing in things
+        ]
         surfaces["relief_m"][:2] = section.relief_m  # things in it have exact shapes
         surfaces["material"] = [0, 0, *[1] * len(boxes), *[2] * len(poles), *[3] * len(spheres)]
         surfaces["semantic"] = Semantic.OTHER
@@ -102,7 +111,8 @@ class HallWorld:
         n = len(self._keys)
         world_T_shape = np.zeros((n, 3, 4))
         places_m = [one.foot_m if isinstance(one, HallPole) else one.centre_m for one in self._things]
-        world_T_shape[:, :, :3], world_T_shape[:, :, 3] = np.eye(3), [(0.0, 0.0, self.size_m[2] / 2), *places_m]
+        world_T_shape[:, :, :3] = np.eye(3)
+        world_T_shape[:, :, 3] = [(0.0, 0.0, self.size_m[2] / 2), *places_m]
         first = np.concatenate([[0], 2 + np.arange(n - 1)]).astype(np.uint32)
         placed = self._keys, np.arange(n, dtype=np.int32), world_T_shape, first
         # Whole metres near the sensor, exact in float32.
@@ -128,7 +138,9 @@ def _check_inside(thing: Thing, room: _Room) -> None:
         half: tuple[float, ...] = (thing.diameter_m / 2, thing.diameter_m / 2, thing.height_m / 2)
         middle = (thing.foot_m[0], thing.foot_m[1], thing.foot_m[2] + half[2])
     else:
-        half = tuple(size / 2 for size in (thing.size_m if isinstance(thing, HallBox) else (thing.diameter_m,) * 3))
+        half = tuple(
+            size / 2 for size in (thing.size_m if isinstance(thing, HallBox) else (thing.diameter_m,) * 3)
+        )
         middle = thing.centre_m
     length_m, width_m, height_m = room.size_m
     spans = ((-length_m / 2, length_m / 2), (-width_m / 2, width_m / 2), (0.0, height_m))

@@ -27,11 +27,14 @@ class PartFinish(Section):
     reflectance: Fraction | None = None
     """Lambertian, at 903 nm."""
     retroreflection_cd_lx_m2: Annotated[float, Field(ge=1, le=1000)] | None = None
-    """Coefficient of retroreflection, instead of `reflectance`: minimum values of ASTM D4956 for new white sheeting are 70
-    for type I, 250 for type III and 700 for type VIII. Assumptions: at 903 nm it is as in visible light, and it falls with the
+    """Coefficient of retroreflection, instead of `reflectance`: minimum values of ASTM D4956 for new white
+    sheeting are 70
+    for type I, 250 for type III and 700 for type VIII. Assumptions: at 903 nm it is as in visible light, and
+    it falls with the
     cosine of incidence."""
     roughness: Roughness | None = None
-    """Root mean square slope of the facets of a glossy coat, such as paint; none for a matt surface. Seen straight on, it adds
+    """Root mean square slope of the facets of a glossy coat, such as paint; none for a matt surface. Seen
+    straight on, it adds
     0.01 over the square of the slope to the reflectance, within an angle of about this slope."""
 
     @model_validator(mode="after")
@@ -137,7 +140,8 @@ class People(Section):
     """People beside a walking carrier, as upright cylinders: shoulders and a head."""
 
     behind_m: Annotated[float, Field(ge=0, le=100)] = 1.5
-    """Distance of a companion who follows the carrier and hides a sector of the view; 0 for none (assumption)."""
+    """Distance of a companion who follows the carrier and hides a sector of the view; 0 for none
+    (assumption)."""
     passes_every_s: Annotated[float, Field(ge=0, le=86_400)] = 40.0
     """Time between oncoming people, who pass the carrier 1 m to the side; 0 for none (assumption)."""
 
@@ -148,7 +152,8 @@ class HallThing(Finish):
     name: str
     """Name in reports."""
     texture: Texture = 0.0
-    """Relative variation of its reflectance over patches, as for the walls; 0 by default, for a known brightness."""
+    """Relative variation of its reflectance over patches, as for the walls; 0 by default, for a known
+    brightness."""
 
 
 class HallBox(HallThing):
@@ -196,13 +201,16 @@ class Hall(WorldSection):
     wall_reflectance: Fraction = 0.6
     """Lambertian reflectance of walls, floor and ceiling at 903 nm."""
     wall_roughness: Roughness | None = None
-    """Roughness of a glossy coat on them; none for matt ones. Paint has 0.15 to 0.3: codes on walls of real captures are 5 to 15 % higher
+    """Roughness of a glossy coat on them; none for matt ones. Paint has 0.15 to 0.3: codes on walls of real
+    captures are 5 to 15 % higher
     within 10 degrees of normal incidence than at 20 to 40."""
     texture: Texture = 0.16
-    """Relative variation of the reflectance over patches of about 0.1 m, one sigma overall; parts of a wall of about 1.6 m
+    """Relative variation of the reflectance over patches of about 0.1 m, one sigma overall; parts of a wall
+    of about 1.6 m
     differ by a factor of three. With 0.16 neighbouring returns from walls scatter as on real units."""
     relief_m: Annotated[float, Field(ge=0, le=0.05)] = 0.0
-    """Unevenness of walls, floor and ceiling over patches of a few centimetres, one sigma; included in the ground truth.
+    """Unevenness of walls, floor and ceiling over patches of a few centimetres, one sigma; included in the
+    ground truth.
     Walls in captures of real sensors have 0.002 to 0.005 m; 0 gives a flat hall."""
     boxes: list[HallBox] = Field(default_factory=list)
     """Upright boxes."""

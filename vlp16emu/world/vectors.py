@@ -28,7 +28,9 @@ def closed(rings: F8, ends: F8) -> Mesh:
     count, sides, _ = rings.shape
     vertices = np.concatenate([rings.reshape(-1, 3), ends])
     here = np.arange(sides)
-    after, bottom, top = (np.roll(here, -1), np.full(sides, len(vertices) - 2), np.full(sides, len(vertices) - 1))
+    after = np.roll(here, -1)
+    bottom = np.full(sides, len(vertices) - 2)
+    top = np.full(sides, len(vertices) - 1)
     last = (count - 1) * sides
     triangles = [(after, here, bottom), (last + here, last + after, top)]
     for low in range(0, last, sides):

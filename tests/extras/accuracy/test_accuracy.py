@@ -179,8 +179,12 @@ def test_audits_estimate_the_error_that_accuracy_measures(hall):
     aimed = [bench.aimed(group) for group in groups]
     answer = joined([bench.answer(scenes[0], pulses, unit.beam) for pulses in aimed])
     returns = joined([bench.detections(scenes[0], pulses, unit.beam) for pulses in aimed])
-    measured_m = errors_of(compare(answer, returns, apart_m(hall.detector)), apart_m(hall.detector)).range_rmse_m
-    squares_um2, matched = (sum(getattr(audit.tally, of) for audit in audits) for of in ("squares_um2", "matched"))
+    measured_m = errors_of(
+        compare(answer, returns, apart_m(hall.detector)), apart_m(hall.detector)
+    ).range_rmse_m
+    squares_um2, matched = (
+        sum(getattr(audit.tally, of) for audit in audits) for of in ("squares_um2", "matched")
+    )
     assert 1e-6 * np.sqrt(squares_um2 / matched) == pytest.approx(measured_m, rel=0.3)
     assert len({audit.tally.range_rmse_m for audit in audits}) == 6, "audits draw pulses of their own"
 
@@ -200,7 +204,9 @@ def errors(answer, got):
 
 
 def row(name, us, error_m, model="fixed"):
-    some = replace(errors(detections_of(10.0), detections_of(10.1)), mean_error_m=error_m, range_rmse_m=error_m)
+    some = replace(
+        errors(detections_of(10.0), detections_of(10.1)), mean_error_m=error_m, range_rmse_m=error_m
+    )
     return Row(model, name, False, some, {}, us, 0.1 * us, 1.0)
 
 
@@ -255,7 +261,9 @@ def test_a_tally_says_what_errors_of_all_pulses_say():
     rng = np.random.default_rng(3)
     answers = [detections_of(*rng.choice([0.0, 20.0, 40.0], 16)) for _ in range(30)]
     off_m = [rng.choice([-20.0, 0.0, 0.1, 0.2], 16) for _ in answers]
-    tolds = [detections_of(*np.maximum(a.distance_m[:, 0] + b, 0.0)) for a, b in zip(answers, off_m, strict=True)]
+    tolds = [
+        detections_of(*np.maximum(a.distance_m[:, 0] + b, 0.0)) for a, b in zip(answers, off_m, strict=True)
+    ]
     tally, turned = Tally(), Tally()
     clusters = [compare(answer, got, RESOLUTION_M) for answer, got in zip(answers, tolds, strict=True)]
     for one, other in zip(clusters, clusters[::-1], strict=True):
@@ -304,7 +312,9 @@ def test_groups_are_spread_over_the_run(moves):
     assert len(groups) == 4096 // (GROUP * 16)
     at = np.array([group.start for group in groups]) / (blocks * BATCHING.block)
     assert (np.floor(at * len(groups)) == np.arange(len(groups))).all()
-    assert all(len(group) == GROUP and group.start % GROUP == 0 for group in groups), "as a run judges adaptive beams"
+    assert all(len(group) == GROUP and group.start % GROUP == 0 for group in groups), (
+        "as a run judges adaptive beams"
+    )
     if moves:
         for segment, of_segment in drawn:
             assert {group.start // BATCHING.block // BATCHING.segment for group in of_segment} == {segment}

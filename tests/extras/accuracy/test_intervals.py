@@ -15,7 +15,9 @@ def groups_of(draw, number, *, lost=0.02, sigma=1.0):
     for _ in range(number):
         missing = int(draw.binomial(PULSES, lost))
         error_m = 0.01 * np.exp(sigma * draw.normal()) * draw.normal(size=PULSES - missing)
-        found.append(Comparison(PULSES, PULSES, missing, 0, 1, 2, error_m, draw.normal(size=PULSES - missing)))
+        found.append(
+            Comparison(PULSES, PULSES, missing, 0, 1, 2, error_m, draw.normal(size=PULSES - missing))
+        )
     return found
 
 
@@ -23,7 +25,8 @@ def joined(groups):
     """All groups as one comparison."""
     counts = (sum(getattr(group, name) for group in groups) for name in Comparison._fields[:6])
     return Comparison(
-        *counts, *(np.concatenate([getattr(group, name) for group in groups]) for name in Comparison._fields[6:])
+        *counts,
+        *(np.concatenate([getattr(group, name) for group in groups]) for name in Comparison._fields[6:]),
     )
 
 

@@ -45,7 +45,9 @@ class Engine:
         """Turn the rotor by a step, and look."""
         missing_rpm = self.settings.rpm - self.now.motor_rpm
         self.now = replace(
-            self.now, motor_rpm=self.now.motor_rpm + max(min(missing_rpm, 20.0), -20.0), laser_on=self.settings.laser_on
+            self.now,
+            motor_rpm=self.now.motor_rpm + max(min(missing_rpm, 20.0), -20.0),
+            laser_on=self.settings.laser_on,
         )
         return self.now
 
@@ -54,7 +56,12 @@ class Engine:
 def make(tmp_path):
     def made(*, saved=None, factory=None):
         engine = Engine()
-        what = {"status": engine.status, "is_up": lambda: engine.is_up, "changed": engine.changed, "info": INFO}
+        what = {
+            "status": engine.status,
+            "is_up": lambda: engine.is_up,
+            "changed": engine.changed,
+            "info": INFO,
+        }
         device = Device(factory or DeviceSettings(), saved=saved, **what)
         engine.settings = device.settings
         return engine, device

@@ -84,7 +84,9 @@ def test_a_healthy_sensor_reads_as_real_units_do():
                 "pwr_5v_raw": 2190, "pwr_vccint": 976}  # fmt: skip
     seen = [boards(t_ns=WARM.t_ns + s * S_NS) for s in range(62)]
     for side, real in enumerate((real_bottom, real_top)):
-        assert all(at[side] == {name: pytest.approx(raw, rel=0.01) for name, raw in real.items()} for at in seen)
+        assert all(
+            at[side] == {name: pytest.approx(raw, rel=0.01) for name, raw in real.items()} for at in seen
+        )
         for name in real:
             counts = [at[side][name] for at in seen]
             assert max(counts) - min(counts) in range(1, 8) or name == "pwr_1_25v", name
@@ -92,7 +94,9 @@ def test_a_healthy_sensor_reads_as_real_units_do():
 
 def test_boards_warm_up_over_the_first_minutes():
     """From 25 degrees at power-up, over more than half of the way after two minutes, to 51 and 53 after ten."""
-    readings = [[celsius(board["lm20_temp"]) for board in boards(powered_for_s=s)] for s in (0.0, 120.0, 600.0)]
+    readings = [
+        [celsius(board["lm20_temp"]) for board in boards(powered_for_s=s)] for s in (0.0, 120.0, 600.0)
+    ]
     for cold, between, warm in zip(*readings, strict=True):
         assert cold == pytest.approx(25, abs=0.5)
         assert between > (cold + warm) / 2

@@ -53,7 +53,11 @@ def speeds_rpm(payloads):
 def test_packets_of_a_field_of_view_stay_the_same_where_others_are_left_out():
     """A live run that was too slow for some blocks goes on with packets of the run without gaps, and most of them."""
     run = emulator(setting(0.0, fov_deg=[90, 214]))
-    unit, block, geometry = (run.parts.units[0], run.engine.batching.block, run.engine.windows.at_block(0).result())
+    unit, block, geometry = (
+        run.parts.units[0],
+        run.engine.batching.block,
+        run.engine.windows.at_block(0).result(),
+    )
     (stretch,) = unit.timeline.stretches(0, S_NS)
     scanned = [
         scan(Job(unit, unit.detector, range(number, number + 1), block, run.parts.world.seed), geometry)
@@ -211,7 +215,10 @@ def test_a_free_clock_steps_and_drifts():
 
 def test_pulses_without_sentences_set_the_part_below_a_second():
     """After a loss of power minutes and seconds count from it, and stamps begin anew with the edge of each pulse."""
-    lost, missing = ({"kind": "power_cycle", "at_s": 0.2, "off_s": 0.3}, {"kind": "missing_sentence", "at_s": 0.0})
+    lost, missing = (
+        {"kind": "power_cycle", "at_s": 0.2, "off_s": 0.3},
+        {"kind": "missing_sentence", "at_s": 0.0},
+    )
     payloads, due_ns = data_of(emulator(lost, missing, clock_error_ppm=100.0).packets(0.0, 2.2))
     stamp_us = stamps_us(payloads)
     fired_us = (due_ns - 1_327_104) / US_NS  # the first pulse is fired at a whole second

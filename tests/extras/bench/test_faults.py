@@ -120,7 +120,9 @@ def test_a_run_of_packets_is_lost(clean):
 
 def test_duplicates_follow_their_packet(clean):
     """A fifth of the packets comes twice, the second time 3 ms later, with the same bytes and the same number."""
-    twice = Counter(sent({"kind": "duplicate", "at_s": 0.5, "share": 0.2, "after_s": 0.003, "packets": "both"}))
+    twice = Counter(
+        sent({"kind": "duplicate", "at_s": 0.5, "share": 0.2, "after_s": 0.003, "packets": "both"})
+    )
     copies = twice - Counter(clean)
     late = round(0.003 * S_NS)
     assert all(replace(copy, due_ns=copy.due_ns - late) in clean for copy in copies)
@@ -170,7 +172,9 @@ def test_so_many_bits_are_flipped(clean):
     bad = sent({"kind": "corrupt", "at_s": 0.0, "bits": 5, "packets": "both"})
     places = []
     for a, b in zip(clean, bad, strict=True):
-        flipped = np.flatnonzero(np.unpackbits(np.frombuffer(a.payload, np.uint8) ^ np.frombuffer(b.payload, np.uint8)))
+        flipped = np.flatnonzero(
+            np.unpackbits(np.frombuffer(a.payload, np.uint8) ^ np.frombuffer(b.payload, np.uint8))
+        )
         assert len(flipped) == 5
         assert a.due_ns == b.due_ns
         places += (flipped / (8 * len(a.payload))).tolist()
@@ -201,7 +205,9 @@ def test_faults_are_those_of_their_unit():
     """In a rig the packets of the other units stay as they are."""
     rig = {"rig": [{"mount": {"lever_arm_m": [0.0, 0.0, 0.5]}}], "duration_s": 0.4}
     before, after = sent(stop_s=0.4, **rig), sent({"kind": "drop", "at_s": 0.1, "unit": 2}, stop_s=0.4, **rig)
-    assert [packet for packet in before if packet.unit == 0] == [packet for packet in after if packet.unit == 0]
+    assert [packet for packet in before if packet.unit == 0] == [
+        packet for packet in after if packet.unit == 0
+    ]
     assert not [packet for packet in since(of(after, DATA), 0.1) if packet.unit == 1]
 
 

@@ -108,7 +108,10 @@ def test_as_many_characters_are_garbled_as_wanted(characters):
     [
         [event("pps_loss", 2.2, duration_s=3.0), event("pps_loss", 4.0, duration_s=2.0)],
         [event("wrong_sentence", 2.2, duration_s=3.0), event("power_cycle", 15.1)],
-        [event("late_sentence", 4.0, duration_s=9.0, by_s=3.3), event("missing_sentence", 8.0, duration_s=7.0)],
+        [
+            event("late_sentence", 4.0, duration_s=9.0, by_s=3.3),
+            event("missing_sentence", 8.0, duration_s=7.0),
+        ],
         [event("missing_sentence", 4.0)],
         [],
     ],
@@ -117,7 +120,9 @@ def test_spans_are_those_of_the_state(events, window_s):
     """Each instant is in the spans of its state alone: every 100 ms, and at and before each border of a span."""
     made = gps_input(*events, pps_window_s=window_s)
     spans = {state: made.spans_ns(state) for state in PpsState}
-    borders_ns = {t_ns for some in spans.values() for span in some for t_ns in span if abs(t_ns - START_NS) < 60 * S_NS}
+    borders_ns = {
+        t_ns for some in spans.values() for span in some for t_ns in span if abs(t_ns - START_NS) < 60 * S_NS
+    }
     for t_ns in [START_NS + ms * MS_NS for ms in range(-5_000, 40_000, 100)] + [
         b - n for b in borders_ns for n in (0, 1)
     ]:

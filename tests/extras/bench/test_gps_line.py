@@ -160,7 +160,9 @@ def test_packets_carry_the_clock_state_and_sentence_of_the_line():
     for i in range(3):
         due_ns = 5 * S_NS + i * 1_327_104
         stamped.send(Packet(PacketKind.DATA, due_ns, bytes(1206), 0, due_ns - 1_327_104))
-    stamped.send(Packet(PacketKind.POSITION, 5 * S_NS + 3 * 1_327_104, pack_position(0, PpsState.ABSENT, b"")))
+    stamped.send(
+        Packet(PacketKind.POSITION, 5 * S_NS + 3 * 1_327_104, pack_position(0, PpsState.ABSENT, b""))
+    )
     stamps = [int.from_bytes(packet.payload[1200:1204], "little") for packet in sink.packets[:3]]
     first_ns = (UTC_NS + round(9.5 * S_NS)) % HOUR_NS - 1_327_104
     assert stamps == [(first_ns + i * 1_327_104) // US_NS for i in range(3)]

@@ -41,7 +41,9 @@ def bench(monkeypatch):
     monkeypatch.setattr(module, "_MERGED_S", 3600.0)
     monkeypatch.setattr(module, "_PROMPT", 1)
     engine = Emulator("static_bench", ["gps.connected=true"]).engine
-    feed = SimpleNamespace(engine=engine, begun=[], begin_again=lambda _due_ns, again: feed.begun.append(again))
+    feed = SimpleNamespace(
+        engine=engine, begun=[], begin_again=lambda _due_ns, again: feed.begun.append(again)
+    )
     stream, sink = Stream(engine), SimpleNamespace(address="127.0.0.1", redirect=lambda *_: None)
     control = Control(feed, sink, stream, None)
     with control.following():
@@ -53,7 +55,9 @@ def test_a_hundred_settings_are_two_changes(bench):
     bench.device.change(lambda settings: replace(settings, rpm=300))
     assert bench.stream.changed.acquire(timeout=60)
     for number in range(99):
-        bench.device.change(lambda settings, n=number: replace(settings, rpm=300 + 60 * (n % 10 + 1), fov_deg=(n, 350)))
+        bench.device.change(
+            lambda settings, n=number: replace(settings, rpm=300 + 60 * (n % 10 + 1), fov_deg=(n, 350))
+        )
     bench.device.change(lambda settings: replace(settings, return_mode=ReturnMode.DUAL))
     assert len(bench.stream.changes) == 1
     bench.stream.made_until_ns += 2 * S_NS

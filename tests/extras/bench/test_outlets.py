@@ -64,7 +64,9 @@ def test_pulses_are_at_the_seconds(hall, packets):
     edges = [(packet.due_ns, packet.payload) for packet in of(packets, PacketKind.PPS)]
     first_ns = -(-hall.scenario.start_ns // S_NS) * S_NS
     assert edges == [
-        (first_ns + second * S_NS + level * PULSE_NS, bytes([1 - level])) for second in (0, 1) for level in (0, 1)
+        (first_ns + second * S_NS + level * PULSE_NS, bytes([1 - level]))
+        for second in (0, 1)
+        for level in (0, 1)
     ]
 
 

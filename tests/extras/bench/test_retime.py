@@ -30,7 +30,9 @@ def test_a_position_packet_is_moved_over_midnight():
     packet = moved(position(), 2)
     assert stamp_ns(packet) == 250_000_000
     fields = decode_position(packet.payload)
-    assert fields.sentence == with_checksum(SENTENCE.replace(b"235958", b"000000").replace(b"311225", b"010126"))
+    assert fields.sentence == with_checksum(
+        SENTENCE.replace(b"235958", b"000000").replace(b"311225", b"010126")
+    )
     assert parse_rmc(fields.sentence).t_ns == parse_rmc(with_checksum(SENTENCE)).t_ns + 2_000_000_000
     changed = np.flatnonzero(np.frombuffer(packet.payload, "u1") != np.frombuffer(position().payload, "u1"))
     assert ((changed < 202) | (changed >= 206)).all()

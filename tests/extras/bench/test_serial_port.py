@@ -117,14 +117,18 @@ def test_a_port_that_takes_no_more_holds_up_nobody_and_takes_no_core(device):
         begun_s = time.clock_gettime(clock)
         for _ in range(3):
             sink.send(sentence())
-        until(lambda: sink.result.messages + sink.result.dropped == 10_003)  # the buffer may find room for one more
+        until(
+            lambda: sink.result.messages + sink.result.dropped == 10_003
+        )  # the buffer may find room for one more
         assert time.clock_gettime(clock) - begun_s < 0.3  # of some 0.75 s, by its own thread
     sink._thread.join()
     result = sink.result
     assert 0 < result.messages < 400
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # pyserial leaves the socket to Python
+@pytest.mark.filterwarnings(
+    "ignore::pytest.PytestUnraisableExceptionWarning"
+)  # pyserial leaves the socket to Python
 def test_a_url_is_a_port_too():
     """socket:// sends to a server; it has no line, and a server that ends is a device that is away."""
     with socket.create_server(("127.0.0.1", 0)) as server:

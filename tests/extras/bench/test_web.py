@@ -22,7 +22,13 @@ FOLDER = Path(__file__).parents[3] / "protocol" / "web"
 SCHEMAS = {path.name: json.loads(path.read_text(encoding="utf-8")) for path in FOLDER.glob("*.schema.json")}
 REGISTRY = Registry().with_resources((name, Resource.from_contents(tree)) for name, tree in SCHEMAS.items())
 DOCUMENTS = ("settings.json", "status.json", "diag.json", "info.json", "snapshot.hdl")
-OTHERS = {"laser_on": False, "phase_lock_on": True, "dhcp": True, "return_mode": ReturnMode.DUAL, "fov_deg": (90, 9)}
+OTHERS = {
+    "laser_on": False,
+    "phase_lock_on": True,
+    "dhcp": True,
+    "return_mode": ReturnMode.DUAL,
+    "fov_deg": (90, 9),
+}
 
 
 def check(tree, name):
@@ -121,7 +127,9 @@ def test_a_bad_value_is_ignored(web, form, words):
     assert not web.file.exists()
 
 
-@pytest.mark.parametrize(("save", "reset"), [("submit", "reset_system"), ("data=submit", "data=reset_system")])
+@pytest.mark.parametrize(
+    ("save", "reset"), [("submit", "reset_system"), ("data=submit", "data=reset_system")]
+)
 def test_save_and_reset(web, save, reset):
     """Bare words and form data do the same: what is saved is there after a reset, in a file too, what is not is lost."""
     web.client.post("/cgi/setting", "rpm=300")
@@ -265,7 +273,9 @@ def test_where_it_listens():
     assert Http("0.0.0.0:80").address == ("0.0.0.0", 80)
     assert Http("[::1]:80").address == ("::1", 80)
     for text in ("", "host", "host:", "1.2.3.4:65536", "1.2.3.4:-1", "1.2.3.4:٨٠", "http://127.0.0.1"):
-        with pytest.raises(InputError, match=r"--http: found .* expected HOST:PORT, such as 127\.0\.0\.1:8080"):
+        with pytest.raises(
+            InputError, match=r"--http: found .* expected HOST:PORT, such as 127\.0\.0\.1:8080"
+        ):
             Http(text)
 
 
@@ -274,7 +284,9 @@ def test_a_port_that_is_taken_is_named(web, make):
     _, device = make()
     host, port = web.address
     for place in (host, "192.0.2.1", "a..b"):
-        with pytest.raises(OutputError, match=f"--http {place}:{port}: .*expected an address of this machine"):
+        with pytest.raises(
+            OutputError, match=f"--http {place}:{port}: .*expected an address of this machine"
+        ):
             WebServer(device, place, port)
 
 
@@ -303,7 +315,9 @@ class Nebula:
         """Ask, and return as much of a body as `Content-Length: ` says, in no other spelling; the status is not looked at."""
         self.asked.append((endpoint, body))
         form = f"Content-Type: application/x-www-form-urlencoded\r\nContent-Length: {len(body)}\r\n"
-        head = f"{method} {endpoint} HTTP/1.1\r\nHost: {self._address[0]}\r\n{form if method == 'POST' else ''}"
+        head = (
+            f"{method} {endpoint} HTTP/1.1\r\nHost: {self._address[0]}\r\n{form if method == 'POST' else ''}"
+        )
         answer, wanted = "", 1
         with socket.create_connection(self._address, timeout=LONGEST_S) as line:
             line.sendall(f"{head}Connection: close\r\n\r\n{body}".encode())
@@ -346,7 +360,12 @@ def test_nebula_configures_every_item(web):
     tree = json.loads(nebula.request("GET", "/cgi/snapshot.hdl"))
     assert {key: nebula.item(tree, key) for key in WANTED} == WANTED
     assert web.engine.settings == DeviceSettings(
-        rpm=1200, return_mode=ReturnMode.DUAL, fov_deg=(90, 270), host="127.0.0.1", data_port=3000, position_port=3001
+        rpm=1200,
+        return_mode=ReturnMode.DUAL,
+        fov_deg=(90, 270),
+        host="127.0.0.1",
+        data_port=3000,
+        position_port=3001,
     )
     assert len(web.engine.changes) == 7
     nebula.configure(WANTED)
@@ -354,10 +373,18 @@ def test_nebula_configures_every_item(web):
 
 
 FORMS = {
-    "setting rpm=1200&returns=Dual&laser=off": {"rpm": 1200, "return_mode": ReturnMode.DUAL, "laser_on": False},
+    "setting rpm=1200&returns=Dual&laser=off": {
+        "rpm": 1200,
+        "return_mode": ReturnMode.DUAL,
+        "laser_on": False,
+    },
     "setting laser=on": {},
     "setting/fov start=350&end=10": {"fov_deg": (350, 10)},
-    "setting/host addr=10.0.0.7&dport=4000&tport=4001": {"host": "10.0.0.7", "data_port": 4000, "position_port": 4001},
+    "setting/host addr=10.0.0.7&dport=4000&tport=4001": {
+        "host": "10.0.0.7",
+        "data_port": 4000,
+        "position_port": 4001,
+    },
     "setting/net addr=127.0.0.2&mask=255.0.0.0": {"address": "127.0.0.2", "mask": "255.0.0.0"},
     "setting/net gateway=127.0.0.1&dhcp=on": {"gateway": "127.0.0.1", "dhcp": True},
     "setting/phaselock enabled=on&offset=12345": {"phase_lock_on": True, "phase_lock_cdeg": 12_345},

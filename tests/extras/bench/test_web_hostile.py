@@ -17,7 +17,9 @@ from hypothesis import strategies as st
 from vlp16emu.extras.bench.device import DeviceSettings
 from vlp16emu.extras.bench.web import MOST_BODY_BYTES, MOST_CONNECTIONS, MOST_HEADER_BYTES, WebServer
 
-DOCUMENTS = [f"/cgi/{name}" for name in ("settings.json", "status.json", "diag.json", "info.json", "snapshot.hdl")]
+DOCUMENTS = [
+    f"/cgi/{name}" for name in ("settings.json", "status.json", "diag.json", "info.json", "snapshot.hdl")
+]
 FORM = b"POST /cgi/setting HTTP/1.1\r\nHost: 127.0.0.1\r\n"
 
 
@@ -164,7 +166,10 @@ def test_connections_are_bounded(make, monkeypatch):
 @pytest.mark.parametrize(
     ("lines", "status"),
     [
-        *(([f"Host: {host}"], 403) for host in ("sensor.example", "sensor.example:8080", "localhost.example", "", "[")),
+        *(
+            ([f"Host: {host}"], 403)
+            for host in ("sensor.example", "sensor.example:8080", "localhost.example", "", "[")
+        ),
         *(([f"Host: {host}"], 204) for host in ("localhost:1", "192.168.1.201", "[::1]:80")),
         (["Host: 127.0.0.1:80", "Origin: http://127.0.0.1:80"], 204),
         *(
@@ -176,7 +181,9 @@ def test_connections_are_bounded(make, monkeypatch):
 )
 def test_pages_of_other_sites_set_nothing(web, speak, lines, status):
     """A form of another origin, or to a name that leads here, is refused; tools, which send no origin, and addresses are not."""
-    head = "\r\n".join(["POST /cgi/setting HTTP/1.1", *lines, "Content-Length: 7", "Connection: close", "", "rpm=300"])
+    head = "\r\n".join(
+        ["POST /cgi/setting HTTP/1.1", *lines, "Content-Length: 7", "Connection: close", "", "rpm=300"]
+    )
     assert status_of(speak(head.encode())) == status
     assert web.device.settings.rpm == (300 if status == 204 else 600)
 

@@ -93,7 +93,12 @@ def test_the_form_sends_what_was_changed(web, page):
     made = web.engine.settings
     assert (made.rpm, made.return_mode, made.laser_on, made.fov_deg) == (900, "dual", False, (350, 10))
     assert (made.phase_lock_on, made.phase_lock_cdeg) == (True, 12_345)
-    assert (made.data_port, made.position_port, made.address, made.host) == (3000, 8308, "10.0.0.2", "255.255.255.255")
+    assert (made.data_port, made.position_port, made.address, made.host) == (
+        3000,
+        8308,
+        "10.0.0.2",
+        "255.255.255.255",
+    )
     assert len(web.engine.changes) == 5  # one for each part of the form
     page.wait("at('laser').textContent == 'Off' && at('rpm').textContent == 900")
     assert page.text("motor") == "On, set to 900"

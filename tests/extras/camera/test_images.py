@@ -49,7 +49,9 @@ def seen(hall, tmp_path_factory):
 
 
 def files_of(folder):
-    return {path.relative_to(folder): path.read_bytes() for path in sorted(folder.rglob("*.*")) if path.is_file()}
+    return {
+        path.relative_to(folder): path.read_bytes() for path in sorted(folder.rglob("*.*")) if path.is_file()
+    }
 
 
 def world_points(emulator, duration_s=0.1):
@@ -165,7 +167,9 @@ def colmap_pixels(folder, number, world_m):
 
 def test_poses_of_all_forms_reproject_known_points(hall, seen):
     """Corners of the hall's crate have the same pixel by cameras.json, TUM, COLMAP and nerfstudio, and its label there."""
-    x, y, z = (np.array([-6.0, -5.0, 0.5]) + np.array(np.meshgrid(*[(-0.5, 0.5)] * 3)).reshape(3, -1).T * [2, 1, 1]).T
+    x, y, z = (
+        np.array([-6.0, -5.0, 0.5]) + np.array(np.meshgrid(*[(-0.5, 0.5)] * 3)).reshape(3, -1).T * [2, 1, 1]
+    ).T
     corners_m = np.column_stack([x, y, z])
     cameras, lens, _ = read_images(seen)
     T = np.array(cameras["images"][1]["world_T_camera"])
@@ -178,7 +182,9 @@ def test_poses_of_all_forms_reproject_known_points(hall, seen):
     turned = (corners_m - opengl[:3, 3]) @ opengl[:3, :3]
     np.testing.assert_allclose(turned * [1, -1, -1], camera_m, atol=1e-9)
     ahead = camera_m[:, 2] > 0.1
-    np.testing.assert_allclose(colmap_pixels(seen, 1, corners_m)[ahead], lens.project(camera_m[ahead]) + 0.5, atol=1e-6)
+    np.testing.assert_allclose(
+        colmap_pixels(seen, 1, corners_m)[ahead], lens.project(camera_m[ahead]) + 0.5, atol=1e-6
+    )
     body = hall.parts.motion.poses_at(np.array([cameras["images"][1]["t_ns"]]))
     mount = np.array(cameras["rig"]["body_T_camera"]["matrix"])
     np.testing.assert_allclose(body.world_R_body[0] @ mount[:3, :3], T[:3, :3], atol=1e-12)
@@ -290,7 +296,9 @@ def test_a_full_disk_leaves_the_images_before(hall, tmp_path, monkeypatch):
 def test_without_pillow_the_line_names_the_extra(hall, tmp_path, monkeypatch):
     """Without pillow the error names it and its extra, and no folder is made."""
     monkeypatch.setitem(sys.modules, "PIL", None)
-    with pytest.raises(MissingExtraError, match=r"writing images needs pillow: pip install 'vlp16emu\[picture\]'"):
+    with pytest.raises(
+        MissingExtraError, match=r"writing images needs pillow: pip install 'vlp16emu\[picture\]'"
+    ):
         write_images(hall, tmp_path / "images", duration_s=0.1)
     assert list(tmp_path.iterdir()) == []
 
@@ -307,7 +315,16 @@ def test_a_damaged_folder_is_named(seen, tmp_path):
 
 def test_the_command_writes_them(tmp_path, capsys):
     """The verb takes span, depth and settings, and prints what it wrote; a bad option is refused with exit code 2."""
-    words = ["images", "static_bench", str(tmp_path / "images"), "--json", "--every", "0.2", "--duration", "0.3"]
+    words = [
+        "images",
+        "static_bench",
+        str(tmp_path / "images"),
+        "--json",
+        "--every",
+        "0.2",
+        "--duration",
+        "0.3",
+    ]
     small = [word for key, value in SMALL.items() for word in ("--set", f"{key}={value}")]
     assert run([*words, *small]) == 0
     made = json.loads(capsys.readouterr().out)

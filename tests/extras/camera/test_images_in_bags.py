@@ -79,7 +79,8 @@ def test_bags_have_the_images_of_the_folder(bench, name):
             assert logged_ns == stamp_ns(image) == stamp_ns(info) == shot.t_ns
             assert image.header.frame_id == info.header.frame_id == "camera_optical_frame"
             matrix, d = (
-                getattr(info, key, None) if hasattr(info, key) else getattr(info, key.upper()) for key in ("k", "d")
+                getattr(info, key, None) if hasattr(info, key) else getattr(info, key.upper())
+                for key in ("k", "d")
             )
             np.testing.assert_array_equal(np.reshape(matrix, (3, 3)), lens.matrix)
             np.testing.assert_array_equal(d, SETTINGS["camera.distortion"])
@@ -123,7 +124,9 @@ def test_the_frame_of_the_camera_is_in_tf(bench):
 def test_images_need_the_truth_of_their_run(bench):
     """A capture with images but without truth is refused, and no bag is made."""
     _, place = bench
-    with pytest.raises(InputError, match="--images: found without --truth; expected --truth DIR of the same run"):
+    with pytest.raises(
+        InputError, match="--images: found without --truth; expected --truth DIR of the same run"
+    ):
         write_bag(place / "x.pcap", place / "none.mcap", images=place / "images")
     assert not (place / "none.mcap").exists()
 

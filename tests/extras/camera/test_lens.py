@@ -9,7 +9,12 @@ from vlp16emu.errors import InputError
 from vlp16emu.extras.camera.lens import Lens
 from vlp16emu.extras.camera.settings import Camera
 
-EUROC = {"focal_px": (458.654, 457.296), "principal_px": (367.215, 248.375), "width_px": 752, "height_px": 480}
+EUROC = {
+    "focal_px": (458.654, 457.296),
+    "principal_px": (367.215, 248.375),
+    "width_px": 752,
+    "height_px": 480,
+}
 BENT = (-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05, 0.005)
 """Camera 0 of the EuRoC data set (Burri et al., IJRR 2016), with a third radial coefficient of our own."""
 
@@ -29,14 +34,18 @@ def test_distortion_is_the_one_of_opencv():
     """Points project to the pixels of OpenCV's documented formula, all five coefficients included."""
     strong = Lens.of(Camera(**EUROC, distortion=(-0.28, 0.07, 0.003, -0.002, -0.01)))
     points_m = np.array([[0.4, -0.3, 1.0], [-2.0, 1.1, 4.0], [0.1, 0.7, 2.5], [0.0, 0.0, 3.0]])
-    np.testing.assert_allclose(strong.project(points_m), [opencv(strong, point) for point in points_m], atol=1e-10)
+    np.testing.assert_allclose(
+        strong.project(points_m), [opencv(strong, point) for point in points_m], atol=1e-10
+    )
 
 
 @pytest.mark.parametrize("distortion", [(0.0,) * 5, BENT, (0.1, -0.05, 0.001, 0.001, 0.0)])
 def test_rays_end_at_their_pixels(distortion):
     """Rays through places of the image, corners included, are unit vectors that project back there."""
     lens = Lens.of(Camera(**EUROC, distortion=distortion))
-    columns, rows = (of.ravel() for of in np.meshgrid(np.linspace(-0.5, 751.5, 40), np.linspace(-0.5, 479.5, 30)))
+    columns, rows = (
+        of.ravel() for of in np.meshgrid(np.linspace(-0.5, 751.5, 40), np.linspace(-0.5, 479.5, 30))
+    )
     rays = lens.rays(columns, rows)
     np.testing.assert_allclose(lens.project(rays), np.column_stack([columns, rows]), atol=1e-8)
     np.testing.assert_allclose(np.linalg.norm(rays, axis=1), 1.0, atol=1e-12)
@@ -54,5 +63,7 @@ def test_the_field_of_view_reaches_the_outer_edges():
 def test_a_distortion_that_folds_the_image_is_refused(distortion):
     """A lens that maps two rays to one place is named with its key."""
     lens = Lens.of(Camera(distortion=distortion))
-    with pytest.raises(InputError, match=r"camera.distortion: found .*; expected a distortion that maps no two rays"):
+    with pytest.raises(
+        InputError, match=r"camera.distortion: found .*; expected a distortion that maps no two rays"
+    ):
         lens.rays(np.array([0.0, 600.0]), np.array([0.0, 470.0]))

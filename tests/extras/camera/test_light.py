@@ -12,7 +12,13 @@ def spencer(when: datetime, latitude_deg: float, longitude_deg: float) -> np.nda
     """East, north, up to the sun by Fourier series (J. W. Spencer, Search 2(5), 1971, as in NOAA's solar calculator)."""
     hours = when.hour + when.minute / 60
     g = 2 * np.pi / 365 * (when.timetuple().tm_yday - 1 + (hours - 12) / 24)
-    fourier = 7.5e-5 + 0.001868 * np.cos(g) - 0.032077 * np.sin(g) - 0.014615 * np.cos(2 * g) - 0.040849 * np.sin(2 * g)
+    fourier = (
+        7.5e-5
+        + 0.001868 * np.cos(g)
+        - 0.032077 * np.sin(g)
+        - 0.014615 * np.cos(2 * g)
+        - 0.040849 * np.sin(2 * g)
+    )
     declination = 0.006918 - 0.399912 * np.cos(g) + 0.070257 * np.sin(g) - 0.006758 * np.cos(2 * g)
     declination += 0.000907 * np.sin(2 * g) - 0.002697 * np.cos(3 * g) + 0.00148 * np.sin(3 * g)
     hour = np.radians((60 * hours + 229.18 * fourier + 4 * longitude_deg) / 4 - 180)

@@ -58,7 +58,11 @@ def test_las_has_the_points_where_they_are(cloud, suffix):
     assert (read.point_source_id == 1).all()
     assert (read.classification == own["label"]).all()
     same = ("ring", "laser", "instance", "semantic", "part", "leaf_wood", "species")
-    others = {"treeID": own["tree_id"], "distance": own["distance_m"], "azimuth": own["azimuth_deg"].astype("f4")}
+    others = {
+        "treeID": own["tree_id"],
+        "distance": own["distance_m"],
+        "azimuth": own["azimuth_deg"].astype("f4"),
+    }
     others |= {"height_above_ground": own["height_m"], "vp_z": own["viewpoint_m"][:, 2]}
     for name, array in ({name: own[name] for name in same} | others).items():
         np.testing.assert_array_equal(read[name], array, err_msg=name)
@@ -73,11 +77,14 @@ def test_las_says_which_time_and_coordinate_system_it_has(cloud):
     t_s = own["t_ns"] / 1e9 - datetime(1980, 1, 6, tzinfo=UTC).timestamp() + 18 - 1e9
     np.testing.assert_allclose(read.gps_time, t_s, rtol=0, atol=3e-7)
     assert read.header.global_encoding.wkt
-    assert read.header.vlrs.get("WktCoordinateSystemVlr")[0].string.rstrip("\0") == local_wkt(62.24, 25.75, 312.5)
+    assert read.header.vlrs.get("WktCoordinateSystemVlr")[0].string.rstrip("\0") == local_wkt(
+        62.24, 25.75, 312.5
+    )
 
 
 @pytest.mark.parametrize(
-    ("utc", "leaps"), [("1980-01-06", 0), ("1981-07-01", 1), ("1998-12-31", 12), ("1999-01-01", 13), ("2016-12-31", 17)]
+    ("utc", "leaps"),
+    [("1980-01-06", 0), ("1981-07-01", 1), ("1998-12-31", 12), ("1999-01-01", 13), ("2016-12-31", 17)],
 )
 def test_leap_seconds_are_those_of_the_day(utc, leaps):
     """GPS time is ahead of UTC by the leap seconds since 1980 (IERS Bulletin C)."""
@@ -96,12 +103,18 @@ def test_returns_of_a_pulse_are_numbered_from_the_nearest(cloud):
     _, of_pulse, sizes = np.unique(pulse, return_inverse=True, return_counts=True)
     assert (sizes[of_pulse] == count).all()
     first = {int(t): r for t, r in zip(pulse[number == 1], own["distance_m"][number == 1], strict=True)}
-    assert all(first[int(t)] < r for t, r in zip(pulse[number == 2], own["distance_m"][number == 2], strict=True))
+    assert all(
+        first[int(t)] < r for t, r in zip(pulse[number == 2], own["distance_m"][number == 2], strict=True)
+    )
 
 
 def test_echoes_of_lasers_that_fire_at_once_are_kept_apart():
     """Two lasers at one instant are two pulses."""
-    t_ns, laser, distance_m = np.array([5, 5, 5, 9]), np.array([0, 0, 1, 1], "u2"), np.array([4.0, 3.0, 7.0, 8.0])
+    t_ns, laser, distance_m = (
+        np.array([5, 5, 5, 9]),
+        np.array([0, 0, 1, 1], "u2"),
+        np.array([4.0, 3.0, 7.0, 8.0]),
+    )
     block = {"t_ns": t_ns, "laser": laser, "distance_m": distance_m}
     number, count = echoes_of(block)
     assert (number.tolist(), count.tolist()) == ([2, 1, 1, 1], [2, 2, 1, 1])

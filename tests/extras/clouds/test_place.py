@@ -81,5 +81,7 @@ def test_tangents_move_points_aside_at_their_distance(head):
         np.stack([(moved * axis).sum(axis=1) for axis in (across, up)], axis=1), tangents, atol=1e-12
     )
     np.testing.assert_allclose(
-        off["world_m"], np.einsum("nab,nb->na", poses.world_R_body, off["sensor_m"]) + poses.world_p_body_m, atol=1e-11
+        off["world_m"],
+        np.einsum("nab,nb->na", poses.world_R_body, off["sensor_m"]) + poses.world_p_body_m,
+        atol=1e-11,
     )

@@ -44,7 +44,9 @@ def sequences_of(distance_lsb=None, reflectivity=None, **others):
 def noisy(sigma_mm, amplitude_mm=0.0):
     """Ranges of a wall with Gaussian noise and a beat of period five."""
     slot = (24 * NUMBER[:, None] + np.arange(16)) % 5
-    exact_mm = 5000 + DRAW.normal(0, sigma_mm, (COUNT, 16)) + amplitude_mm * np.cos(2 * np.pi * slot / 5 + 1.0)
+    exact_mm = (
+        5000 + DRAW.normal(0, sigma_mm, (COUNT, 16)) + amplitude_mm * np.cos(2 * np.pi * slot / 5 + 1.0)
+    )
     return np.rint(exact_mm / 2).astype(int)
 
 
@@ -171,7 +173,9 @@ def test_clocks_are_held_against_each_other():
     """A sensor 20 ppm fast, and a host 5 ppm slow against it."""
     packet = np.arange(COUNT // 24)
     clock_ns = np.floor((17.25 + 1327.104 * packet) * (1 + 20e-6)).astype(int) * 1000
-    found = statistics_of(sequences_of(clock_ns=clock_ns, stamp_ns=10**18 + (clock_ns * (1 - 5e-6)).astype(int)))
+    found = statistics_of(
+        sequences_of(clock_ns=clock_ns, stamp_ns=10**18 + (clock_ns * (1 - 5e-6)).astype(int))
+    )
     assert found["clock.error_ppm"] == pytest.approx(20, abs=0.1)
     assert found["clock.host_ppm"] == pytest.approx(-5, abs=0.1)
 

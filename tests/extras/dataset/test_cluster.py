@@ -66,7 +66,12 @@ def here():
     with (
         dask.config.set({"distributed.admin.system-monitor.interval": "1h"}),
         distributed.LocalCluster(
-            n_workers=1, threads_per_worker=1, processes=False, protocol="tcp", host="127.0.0.1", dashboard_address=":0"
+            n_workers=1,
+            threads_per_worker=1,
+            processes=False,
+            protocol="tcp",
+            host="127.0.0.1",
+            dashboard_address=":0",
         ) as made,
     ):
         yield made
@@ -81,7 +86,14 @@ def programs(tmp_path_factory):
 
     def start(name, *words):
         log = (folder / f"{name}.log").open("w")
-        command = [sys.executable, "-m", f"distributed.cli.dask_{words[0]}", "--host", "127.0.0.1", "--no-dashboard"]
+        command = [
+            sys.executable,
+            "-m",
+            f"distributed.cli.dask_{words[0]}",
+            "--host",
+            "127.0.0.1",
+            "--no-dashboard",
+        ]
         running[name] = subprocess.Popen([*command, *words[1:]], stderr=log, stdout=log)
         log.close()
 
@@ -132,7 +144,9 @@ def test_a_scheduler_that_is_killed_ends_the_run_in_one_line(programs, alone, tm
             running["scheduler"].kill()
             running["scheduler"].wait(LONGEST_S)
 
-    with pytest.raises(RunError, match=r"^tcp://127\.0\.0\.1:\d+: the scheduler is lost; what is made so far is kept$"):
+    with pytest.raises(
+        RunError, match=r"^tcp://127\.0\.0\.1:\d+: the scheduler is lost; what is made so far is kept$"
+    ):
         make_dataset(walks, out, scheduler=address, progress=progress)
     kept = len(json.loads((out / "manifest.json").read_text())["walks"])
     assert 1 <= kept < 4
@@ -176,7 +190,9 @@ def test_a_walk_of_another_version_is_refused(here, alone, tmp_path, monkeypatch
         return walk, folder, entry | {"written_by": "vlp16emu 0.0.9"}
 
     monkeypatch.setattr(cluster, "make_walk", another)
-    with pytest.raises(RunError, match=r"^walk a\.1\.middle\.puck: a worker has made .*, with vlp16emu 0\.0\.9$"):
+    with pytest.raises(
+        RunError, match=r"^walk a\.1\.middle\.puck: a worker has made .*, with vlp16emu 0\.0\.9$"
+    ):
         make_dataset(walks[:1], tmp_path / "out", scheduler=here.scheduler_address)
     assert not (tmp_path / "out" / "sequences").exists()
 
@@ -201,17 +217,27 @@ def versions(**others):
 def test_a_worker_of_another_version_is_named(others, found):
     """A worker without the program, or with another version of it or of Python, is one line before anything is made."""
     cluster.check_versions("tcp://s:3", versions())
-    with pytest.raises(InputError, match=f"^tcp://s:3: {found}.*expected vlp16emu .* on Python 3.*, as here$"):
+    with pytest.raises(
+        InputError, match=f"^tcp://s:3: {found}.*expected vlp16emu .* on Python 3.*, as here$"
+    ):
         cluster.check_versions("tcp://s:3", versions(**others))
 
 
 def test_a_scheduler_without_workers_is_one_line(tmp_path, monkeypatch):
     """Where no worker comes in time, the line says how to start one; no folder is made."""
     monkeypatch.setattr(cluster, "_FIRST_WORKER_WITHIN_S", 0.05)
-    options = {"n_workers": 0, "processes": False, "protocol": "tcp", "host": "127.0.0.1", "dashboard_address": ":0"}
+    options = {
+        "n_workers": 0,
+        "processes": False,
+        "protocol": "tcp",
+        "host": "127.0.0.1",
+        "dashboard_address": ":0",
+    }
     with (
         distributed.LocalCluster(**options) as empty,
-        pytest.raises(InputError, match=r"has no workers after 0 s; expected at least one: `dask worker tcp://"),
+        pytest.raises(
+            InputError, match=r"has no workers after 0 s; expected at least one: `dask worker tcp://"
+        ),
     ):
         make_dataset([], tmp_path / "out", scheduler=empty.scheduler_address)
     assert not (tmp_path / "out").exists()

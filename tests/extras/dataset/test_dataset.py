@@ -230,7 +230,10 @@ def test_a_plot_is_a_laz_file_that_others_read(tmp_path):
     (walk, *_) = walks_in(tmp_path, SPEC.replace("semantickitti", "las-plots"))
     make_dataset([walk], tmp_path / "out", workers=0)
     write_points(Emulator(walk.scenario), tmp_path / "points.npz", truth=True)
-    points, cloud = (np.load(tmp_path / "points.npz"), laspy.read(tmp_path / "out" / "walks" / "0000" / "points.laz"))
+    points, cloud = (
+        np.load(tmp_path / "points.npz"),
+        laspy.read(tmp_path / "out" / "walks" / "0000" / "points.laz"),
+    )
     np.testing.assert_allclose(cloud.xyz, points["world_m"], atol=1e-3)
     assert np.array_equal(cloud["instance"], points["instance"])
     assert set(cloud.classification) >= {2}  # ground
@@ -288,10 +291,14 @@ def test_an_estimate_is_near_what_is_made_and_makes_nothing(made, tmp_path):
 
 def test_an_estimate_of_many_sensors_measures_eight(tmp_path, monkeypatch):
     """Of twelve sensors eight are measured, and the others are taken as their mean."""
-    sensors = ", ".join(f'{{ name = "s{n}", set = ["sensor.model=free", "sensor.beams={n}"] }}' for n in range(1, 13))
+    sensors = ", ".join(
+        f'{{ name = "s{n}", set = ["sensor.model=free", "sensor.beams={n}"] }}' for n in range(1, 13)
+    )
     text = re.sub(r"sensors = .*", f"sensors = [{sensors}]", SPEC).replace("seeds = [1, 2]", "seeds = [1]")
     walks = [walk for walk in walks_in(tmp_path, text) if walk.stand == "a"]
-    monkeypatch.setitem(LAYOUTS, "semantickitti", lambda _, folder, span: (folder / "x").write_bytes(bytes(1000)))
+    monkeypatch.setitem(
+        LAYOUTS, "semantickitti", lambda _, folder, span: (folder / "x").write_bytes(bytes(1000))
+    )
     estimate = estimate_dataset(walks, tmp_path / "out", workers=1)
     assert (estimate.kinds, len(estimate.probes), estimate.bytes) == (12, 8, 12_000)
 

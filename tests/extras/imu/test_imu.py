@@ -47,7 +47,9 @@ def test_at_rest_it_reads_gravity_upwards(unit):
     np.testing.assert_allclose(level.specific_force_m_s2, [[0, 0, 9.80665]] * 10, atol=1e-15)
     assert not level.angular_rate_rad_s.any()
     tilted = unit(motion=StaticMotion(np.zeros(3), 45.0, 30.0, 0.0)).read(0, 1)
-    np.testing.assert_allclose(tilted.specific_force_m_s2[0], GRAVITY_M_S2 * np.array([-0.5, 0, np.sqrt(0.75)]))
+    np.testing.assert_allclose(
+        tilted.specific_force_m_s2[0], GRAVITY_M_S2 * np.array([-0.5, 0, np.sqrt(0.75)])
+    )
 
 
 def test_on_a_circle_it_reads_the_turn_and_the_pull_inwards(unit):
@@ -57,7 +59,9 @@ def test_on_a_circle_it_reads_the_turn_and_the_pull_inwards(unit):
     np.testing.assert_allclose(read.angular_rate_rad_s, [[0, 0, 0.15]] * 400, atol=1e-8)
     np.testing.assert_allclose(read.specific_force_m_s2, [[0, 0.18, GRAVITY_M_S2]] * 400, atol=1e-8)
     inner = mounted(carrier, Mount(lever_arm_m=(0.0, 1.0, 0.0)), START_NS)
-    np.testing.assert_allclose(unit(motion=inner).read(1000, 9).specific_force_m_s2[:, 1], 0.18 * 7 / 8, atol=1e-8)
+    np.testing.assert_allclose(
+        unit(motion=inner).read(1000, 9).specific_force_m_s2[:, 1], 0.18 * 7 / 8, atol=1e-8
+    )
 
 
 def test_samples_come_at_the_exact_rate(unit):
@@ -92,7 +96,8 @@ def test_random_walk_spreads_with_the_root_of_time(unit):
     """Over many units the bias after n samples is normal with the root of n, within and beyond a stretch."""
     for sample in (900, 4096, 100_000):
         ends = [
-            unit(gyro_walk_rad_s2_sqrt_hz=1.0, rate_hz=1, seed=s).read(sample, 1).angular_rate_rad_s for s in range(150)
+            unit(gyro_walk_rad_s2_sqrt_hz=1.0, rate_hz=1, seed=s).read(sample, 1).angular_rate_rad_s
+            for s in range(150)
         ]
         assert stats.kstest(np.ravel(ends) / np.sqrt(sample), "norm").pvalue > 0.001
 
@@ -135,7 +140,9 @@ def test_an_attitude_without_errors_is_the_true_one(unit):
     tilted = StaticMotion(np.zeros(3), 50.0, 20.0, -10.0)
     read = unit(motion=tilted, attitude=True).read(0, 3)
     np.testing.assert_allclose(
-        read.world_R_imu, np.broadcast_to(tilted.poses_at(np.zeros(1, np.int64)).world_R_body, (3, 3, 3)), atol=1e-15
+        read.world_R_imu,
+        np.broadcast_to(tilted.poses_at(np.zeros(1, np.int64)).world_R_body, (3, 3, 3)),
+        atol=1e-15,
     )
     assert unit().read(0, 3).world_R_imu is None
 
@@ -157,7 +164,9 @@ def test_the_heading_drifts_with_the_gyroscopes(unit):
     late = biased.read(200 * 60, 1)
     heading = Rotation.from_matrix(late.world_R_imu).as_euler("zyx")[0, 0]
     assert heading == pytest.approx(60 * late.gyro_bias_rad_s[0, 2], abs=1e-12)
-    sway = mounted(StaticMotion(np.zeros(3), 0.0, 0.0, 0.0), Mount(spin_hz=2.0, spin_axis=(0.04, 0.0, 1.0)), START_NS)
+    sway = mounted(
+        StaticMotion(np.zeros(3), 0.0, 0.0, 0.0), Mount(spin_hz=2.0, spin_axis=(0.04, 0.0, 1.0)), START_NS
+    )
     late = unit(motion=sway, attitude=True, gyro_bias_rad_s=1e-3).read(200 * 600, 200)
     off = late.world_R_imu @ sway.poses_at(late.t_ns).world_R_body.swapaxes(1, 2)
     assert np.ptp(np.diff(Rotation.from_matrix(off).as_euler("zyx")[:, 0])) < 1e-9

@@ -64,7 +64,9 @@ def test_every_kind_of_file_gives_the_same_solid(tmp_path, caplog, kind):
     assert not caplog.records
 
 
-@pytest.mark.parametrize(("unit", "metres"), [("m", 1), ("cm", 0.01), ("mm", 0.001), ("in", 0.0254), ("ft", 0.3048)])
+@pytest.mark.parametrize(
+    ("unit", "metres"), [("m", 1), ("cm", 0.01), ("mm", 0.001), ("in", 0.0254), ("ft", 0.3048)]
+)
 def test_units_become_metres(tmp_path, unit, metres):
     """A length of 5 in the file's unit is that many metres."""
     mesh = load(tmp_path, CORNERS.replace("1", "5") + TETRAHEDRON, unit=unit)
@@ -97,7 +99,9 @@ def test_tabs_and_comments_change_nothing(tmp_path):
         .replace("v 1 0", "  v\t1 0")
         .replace(" 3\n", " 3 # one\tof four\n")
     )
-    np.testing.assert_array_equal(triangles(load(tmp_path, odd)), triangles(load(tmp_path, CORNERS + TETRAHEDRON)))
+    np.testing.assert_array_equal(
+        triangles(load(tmp_path, odd)), triangles(load(tmp_path, CORNERS + TETRAHEDRON))
+    )
 
 
 def test_objects_and_groups_are_parts(tmp_path):
@@ -275,7 +279,10 @@ def test_meshes_come_after_what_is_there():
     assert added["reflectance"] == pytest.approx([0.5, 0.4] * 2)
     assert [world.materials[m] for m in added["material"]] == ["tree.obj leaves", "tree.obj stem"] * 2
     assert world.shape(window.shapes[-1]) == (TRIANGLE, TRIANGLE)
-    assert world.shape(own.shapes[0])[0].vertices_m.tobytes() == hall.shape(own.shapes[0])[0].vertices_m.tobytes()
+    assert (
+        world.shape(own.shapes[0])[0].vertices_m.tobytes()
+        == hall.shape(own.shapes[0])[0].vertices_m.tobytes()
+    )
 
 
 @pytest.mark.parametrize(("one_thing", "expected"), [(True, [0, 0, 1, 1, 2, 2]), (False, [0, 1, 2, 3, 4, 5])])
@@ -286,7 +293,9 @@ def test_each_place_is_a_thing_or_each_part_is(one_thing, expected):
     added = world.window(TRACK_M).surfaces[2:]
     assert (added["instance"].astype(np.int64) - FIRST_FREE_INSTANCE).tolist() == expected
     assert set(world.names) == set(added["instance"].tolist())
-    assert world.names[FIRST_FREE_INSTANCE] == ("tree.obj" if one_thing else "tree.obj leaves") + " at (4, 0) m"
+    assert (
+        world.names[FIRST_FREE_INSTANCE] == ("tree.obj" if one_thing else "tree.obj leaves") + " at (4, 0) m"
+    )
 
 
 @pytest.mark.parametrize(

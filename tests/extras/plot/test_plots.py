@@ -82,7 +82,14 @@ def accuracy():
         {"name": "world.near_m=inf", "in_use": False, "us_per_pulse": 9.0, "means": explicit},
     ]
     choices = [{"wanted_m": 0.05, "take": "beam.model=fixed rays=8"}]
-    return {"report": "accuracy", "scene": "wood", "seed": 1, "rows": rows, "foliage": worlds, "choices": choices}
+    return {
+        "report": "accuracy",
+        "scene": "wood",
+        "seed": 1,
+        "rows": rows,
+        "foliage": worlds,
+        "choices": choices,
+    }
 
 
 def tree(kind, x_m, dbh_m, range_m, dbh_error_m=None):
@@ -100,7 +107,12 @@ def score():
         "inputs": {"truth": "truth", "map": None},
         "reference": {"title": "A <wood>", "seed": 7, "world": "forest"},
     }
-    head = {"report": "score", "written_by": "vlp16emu 0", "notes": {"stems": "all"}, "missed": ["ate_m is 1"]}
+    head = {
+        "report": "score",
+        "written_by": "vlp16emu 0",
+        "notes": {"stems": "all"},
+        "missed": ["ate_m is 1"],
+    }
     return {**head, **about, "scores": scores, "path": PATH, "trees": trees}
 
 
@@ -175,7 +187,9 @@ def test_a_score_shows_path_errors_and_stems(drawn):
     assert artists["dbh-errors"].get_offsets().data == pytest.approx(np.array([[30.0, 1.0]]))
     for name, classes in (("true_dbh_m", (10.0, 30.0)), ("range_m", (2.0, 9.0))):
         figure = figure_of(score())
-        bars = [patch for axes in figure.axes for patch in axes.patches if patch.get_gid() == f"missed-by-{name}"]
+        bars = [
+            patch for axes in figure.axes for patch in axes.patches if patch.get_gid() == f"missed-by-{name}"
+        ]
         at = [bar.get_x() for bar in bars if bar.get_height()]
         assert at == pytest.approx([min(classes) if name == "true_dbh_m" else max(classes) - (7 / 8)])
 
@@ -185,7 +199,9 @@ def test_a_score_without_a_path_or_stems_draws_the_rest(drawn):
     assert "found-path" not in drawn({**score(), "path": None})
     short = {**score(), "trees": [], "path": {**PATH, "drift_at_m": [], "drift_percent": []}}
     assert "drift" not in drawn(short)
-    assert any(text.get_text() == "path shorter than 10 m" for axes in figure_of(short).axes for text in axes.texts)
+    assert any(
+        text.get_text() == "path shorter than 10 m" for axes in figure_of(short).axes for text in axes.texts
+    )
 
 
 def test_histograms_have_the_shares_of_both_captures(drawn):
@@ -193,7 +209,9 @@ def test_histograms_have_the_shares_of_both_captures(drawn):
     artists = drawn(compare())
     assert artists["histogram-0-first"].get_data().values.tolist() == [25.0, 75.0]
     assert "histogram-0-second" not in artists
-    (texts,) = ([text.get_text() for text in axes.get_legend().get_texts()] for axes in figure_of(compare()).axes[:1])
+    (texts,) = (
+        [text.get_text() for text in axes.get_legend().get_texts()] for axes in figure_of(compare()).axes[:1]
+    )
     assert texts == ["a.pcap: 4", "b.pcap: none"]
     assert artists["distance-a"].get_width() == 2.0
     assert artists["distance-a"].get_facecolor() != artists["distance-b"].get_facecolor()
@@ -231,8 +249,16 @@ def test_stems_that_the_path_hardly_sees_are_hollow(drawn):
 def test_a_hall_has_walls_things_and_the_sensor(drawn):
     """Walls and things are rectangles of their sizes, and the sensor is at its place."""
     crate = {"name": "crate", "kind": "other", "place_m": [2.0, 1.0, 0.5], "size_m": [2.0, 1.0, 1.0]}
-    report = {"report": "forest", "scene": "hall", "title": "A hall", "named": [crate], "hall_m": [10.0, 6.0, 3.0]}
-    artists = drawn({**report, "path": {"start_m": [0.5, 0.0, 1.5], "end_m": [0.5, 0.0, 1.5], "length_m": 0.0}})
+    report = {
+        "report": "forest",
+        "scene": "hall",
+        "title": "A hall",
+        "named": [crate],
+        "hall_m": [10.0, 6.0, 3.0],
+    }
+    artists = drawn(
+        {**report, "path": {"start_m": [0.5, 0.0, 1.5], "end_m": [0.5, 0.0, 1.5], "length_m": 0.0}}
+    )
     assert artists["walls"].get_bbox().bounds == (-5.0, -3.0, 10.0, 6.0)
     assert artists["thing-crate"].get_bbox().bounds == (1.0, 0.5, 2.0, 1.0)
     assert artists["sensor"].get_xydata().tolist() == [[0.5, 0.0]]
@@ -301,7 +327,10 @@ def test_every_score_has_a_meaning():
     [
         ("[1]", "found no JSON object"),
         ("{", "no JSON"),
-        ('{"report": "doctor"}', "report: found doctor; expected a report of accuracy, compare, forest, plan, score"),
+        (
+            '{"report": "doctor"}',
+            "report: found doctor; expected a report of accuracy, compare, forest, plan, score",
+        ),
         ('{"report": "plan"}', "cannot be drawn"),
     ],
 )

@@ -116,7 +116,9 @@ def test_camera_axes_become_those_of_a_body():
     some = poses([0.0, 1.0], [[0.0, 0.0, 0.0], [-0.1, -0.2, 3.0]], quaternion)
     found = recorded(some, axes="camera").poses_at(instants([1.0]))
     np.testing.assert_allclose(found.world_p_body_m[0], [3.0, 0.1, 0.2], atol=1e-12)
-    np.testing.assert_allclose(found.world_R_body[0] @ [1.0, 0.0, 0.0], [np.cos(0.5), np.sin(0.5), 0.0], atol=1e-12)
+    np.testing.assert_allclose(
+        found.world_R_body[0] @ [1.0, 0.0, 0.0], [np.cos(0.5), np.sin(0.5), 0.0], atol=1e-12
+    )
 
 
 def test_a_pose_does_not_depend_on_its_company():
@@ -217,7 +219,10 @@ BAD_TUM = [
     (LINE + "0.2 1 2 nan 0 0 0 1\n", ", line 2, column z_m: found nan; expected a number"),
     (LINE + "nan 1 2 3 0 0 0 1\n", ", line 2, column t_s: found nan; expected at most 4611686018 s"),
     (LINE + LINE, ", line 2: the time of the pose before; expected times that grow"),
-    (LINE + "\n0.05 1 2 3 0 0 0 1\n", ", line 3: a time 0.05 s before the pose before; expected times that grow"),
+    (
+        LINE + "\n0.05 1 2 3 0 0 0 1\n",
+        ", line 3: a time 0.05 s before the pose before; expected times that grow",
+    ),
     (LINE + "0.2 1 2 3 0 0 0 1.002\n", ", line 2: a quaternion of length 1.002; expected length 1, to 0.001"),
     (LINE + "0.2 1 2 3 0 0 0 0\n", ", line 2: a quaternion of length 0; expected length 1, to 0.001"),
 ]

@@ -173,7 +173,14 @@ def test_average_precision_by_hand():
 
 def test_a_missed_threshold_is_exit_code_1(truth, capsys):
     """Each threshold that is missed is named with its value; an unknown one is bad input."""
-    arguments = ["score", str(truth), "--stems", str(truth / "trees.csv"), "--inventory", str(truth / "trees.csv")]
+    arguments = [
+        "score",
+        str(truth),
+        "--stems",
+        str(truth / "trees.csv"),
+        "--inventory",
+        str(truth / "trees.csv"),
+    ]
     assert app.run([*arguments, "--require", "stem_recall>=1", "--require", "dbh_m<0.01"]) == 0
     assert app.run([*arguments, "--require", "stem_recall>1"]) == 1
     assert "missed: stem_recall is 1, required > 1" in capsys.readouterr().out
@@ -197,7 +204,13 @@ def walk_of(path, duration_s=130.0, rate_hz=20):
     sway = 2 * np.pi * 0.95 * t_s
     place_m = t_s, 0.03 * np.sin(sway), 0.02 * np.sin(2 * sway)
     rows = np.column_stack(
-        [1000 + t_s, *place_m, np.sin(0.02 * np.sin(sway)), *np.zeros((2, len(t_s))), np.cos(0.02 * np.sin(sway))]
+        [
+            1000 + t_s,
+            *place_m,
+            np.sin(0.02 * np.sin(sway)),
+            *np.zeros((2, len(t_s))),
+            np.cos(0.02 * np.sin(sway)),
+        ]
     )
     np.savetxt(path, rows, fmt="%.9f")
     return rows
@@ -331,7 +344,9 @@ def test_arrays_that_are_no_table_are_one_line(tmp_path):
     """Labels for other points and places in a plane are refused."""
     for xyz, instance in ((np.zeros((3, 3)), [1, 2]), (np.zeros((3, 2)), [1, 2, 3])):
         np.savez(tmp_path / "a.npz", xyz=xyz, instance=instance)
-        with pytest.raises(InputError, match=r"a\.npz: (cannot be read \(all the input|found positions of 2)"):
+        with pytest.raises(
+            InputError, match=r"a\.npz: (cannot be read \(all the input|found positions of 2)"
+        ):
             read_cloud(tmp_path / "a.npz")
 
 
@@ -348,7 +363,9 @@ def test_an_inventory_without_trees_has_none_to_find(tmp_path):
 def test_a_report_has_the_errors_along_the_path(truth, capsys):
     """An estimate that stays behind has its error at each pose over time and distance, thinned to a thousand poses, and the drift of each ten metres."""
     rows = np.loadtxt(truth / "trajectory.tum")
-    fine = np.column_stack([np.interp(np.linspace(1000, 1009, 3001), rows[:, 0], column) for column in rows.T])
+    fine = np.column_stack(
+        [np.interp(np.linspace(1000, 1009, 3001), rows[:, 0], column) for column in rows.T]
+    )
     fine[:, 6:] /= np.linalg.norm(fine[:, 6:], axis=1, keepdims=True)
     fine[:, 1] *= 0.99
     np.savetxt(truth / "slow.tum", fine, fmt="%.9f")
@@ -366,7 +383,9 @@ def test_trees_have_their_distance_from_the_path(truth, capsys):
     """The range of a tree, found or missed, is its distance from the nearest point of the true path; without a path it is unknown."""
     _, card = scored(capsys, truth, "--stems", truth / "trees.csv", "--inventory", truth / "trees.csv")
     ranges = {row["true_id"]: row["range_m"] for row in card["trees"]}
-    assert ranges["3"] == pytest.approx(math.hypot(80 - 9 * math.sin(0.99), 3 - 9 * (1 - math.cos(0.99))), abs=0.1)
+    assert ranges["3"] == pytest.approx(
+        math.hypot(80 - 9 * math.sin(0.99), 3 - 9 * (1 - math.cos(0.99))), abs=0.1
+    )
     assert ranges["1"] == pytest.approx(9 - math.hypot(4, 9 - 3), abs=0.1)  # from the arc about (0, 9)
     (truth / "rig.json").unlink()
     _, card = scored(capsys, truth, "--stems", truth / "trees.csv", "--inventory", truth / "trees.csv")

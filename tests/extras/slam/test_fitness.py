@@ -21,7 +21,9 @@ from rosbags.typesys import Stores, get_typestore
 
 SETTINGS = {"beam.model": "none", "imu.preset": "consumer", "imu.attitude": True}
 CAPTURE = Path(__file__).resolve().parents[4] / "shared" / "captures" / "mrpt_vlp16_gps.pcap"
-POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")])
+POINT = np.dtype(
+    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")]
+)
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 NONE = lambda _: np.array([-1.0, *[0.0] * 8])  # noqa: E731  # covariance that says that there is no estimate
 TYPES = ("sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Imu", "tf2_msgs/msg/TFMessage")
@@ -92,7 +94,9 @@ def column(name, change):
 
 
 def samples(**fields):
-    return on("/imu/data", lambda message: replace(message, **{name: of(message) for name, of in fields.items()}))
+    return on(
+        "/imu/data", lambda message: replace(message, **{name: of(message) for name, of in fields.items()})
+    )
 
 
 def vector(name, **axes):
@@ -106,7 +110,9 @@ def vector(name, **axes):
 
 
 def scaled(factor):
-    return samples(linear_acceleration=vector("linear_acceleration", **dict.fromkeys("xyz", lambda a: a * factor)))
+    return samples(
+        linear_acceleration=vector("linear_acceleration", **dict.fromkeys("xyz", lambda a: a * factor))
+    )
 
 
 def renamed(topic, other):
@@ -116,7 +122,8 @@ def renamed(topic, other):
 def second_parent(message):
     first = message.transforms[0]
     return replace(
-        message, transforms=[*message.transforms, replace(first, header=replace(first.header, frame_id="map"))]
+        message,
+        transforms=[*message.transforms, replace(first, header=replace(first.header, frame_id="map"))],
     )
 
 
@@ -125,7 +132,9 @@ def apart(message):
         T = one.transform
         return replace(one, transform=replace(T, translation=replace(T.translation, x=0.05)))
 
-    return replace(message, transforms=[shifted(t) if t.child_frame_id == "imu" else t for t in message.transforms])
+    return replace(
+        message, transforms=[shifted(t) if t.child_frame_id == "imu" else t for t in message.transforms]
+    )
 
 
 def moving_body(message):
@@ -185,7 +194,9 @@ def test_each_damage_is_found(rest, tmp_path, name):
     damage, rule, reported = DAMAGES[name]
     found = fitness(write(tmp_path / "bag", [made for one in rest if (made := damage(one))]), "all")
     assert {one.rule for one in found.findings} == {rule}
-    assert {one.program for one in found.findings} == {one.name for one in programs().values() if rule in one.needs}
+    assert {one.program for one in found.findings} == {
+        one.name for one in programs().values() if rule in one.needs
+    }
     for program, words in reported.items():
         (finding,) = found.of(program)
         assert words in str(finding)
@@ -228,7 +239,10 @@ def test_what_is_no_bag_is_one_line(rest, tmp_path, refused, words, line):
     (tf,) = (message for topic, _, message in rest if topic == "/tf_static")
     zero = replace(tf.transforms[0].transform.rotation, w=0.0)
     turnless = replace(tf.transforms[0], transform=replace(tf.transforms[0].transform, rotation=zero))
-    write(tmp_path / "turnless", map(on("/tf_static", lambda message: replace(message, transforms=[turnless])), rest))
+    write(
+        tmp_path / "turnless",
+        map(on("/tf_static", lambda message: replace(message, transforms=[turnless])), rest),
+    )
     write(tmp_path / "flat", map(points(z={"name": "height"}), rest))
     torn = write(tmp_path / "torn", rest) / "torn.mcap"
     torn.write_bytes(torn.read_bytes().replace(b"/imu/data", b"/imu/\xe4ata"))

@@ -38,7 +38,9 @@ def test_files_of_somebody_else_stay(tmp_path, scenario):
     (tmp_path / "imu.csv").write_text("mine")
     if scenario is not None:
         (tmp_path / "scenario.json").write_text(scenario)
-    with pytest.raises(OutputError, match=r"holds imu\.csv; expected a new or empty folder, or one with the truth"):
+    with pytest.raises(
+        OutputError, match=r"holds imu\.csv; expected a new or empty folder, or one with the truth"
+    ):
         TruthFolder(tmp_path)
     assert (tmp_path / "imu.csv").read_text() == "mine"
 
@@ -148,4 +150,7 @@ def test_a_folder_that_became_somebody_elses_stays(tmp_path):
     with pytest.raises(RunError, match=r"x: holds mine; it is left as .*x\.[0-9a-f]{8}\.part"):
         meanwhile()
     (left,) = tmp_path.glob("x.*.part")
-    assert ([*map(str, place.iterdir())], [path.name for path in left.iterdir()]) == ([f"{place}/mine"], ["imu.csv"])
+    assert ([*map(str, place.iterdir())], [path.name for path in left.iterdir()]) == (
+        [f"{place}/mine"],
+        ["imu.csv"],
+    )

@@ -42,7 +42,9 @@ class Traffic:
         """Overwrite bytes of a position payload and bring its checksum up to date."""
         payload = bytearray(self.frames[i][42:])
         payload[offset : offset + len(content)] = content
-        self.frames[i][:] = position_frame(FACTORY_LINK, bytes(payload), int.from_bytes(self.frames[i][18:20]))
+        self.frames[i][:] = position_frame(
+            FACTORY_LINK, bytes(payload), int.from_bytes(self.frames[i][18:20])
+        )
 
     @staticmethod
     def sentence(second):
@@ -107,7 +109,9 @@ def position_frames(seconds):
         payload[198:203] = struct.pack("<IB", (START_US + since_us) % 3_600_000_000, 2)
         text = Traffic.sentence((since_us - 400_000) // 1_000_000)
         payload[206 : 206 + len(text)] = text
-        frames.append((START_US + since_us + 350, position_frame(FACTORY_LINK, bytes(payload), 65_500 + number)))
+        frames.append(
+            (START_US + since_us + 350, position_frame(FACTORY_LINK, bytes(payload), 65_500 + number))
+        )
     return frames
 
 
@@ -121,6 +125,8 @@ def clean(seconds, rpm, *, dual):
 def traffic(tmp_path):
     def make(seconds=2.2, rpm=600, *, dual=False):
         pairs = clean(seconds, rpm, dual=dual)
-        return Traffic([stamp_us for stamp_us, _ in pairs], [bytearray(frame) for _, frame in pairs], tmp_path)
+        return Traffic(
+            [stamp_us for stamp_us, _ in pairs], [bytearray(frame) for _, frame in pairs], tmp_path
+        )
 
     return make

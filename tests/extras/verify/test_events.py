@@ -129,14 +129,21 @@ def test_what_happens_to_a_sensor_is_named(verified, name):
     events, duration_s, tables, rules = RUNS[name]
     run = emulator(*events, duration_s=duration_s, **tables)
     found, result = verified(run.packets())
-    data = {Rule.LOST_PACKETS, Rule.HEADER} if name == "power cycle" else set()  # the count of packets begins anew
+    data = (
+        {Rule.LOST_PACKETS, Rule.HEADER} if name == "power cycle" else set()
+    )  # the count of packets begins anew
     assert set(found) - data == set(rules)
     assert all(any(words in text for text in found[rule]) for rule, words in rules.items())
     assert result.void_sentences == 3 or not name.startswith("void")
     if name == "power cycle":
         # Its clock begins at 0 whole seconds after the start; the next pulse resets its sub-seconds (63-9243, app. G).
-        step_us, since_second_us = int(found[Rule.TIME_STEP][0].split()[2]), run.scenario.start_ns % S_NS / 1000
-        assert (step_us - since_second_us) % 10**6 == pytest.approx(1327.1, abs=1.5)  # packets are so far apart
+        step_us, since_second_us = (
+            int(found[Rule.TIME_STEP][0].split()[2]),
+            run.scenario.start_ns % S_NS / 1000,
+        )
+        assert (step_us - since_second_us) % 10**6 == pytest.approx(
+            1327.1, abs=1.5
+        )  # packets are so far apart
 
 
 def test_garbled_sentences(verified):

@@ -20,7 +20,9 @@ def test_lost_packets_are_one_finding_and_no_cascade(traffic, kind, first, count
     of_kind = getattr(made, kind)()
     made.drop(of_kind[first : first + count])
     result = made.verified()
-    assert [(f.rule, f.packet) for f in result.findings] == [(Rule.LOST_PACKETS, of_kind[first + count] - count + 1)]
+    assert [(f.rule, f.packet) for f in result.findings] == [
+        (Rule.LOST_PACKETS, of_kind[first + count] - count + 1)
+    ]
     assert result.findings[0].found == f"{count} {kind} packets missing before it"
     assert result.lost_packets == count
 
@@ -80,7 +82,10 @@ def test_speed_outside_the_range_is_found(traffic, rpm):
 def test_old_sentence_is_found_only_while_locked(traffic):
     """A sentence of three seconds before is an error with lock, and without lock a note beside the error that lock is lost."""
     lost = {Rule.PPS}
-    for pps, broken, notes in ((2, {Rule.NMEA_SECOND}, set()), *((pps, lost, {Rule.NMEA_SECOND}) for pps in (0, 1, 3))):
+    for pps, broken, notes in (
+        (2, {Rule.NMEA_SECOND}, set()),
+        *((pps, lost, {Rule.NMEA_SECOND}) for pps in (0, 1, 3)),
+    ):
         made = traffic(1.2)
         i = made.position(160)
         made.write_position(i, 206, made.sentence(-2))
@@ -138,7 +143,9 @@ def test_rates_are_found(traffic):
     made.stamps_us = [made.stamps_us[0] + (t - made.stamps_us[0]) // 2 for t in made.stamps_us]
     result = made.verified()
     assert set(result.counts) == {Rule.DATA_RATE, Rule.POSITION_RATE, Rule.CLOCK_DRIFT}
-    assert {f.found for f in result.findings if f.rule is Rule.DATA_RATE} == {"1507.0 data packets per second"}
+    assert {f.found for f in result.findings if f.rule is Rule.DATA_RATE} == {
+        "1507.0 data packets per second"
+    }
 
 
 def test_change_of_mode_is_found_once(traffic):

@@ -136,7 +136,9 @@ def test_batches_hold_sent_packets_with_their_poses(ends, truth):
         if mine.slots is not None:
             assert set(mine.slots.dtype.names) == set(Labels.__slots__)
             np.testing.assert_array_equal(mine.slots["semantic"], theirs_.slots["semantic"])
-    assert batches[-1].sent == {kind: sum(packet.kind is kind for packet in sent) for kind in batches[-1].sent}
+    assert batches[-1].sent == {
+        kind: sum(packet.kind is kind for packet in sent) for kind in batches[-1].sent
+    }
     assert batches[-1].web == (("127.0.0.1", 1), ("127.0.0.1", 2))
     assert batches[-1].lateness.packets == len(sent)
 
@@ -202,7 +204,10 @@ def children():
 def test_a_page_that_cannot_begin_is_one_error(emulator, monkeypatch):
     """If its process ends at once, the error says so."""
     monkeypatch.setattr("sys.executable", "/bin/false")
-    with pytest.raises(RunError, match="the page in the browser has ended before it began"), live_page(emulator, 0):
+    with (
+        pytest.raises(RunError, match="the page in the browser has ended before it began"),
+        live_page(emulator, 0),
+    ):
         pass
 
 
@@ -320,7 +325,11 @@ def test_controls_set_the_sensor_and_show_what_others_set(server):
         wait_until(lambda: live.packets(10)[-1][MODE_AT] == 0x38)
         for index, value in ((2, False), (3, 90), (4, 270), (5, True), (6, 45.0)):
             move(index, value)
-        wait_until(lambda: panel._ask("GET", "/cgi/settings.json")["phaselock"] == {"enabled": "On", "offset": "4500"})
+        wait_until(
+            lambda: (
+                panel._ask("GET", "/cgi/settings.json")["phaselock"] == {"enabled": "On", "offset": "4500"}
+            )
+        )
         settings = panel._ask("GET", "/cgi/settings.json")
         assert (settings["laser"], settings["fov"]) == ("Off", {"start": 90, "end": 270})
         live.set(rpm=1200)
@@ -343,7 +352,17 @@ def test_a_browser_shows_the_stream_and_sets_the_sensor():
     """Chromium shows points and state; the return mode and the speed that are chosen there arrive in the packets that leave."""
     sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     listener = Listener()
-    command = [sys.executable, "-m", "vlp16emu", "stream", "static_bench", "--view", *FREE, "--duration", "600"]
+    command = [
+        sys.executable,
+        "-m",
+        "vlp16emu",
+        "stream",
+        "static_bench",
+        "--view",
+        *FREE,
+        "--duration",
+        "600",
+    ]
     command += ["--to", f"127.0.0.1:{listener.port}", "--no-keep-up"]
     del command[command.index("--data-port") : command.index("--data-port") + 2]
     with (
@@ -369,6 +388,13 @@ def test_a_browser_shows_the_stream_and_sets_the_sensor():
     payloads = listener.end()
     assert (payloads[0][MODE_AT], payloads[-1][MODE_AT]) == (0x37, 0x39)
     blocks = (
-        np.frombuffer(payloads[-1][:1200], np.uint8).reshape(12, 100)[:, 2:4].copy().view("<u2").astype(int).ravel()
+        np.frombuffer(payloads[-1][:1200], np.uint8)
+        .reshape(12, 100)[:, 2:4]
+        .copy()
+        .view("<u2")
+        .astype(int)
+        .ravel()
     )
-    assert np.median(np.diff(blocks[::2]) % 36_000) == pytest.approx(79.6, abs=2)  # hundredths of a degree at 1200 rpm
+    assert np.median(np.diff(blocks[::2]) % 36_000) == pytest.approx(
+        79.6, abs=2
+    )  # hundredths of a degree at 1200 rpm

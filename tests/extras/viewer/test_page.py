@@ -69,7 +69,12 @@ def test_requests_for_others_are_refused(host, origin, ours):
 def test_the_page_is_there_and_no_file_beside_it(port):
     """The page loads; paths that lead elsewhere find nothing, and neither pages nor sockets of others are answered."""
     assert status(port) == 200
-    for path in ("/../../../../etc/passwd", "/%2e%2e/%2e%2e/etc/passwd", "/..%5c..%5cetc/passwd", "//etc/passwd"):
+    for path in (
+        "/../../../../etc/passwd",
+        "/%2e%2e/%2e%2e/etc/passwd",
+        "/..%5c..%5cetc/passwd",
+        "//etc/passwd",
+    ):
         assert status(port, path) == 404, path
     assert status(port, Host="evil.example") == 403
     assert status(port, Origin="http://evil.example") == 403
@@ -96,7 +101,12 @@ def test_a_capture_is_shown_whatever_a_client_sets(server, tmp_path):
     """A capture has its points by range; numbers and words that no control has give a picture of the least or the default."""
     Emulator("static_bench", {"duration_s": 0.5}).record(tmp_path / "bench.pcap")
     page = capture_page(server, tmp_path / "bench.pcap", None, 1)
-    page._slider.value, page._size.value, page._together.value, page._layer.value = float("nan"), -1e9, -3, "no layer"
+    page._slider.value, page._size.value, page._together.value, page._layer.value = (
+        float("nan"),
+        -1e9,
+        -3,
+        "no layer",
+    )
     page._draw()
     points = server.scene._handle_from_node_name["/sweep"]
     assert len(points.points) > 5_000
@@ -122,7 +132,12 @@ WAIT_MS = 120_000
 BIRCH = '{ species = "silver_birch", share = 1.0, dbh_cm = 18.0, height_m = 9.0 }'
 BIRCHES = (
     f'world={{ kind = "forest", stems_per_ha = 150, species = [{BIRCH}] }}',
-    *("motion.way_points_m=[[0, 0], [4, 0], [8, 1]]", "sensor.max_range_m=12", "beam.model=none", "duration_s=2"),
+    *(
+        "motion.way_points_m=[[0, 0], [4, 0], [8, 1]]",
+        "sensor.max_range_m=12",
+        "beam.model=none",
+        "duration_s=2",
+    ),
 )
 
 
@@ -149,7 +164,18 @@ def test_a_browser_shows_the_stand_and_plays_the_sweeps():
     """The page has stems and leaves, and the points of the sweep at the cursor, which goes on as it plays."""
     sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     settings = [word for setting in BIRCHES for word in ("--set", setting)]
-    command = [sys.executable, "-m", "vlp16emu", "view", "birch_walk", *settings, "--radius", "8", "--port", "0"]
+    command = [
+        sys.executable,
+        "-m",
+        "vlp16emu",
+        "view",
+        "birch_walk",
+        *settings,
+        "--radius",
+        "8",
+        "--port",
+        "0",
+    ]
     with (
         subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program,
         sync_api.sync_playwright() as playwright,

@@ -18,9 +18,7 @@ BOXES = ", ".join(
     f'{{ name = "{name}", centre_m = [{x_m}, {y_m}, 1.5], size_m = [1.0, 1.0, 3.0], reflectance = 0.9 }}'
     for name, x_m, y_m in (("ahead", 4.5, 0.0), ("left", 0.0, 6.5))
 )
-HALL = (
-    f'{{ kind = "hall", length_m = 24.0, width_m = 24.0, height_m = 6.0, wall_reflectance = 0.05, boxes = [{BOXES}] }}'
-)
+HALL = f'{{ kind = "hall", length_m = 24.0, width_m = 24.0, height_m = 6.0, wall_reflectance = 0.05, boxes = [{BOXES}] }}'
 BOX_M = np.array([[-10.0, -10.0, 0.0], [10.0, 10.0, 5.0]])
 
 
@@ -124,7 +122,8 @@ def test_natural_colours_are_named_by_leaf_and_stem():
     from vlp16emu.types import Labels
 
     fields = {
-        name: np.zeros(4, kind) for name, kind in (("instance", np.uint32), ("part", np.uint8), ("range_m", np.float32))
+        name: np.zeros(4, kind)
+        for name, kind in (("instance", np.uint32), ("part", np.uint8), ("range_m", np.float32))
     }
     semantic, species = np.array([2, 2, 3, 1], np.uint8), np.array([1, 1, 5, 0], np.uint16)
     labels = Labels(semantic=semantic, species=species, **fields)
@@ -164,7 +163,10 @@ def test_a_capture_is_drawn_by_its_trajectory(tmp_path, capsys):
         (["static_bench", "{out}.png", "--colour", "blue", *SMALL], "--colour: found blue; expected natural"),
         (["static_bench", "{out}.png", "--size", "63x64"], "--size: found 63x64"),
         (["static_bench", "{out}.png", "--from", "400"], "--from: found 400"),
-        (["static_bench", "{out}.png", "--from", "40", "--view", "sweep"], "--from: found beside --view sweep"),
+        (
+            ["static_bench", "{out}.png", "--from", "40", "--view", "sweep"],
+            "--from: found beside --view sweep",
+        ),
         (["static_bench", "{out}.png", "--view", "top"], "--view: found top; expected slant or sweep"),
         (["static_bench", "{out}.png", "--duration", "0.05"], "no whole revolution"),
         (["static_bench", "{out}.png", "--trajectory", "x.tum"], "--trajectory: found beside a scene"),

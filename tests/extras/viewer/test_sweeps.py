@@ -71,9 +71,13 @@ def test_broken_packets_are_named_and_the_rest_is_shown(run, tmp_path):
         writer = dpkt.pcap.Writer(file, nano=True)
         for stamp, frame in frames[:lost] + frames[lost + 1 :]:
             writer.writepkt(frame, stamp)
-    with closing(CaptureSweeps(tmp_path / "bad.pcap")) as sweeps, closing(CaptureSweeps(folder / "walk.pcap")) as whole:
+    with (
+        closing(CaptureSweeps(tmp_path / "bad.pcap")) as sweeps,
+        closing(CaptureSweeps(folder / "walk.pcap")) as whole,
+    ):
         shown, all_shown = (
-            {sweep.scan.start_ns: sweep for sweep in map(of.at, np.arange(0.0, 0.5, 0.04))} for of in (sweeps, whole)
+            {sweep.scan.start_ns: sweep for sweep in map(of.at, np.arange(0.0, 0.5, 0.04))}
+            for of in (sweeps, whole)
         )
     faults = [(start_ns, fault) for start_ns, sweep in shown.items() for fault in sweep.faults]
     points, all_points = (sum(len(sweep.world_m) for sweep in of.values()) for of in (shown, all_shown))
@@ -114,7 +118,9 @@ def test_sweeps_of_a_capture_are_found_back_and_forth(emulator, tmp_path):
 
 def test_a_unit_of_a_rig_turns_at_its_own_speed():
     """A unit of 300 rpm beside one of 1200 has sweeps of a fifth of a second."""
-    sweeps = SceneSweeps(Emulator("static_bench", {"sensor.rpm": 1200, "rig": [{"rpm": 300}], "duration_s": 1.0}), 2)
+    sweeps = SceneSweeps(
+        Emulator("static_bench", {"sensor.rpm": 1200, "rig": [{"rpm": 300}], "duration_s": 1.0}), 2
+    )
     assert np.ptp(sweeps.at(0.0).scan.t_ns) == pytest.approx(sweeps.step_s * 1e9, rel=1e-3)
 
 
@@ -142,7 +148,9 @@ def tube(sides, rings):
     place_m = np.stack([radius_m * np.cos(turn) + 0.4 * up, radius_m * np.sin(turn), 10 * up], axis=-1)
     corner = np.arange(sides * rings).reshape(rings, sides)
     quads = [corner[:-1], np.roll(corner, -1, axis=1)[:-1], np.roll(corner, -1, axis=1)[1:], corner[1:]]
-    return Mesh(place_m.reshape(-1, 3).astype(np.float32), np.stack(quads, -1).reshape(-1, 4).astype(np.uint32))
+    return Mesh(
+        place_m.reshape(-1, 3).astype(np.float32), np.stack(quads, -1).reshape(-1, 4).astype(np.uint32)
+    )
 
 
 def test_a_slim_stem_stands_where_the_stem_stands():
@@ -163,7 +171,9 @@ def test_stems_are_drawn_with_their_crowns_only():
     seen = survey(load("birch_walk", dense), 10.0)
     path = Polyline(seen.path_m[:, :2])
     farthest_m = [
-        path.distance_m((piece["vertices"][:, None, :2] + piece["batched_positions"][None, :, :2]).reshape(-1, 2)).max()
+        path.distance_m(
+            (piece["vertices"][:, None, :2] + piece["batched_positions"][None, :, :2]).reshape(-1, 2)
+        ).max()
         for name, piece in pieces_of(seen)
         if name.startswith("single")
     ]

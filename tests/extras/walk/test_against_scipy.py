@@ -33,12 +33,18 @@ SPLINES = [
 """Degree, ends, those of scipy, and numbers of points."""
 
 
-@pytest.mark.parametrize(("degree", "ends", "theirs", "n"), [(*row[:3], n) for row in SPLINES for n in row[3]])
+@pytest.mark.parametrize(
+    ("degree", "ends", "theirs", "n"), [(*row[:3], n) for row in SPLINES for n in row[3]]
+)
 def test_splines_are_scipys(degree, ends, theirs, n):
     """Values and two derivatives are those of scipy to rounding, also where a lap is solved along with its neighbours, and with few points."""
     at, values = uneven(n, 1.5 if degree == 5 else 0.2)
     values[-1] = values[0] if ends == "periodic" else values[-1]
-    found, wanted, x = interpolant(at, values, degree, ends), theirs(at, values), np.linspace(at[0], at[-1], 500)
+    found, wanted, x = (
+        interpolant(at, values, degree, ends),
+        theirs(at, values),
+        np.linspace(at[0], at[-1], 500),
+    )
     for derivative in range(3):
         np.testing.assert_allclose(found(x, derivative), wanted(x, derivative), rtol=1e-11, atol=1e-11)
 
@@ -72,7 +78,9 @@ def test_a_pack_swings_as_a_general_solver_says(hz, damping):
 
     pack = Pack(bump, straps(hz, damping or 1.0))
     if not damping:  # an undamped pack is refused, so its steps are put in by hand
-        pack._steps[:] = [response(hz, 0.0, s / NODES_PER_KNOT / KNOTS_PER_S) for s in range(1, NODES_PER_KNOT + 1)]
+        pack._steps[:] = [
+            response(hz, 0.0, s / NODES_PER_KNOT / KNOTS_PER_S) for s in range(1, NODES_PER_KNOT + 1)
+        ]
         pack._drag[:] = 0.0
     exact = {"t_eval": NODES_S, "rtol": 1e-12, "atol": 1e-14, "jac": lambda _t, _x: matrix}
     expected = solve_ivp(slope, (0.0, SPAN_S), [u(0.0), rate(0.0)], "LSODA", **exact).y[0]

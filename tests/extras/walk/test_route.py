@@ -125,7 +125,9 @@ def sampled(made, step_s=1e-3):
 def test_a_person_cruises_between_start_and_end():
     """The walk begins and ends at rest, covers the length, and holds exactly the cruise speed in between."""
     made = timed()
-    along_m, speed_m_s, acceleration_m_s2 = along(made, np.array([0.0, 20.0, 30.0, made.run_time_s, 1e6, -1.0]))
+    along_m, speed_m_s, acceleration_m_s2 = along(
+        made, np.array([0.0, 20.0, 30.0, made.run_time_s, 1e6, -1.0])
+    )
     np.testing.assert_allclose(along_m[[0, 3, 4, 5]], [0.0, LENGTH_M, LENGTH_M, 0.0], atol=1e-12)
     np.testing.assert_allclose(speed_m_s, [0.0, 1.2, 1.2, 0.0, 0.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(acceleration_m_s2, 0.0, atol=1e-9)

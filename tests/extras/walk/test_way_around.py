@@ -47,5 +47,7 @@ def test_stops_stay_with_their_waypoints():
 def test_where_there_is_no_way_it_is_named(monkeypatch):
     """A waypoint of the user that is itself too near cannot be led around, however often it is tried."""
     monkeypatch.setattr("vlp16emu.extras.walk.way_points._TRIES", 20)
-    with pytest.raises(TrajectoryError, match=r"no way found around what is at \(10, 0.2\) m; expected another path"):
+    with pytest.raises(
+        TrajectoryError, match=r"no way found around what is at \(10, 0.2\) m; expected another path"
+    ):
         around(way([0, 0], [10, 0], [20, 0]), np.array([[10.0, 0.2]]), np.array([1.0]))

@@ -39,7 +39,9 @@ def test_gpx_is_read_onto_the_plane_of_the_scene(tmp_path, container, element):
     """Points of a track or route come back within a millimetre, wherever they are within 300 m."""
     xy_m = np.array([[0.0, 0.0], [120.0, -30.0], [-200.0, 200.0]])
     places = to_geodetic(np.column_stack([xy_m, np.zeros(3)]), ORIGIN)
-    points = "".join(f'<{element} lat="{p[0]:.10f}" lon="{p[1]:.10f}"><ele>120</ele></{element}>' for p in places)
+    points = "".join(
+        f'<{element} lat="{p[0]:.10f}" lon="{p[1]:.10f}"><ele>120</ele></{element}>' for p in places
+    )
     inner = f"<trkseg>{points}</trkseg>" if container == "trk" else points
     way = f'<wpt lat="1" lon="2"/><{container}><name>walk</name>{inner}</{container}>'
     found = read(written(tmp_path, "way.GPX", GPX.format(way)))

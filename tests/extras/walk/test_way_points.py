@@ -140,5 +140,7 @@ def test_stops_are_made_there_and_back():
 @pytest.mark.parametrize("way_points_m", [[[0, 0], [9, 0], [9, 9], [0, 0]], [[0, 0], [3, 0]]])
 def test_a_closed_path_and_one_that_is_too_short_are_refused(way_points_m):
     """Where the ends are nearer to each other than the loops behind them are long, the line names the key."""
-    with pytest.raises(TrajectoryError, match=r"back_and_forth: found .* from the first; expected at least 2"):
+    with pytest.raises(
+        TrajectoryError, match=r"back_and_forth: found .* from the first; expected at least 2"
+    ):
         route(walk(way_points_m))

@@ -96,7 +96,9 @@ def test_a_height_is_the_same_alone_and_in_any_array(bumpy):
     x, y = np.random.default_rng(6).uniform(-5, 45, (2, 301))
     together = dem.height_m(x, y)
     assert np.array_equal(together[3::7], dem.height_m(x[3::7], y[3::7]))
-    assert np.array_equal(together[1:].reshape(20, 15), dem.height_m(x[1:].reshape(20, 15), y[1:].reshape(20, 15)))
+    assert np.array_equal(
+        together[1:].reshape(20, 15), dem.height_m(x[1:].reshape(20, 15), y[1:].reshape(20, 15))
+    )
 
 
 @pytest.mark.parametrize(
@@ -113,7 +115,9 @@ def test_ground_goes_on_level_beyond_the_file(bumpy, caplog, path, reach_m, mess
     dem, _ = bumpy
     dem.check(np.array(path), reach_m)
     assert message in caplog.text
-    west, east = (dem.height_m(np.array(x), np.full(3, 12.0)) for x in ([0.0, -5.0, -80.0], [39.0, 44.0, 90.0]))
+    west, east = (
+        dem.height_m(np.array(x), np.full(3, 12.0)) for x in ([0.0, -5.0, -80.0], [39.0, 44.0, 90.0])
+    )
     assert np.ptp(west) == np.ptp(east) == 0.0
 
 

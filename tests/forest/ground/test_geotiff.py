@@ -83,7 +83,9 @@ def test_a_small_file_of_vast_size_takes_no_memory(tmp_path):
     """Cells that a sparse file promises are counted before they are read."""
     path = tmp_path / "ground.tif"
     size = {"width": 100_000, "height": 100_000, "transform": rasterio.Affine(*PLACE)}
-    rasterio.open(path, "w", driver="GTiff", count=1, dtype="float32", sparse_ok=True, tiled=True, **size).close()
+    rasterio.open(
+        path, "w", driver="GTiff", count=1, dtype="float32", sparse_ok=True, tiled=True, **size
+    ).close()
     assert path.stat().st_size < 10_000_000
     with pytest.raises(GeometryError, match="found 100000 rows of 100000; expected at most 50000000 cells"):
         read(path)

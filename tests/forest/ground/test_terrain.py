@@ -32,7 +32,9 @@ def test_relief_has_the_rms_that_was_set(band):
     assert height.std() == pytest.approx(0.4, rel=0.02)
 
 
-@pytest.mark.parametrize(("band", "shortest_m", "longest_m"), [("hill_rms_m", 30, 300), ("rough_rms_m", 1, 12)])
+@pytest.mark.parametrize(
+    ("band", "shortest_m", "longest_m"), [("hill_rms_m", 30, 300), ("rough_rms_m", 1, 12)]
+)
 def test_relief_keeps_to_its_wavelengths(band, shortest_m, longest_m):
     """The rms gradient equals that of a spectrum falling with the third power between the band's limits."""
     x, y = np.random.default_rng(2).uniform(-1e5, 1e5, (2, 50_000))
@@ -100,7 +102,9 @@ def test_slope_rises_towards_its_direction():
     assert across == pytest.approx(0, abs=1e-9)
 
 
-@pytest.mark.parametrize(("band", "rms_m", "steep_deg"), [("rough_rms_m", 100.0, 89.7), ("hill_rms_m", 20.0, 53.0)])
+@pytest.mark.parametrize(
+    ("band", "rms_m", "steep_deg"), [("rough_rms_m", 100.0, 89.7), ("hill_rms_m", 20.0, 53.0)]
+)
 def test_ground_steeper_than_soil_is_refused(band, rms_m, steep_deg):
     """Loose soil slides from 30 to 45 degrees on; the rms slope of a band is that of its spectrum (the gradient above, along both axes)."""
     with pytest.raises(

@@ -32,7 +32,9 @@ LIVING = [species for species in TABLE.values() if species.foliage]
 def test_heights_are_those_of_the_published_curves(name, heights_m):
     """Heights of trees of 10 to 60 cm, in a stand whose mean tree of 30 cm lies on the curve, are as worked out from it, within 1 %."""
     dbh_cm = np.array([10.0, 20.0, 30.0, 40.0, 60.0])
-    assert TABLE[name].height_curve(dbh_cm, 30.0, heights_m[2]) == pytest.approx(heights_m, rel=0.006, abs=0.05)
+    assert TABLE[name].height_curve(dbh_cm, 30.0, heights_m[2]) == pytest.approx(
+        heights_m, rel=0.006, abs=0.05
+    )
 
 
 def test_height_passes_through_the_mean_tree_and_rises():
@@ -82,7 +84,11 @@ def test_crowns_of_closed_stands_are_as_long_as_measured(name, dbh_cm, height_m,
     """The mean ratio, with 10 m2 per ha of larger trees and a competition factor of 220 %, is within what was measured."""
     rivals = np.array([10.0]), np.array([220.0])
     low, high = ratios
-    assert low < 1 - TABLE[name].crown_base_m(np.array([dbh_cm]), np.array([height_m]), rivals)[0] / height_m < high
+    assert (
+        low
+        < 1 - TABLE[name].crown_base_m(np.array([dbh_cm]), np.array([height_m]), rivals)[0] / height_m
+        < high
+    )
 
 
 def test_crowns_fit_their_trees():
@@ -110,7 +116,9 @@ def radii_m(name, dbh_m, height_m, heights_m, taper=0.0):
 def test_taper_is_exact_at_breast_height_and_flares_at_the_ground():
     """A stem of 30 cm and 24 m has its DBH at 1.3 m, is 20 to 60 % thicker at the ground, and keeps that below."""
     for name, species in TABLE.items():
-        at_breast, ground, below, tip, half_way = 200 * radii_m(name, 0.3, 24.0, [1.3, 0.0, -0.5, 24.0, 12.0])[0]
+        at_breast, ground, below, tip, half_way = (
+            200 * radii_m(name, 0.3, 24.0, [1.3, 0.0, -0.5, 24.0, 12.0])[0]
+        )
         assert at_breast == pytest.approx(30.0, abs=1e-9), name
         assert 36 <= ground <= 48, name
         assert below == ground, name
@@ -175,12 +183,18 @@ def test_biomass_agrees_with_the_general_equations_of_its_kind():
         height_m = species.height_curve(100 * dbh_m, 30.0, 24.0)
         mass = species.biomass_kg(dbh_m, height_m, 0.5 * height_m)
         b0, b1 = (-2.0127, 2.4342) if species.foliage.kind == "leaf" else (-2.0773, 2.3323)
-        assert (np.abs(np.log(mass / np.exp(b0 + b1 * np.log(100 * dbh_m)))) < np.log(1.6)).all(), species.name
+        assert (np.abs(np.log(mass / np.exp(b0 + b1 * np.log(100 * dbh_m)))) < np.log(1.6)).all(), (
+            species.name
+        )
 
 
 @pytest.mark.parametrize(
     ("name", "percent"),
-    [("scots_pine", 7.10), ("norway_spruce", 7.47), ("silver_birch", 8.23)],  # Laasasenaho (1982), page 42, over bark
+    [
+        ("scots_pine", 7.10),
+        ("norway_spruce", 7.47),
+        ("silver_birch", 8.23),
+    ],  # Laasasenaho (1982), page 42, over bark
 )
 def test_stem_volumes_vary_as_published_and_diameters_do_not(name, percent):
     """Stems of 30 cm and 24 m vary in volume by the published residual error of volume functions, and have their DBH exactly."""

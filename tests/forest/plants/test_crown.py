@@ -95,7 +95,9 @@ def test_branches_are_together_as_thick_as_their_species_says():
         ring = ring[ring[:, :, 2].mean(axis=1) >= 0]
         corner = np.linalg.norm(ring - ring.mean(axis=1, keepdims=True), axis=2).mean(axis=1)
         radius = corner * np.sin(np.pi / 6) / (np.pi / 6)
-        area_m2 = flora().trees[key.species].crown.branch_area * stem_radius_m(key, [key.crown_base_m])[0] ** 2
+        area_m2 = (
+            flora().trees[key.species].crown.branch_area * stem_radius_m(key, [key.crown_base_m])[0] ** 2
+        )
         assert 0.7 < (radius**2).sum() / area_m2 < 1.05, name
 
 
@@ -112,7 +114,9 @@ def test_dead_branches_sit_below_the_crown_and_only_when_wanted():
     for name, key in KEYS.items():
         assert CROWN_PARTS[3] == PlantPart.DEAD_BRANCH, name
         living, bare = grown(key), grown(replace(key, dead_branches=True))
-        assert [m.vertices_m.tobytes() for m in bare[:3]] == [m.vertices_m.tobytes() for m in living[:3]], name
+        assert [m.vertices_m.tobytes() for m in bare[:3]] == [m.vertices_m.tobytes() for m in living[:3]], (
+            name
+        )
         assert len(bare[3].faces) > len(living[3].faces) or key in BROAD.values(), name
         assert (len(living[3].faces) == 0) == (key.species != "snag"), name
     for _, dead, _ in bole("norway_spruce"):

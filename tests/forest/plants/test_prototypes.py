@@ -54,7 +54,9 @@ def test_leaf_area_is_that_of_the_plant(keys, leaf_m2, share):
         assert areas_m2(corners(grown(key)[-1])).sum() == pytest.approx(target, rel=share), key
 
 
-@pytest.mark.parametrize("key", [key for key in CROWNS + SHRUBS if PLANTS[key.species].foliage.kind == "leaf"])
+@pytest.mark.parametrize(
+    "key", [key for key in CROWNS + SHRUBS if PLANTS[key.species].foliage.kind == "leaf"]
+)
 def test_leaves_are_inclined_as_measured(key):
     """Leaf inclination passes a chi-square test with 20 equally likely classes against its beta distribution."""
     zenith = zeniths(corners(grown(key)[-1]))
@@ -78,9 +80,14 @@ def test_winter_takes_the_leaves_of_broadleaves_and_nothing_else(key):
 @pytest.mark.parametrize("key", CROWNS[:4] + SAPLINGS + SHRUBS[:1])
 def test_a_prototype_depends_on_seed_and_key_alone(key):
     """The same seed and key give the same bytes; another seed, variant or size gives another plant."""
-    others = [replace(key, variant=2), replace(key, **({"dbh_m": 0.26} if key in CROWNS else {"height_m": 1.9}))]
+    others = [
+        replace(key, variant=2),
+        replace(key, **({"dbh_m": 0.26} if key in CROWNS else {"height_m": 1.9})),
+    ]
     assert bytes_of(grown(key)) == bytes_of(grown(replace(key)))
-    assert len({b"".join(bytes_of(one)) for one in (grown(key), grown(key, seed=5), *map(grown, others))}) == 4
+    assert (
+        len({b"".join(bytes_of(one)) for one in (grown(key), grown(key, seed=5), *map(grown, others))}) == 4
+    )
 
 
 def test_a_shrub_has_its_size():

@@ -32,7 +32,10 @@ def test_numbers_are_unique_and_never_change():
     """Species numbers stand in recorded labels, so they are fixed for ever."""
     trees = "silver_birch norway_spruce scots_pine european_beech english_oak sycamore douglas_fir"
     trees += " sugar_maple red_maple white_oak black_walnut snag"
-    numbers = [*enumerate(trees.split(), 1), *enumerate(["hazel", "elder", "hawthorn", "dogwood", "honeysuckle"], 101)]
+    numbers = [
+        *enumerate(trees.split(), 1),
+        *enumerate(["hazel", "elder", "hawthorn", "dogwood", "honeysuckle"], 101),
+    ]
     assert flora().names == dict(numbers)
 
 

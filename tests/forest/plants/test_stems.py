@@ -9,7 +9,13 @@ from scipy import stats
 from scipy.spatial import ConvexHull
 
 from vlp16emu.forest.plants.allometry import taper_radius_m
-from vlp16emu.forest.plants.prototypes import CROWN_PARTS, CrownKey, crown_branches, crown_meshes, crown_placements
+from vlp16emu.forest.plants.prototypes import (
+    CROWN_PARTS,
+    CrownKey,
+    crown_branches,
+    crown_meshes,
+    crown_placements,
+)
 from vlp16emu.forest.plants.species import StemForm, flora, tapers
 from vlp16emu.forest.plants.stem import (
     ROOT_RINGS,
@@ -36,13 +42,23 @@ def slope(x, y):
 def make_trees(name, count=1, dbh_m=0.35, **fields):
     n, height_m = np.arange(count), 6.0 + 50 * np.array(dbh_m)
     place = {"x_m": 3.0 * n, "z_m": slope(3.0 * n, 0.0), "lean_deg": 2.0, "lean_towards_deg": 40.0 * n}
-    size = {"dbh_m": dbh_m, "height_m": height_m, "crown_base_m": 0.5 * height_m, "crown_width_m": 16 * np.array(dbh_m)}
-    return trees_of([name] * count, **{**place, **size, "form": 1 + n, "crown_azimuth_deg": 23.0 * n, **fields})
+    size = {
+        "dbh_m": dbh_m,
+        "height_m": height_m,
+        "crown_base_m": 0.5 * height_m,
+        "crown_width_m": 16 * np.array(dbh_m),
+    }
+    return trees_of(
+        [name] * count, **{**place, **size, "form": 1 + n, "crown_azimuth_deg": 23.0 * n, **fields}
+    )
 
 
 def sections_m(trees, ring=BREAST_RING, **changes):
     """Corners of sections (n, sides) of trees of one size, some keys of their species changed."""
-    table = {name: one.model_copy(update={"stem": one.stem.model_copy(update=changes)}) for name, one in TABLE.items()}
+    table = {
+        name: one.model_copy(update={"stem": one.stem.model_copy(update=changes)})
+        for name, one in TABLE.items()
+    }
     stems = Stems(trees, table=table)
     return stems.outlines(slice(None), int(stems.sides[0]))[:, ring]
 
@@ -70,7 +86,9 @@ def test_area_at_breast_height_is_that_of_the_dbh(name):
 @pytest.mark.parametrize("name", ["english_oak", "silver_birch", "european_beech", "snag"])
 def test_stems_are_closed_and_buried(name):
     """Forked, crooked or straight, flare and stem are watertight together and show their outside; the lowest ring lies under a slope."""
-    trees = make_trees(name, 14, height_m=23.5, crown_base_m=11.75, crown_width_m=5.6, dbh_m=np.linspace(0.08, 0.9, 14))
+    trees = make_trees(
+        name, 14, height_m=23.5, crown_base_m=11.75, crown_width_m=5.6, dbh_m=np.linspace(0.08, 0.9, 14)
+    )
     trees["form"][::7] = 0
     meshes = stem_meshes(trees, np.zeros(3), slope)
     sides = Stems(trees).sides
@@ -143,7 +161,9 @@ def test_flutes_are_deepest_at_the_butt():
     """Lobes reach as far as the table says at the ground, and a tenth of that at breast height at most (Singleton et al. 2003)."""
     trees = make_trees("european_beech", 400)
     depth = [
-        np.ptp(section := sections_m(trees, ring, ovality=0.0, bark_mm_per_cm=0.0), axis=1) / section.mean(axis=1) / 2
+        np.ptp(section := sections_m(trees, ring, ovality=0.0, bark_mm_per_cm=0.0), axis=1)
+        / section.mean(axis=1)
+        / 2
         for ring in (1, BREAST_RING)
     ]
     assert np.mean(depth[0]) == pytest.approx(TABLE["european_beech"].stem.lobes, rel=0.05)
@@ -240,7 +260,9 @@ def test_a_root_flare_ends_half_a_metre_up_and_a_snag_at_full_width():
     assert STEM_PARTS == (PlantPart.ROOT_FLARE, PlantPart.STEM)
     trees = make_trees("snag", 6, np.linspace(0.05, 1.2, 6), x_m=0.0, z_m=0.0, lean_deg=0.0, form=0)
     meshes = [mesh.vertices_m for mesh in stem_meshes(trees, np.zeros(3), lambda x, y: 0 * x)]
-    for tree, sides, flare_m, stem_m in zip(trees, Stems(trees).sides, meshes[::2], meshes[1::2], strict=True):
+    for tree, sides, flare_m, stem_m in zip(
+        trees, Stems(trees).sides, meshes[::2], meshes[1::2], strict=True
+    ):
         assert np.array_equal(flare_m[-sides:], stem_m[:sides])
         assert stem_m[:sides, 2] == pytest.approx(np.full(sides, 0.5), abs=5e-6)
         width_m = 2 * np.hypot(*stem_m[-1 - sides : -1, :2].T).mean()
@@ -336,7 +358,9 @@ def test_circles_are_the_rings_of_the_scanned_branches(three, crowns, circles):
     for i in (0, 1):
         mesh = crown_meshes(6, crowns[i])[CROWN_PARTS.index(FIRST)]
         world_T = crown_placements(three, crowns)[i]
-        corners_m = (mesh.vertices_m @ world_T[:, :3].T + world_T[:, 3]).reshape(-1, BRANCH_SIDES * BRANCH_RINGS + 1, 3)
+        corners_m = (mesh.vertices_m @ world_T[:, :3].T + world_T[:, 3]).reshape(
+            -1, BRANCH_SIDES * BRANCH_RINGS + 1, 3
+        )
         ring_m = corners_m[:, :-1].reshape(-1, BRANCH_RINGS, BRANCH_SIDES, 3)
         own = circles[(circles["tree"] == 70 + i) & (circles["part"] == FIRST)].reshape(-1, BRANCH_RINGS + 1)
         middle_m = np.stack([own[f"{axis}_m"] for axis in "xyz"], axis=-1)

@@ -56,7 +56,9 @@ def test_surfaces_belong_to_the_meshes_they_show(forest, shape, track_m):
             assert (rows["instance"] == tree["id"]).all()
             assert (rows["species"] == tree["species"]).all()
             leaf = rows["part"] == PlantPart.LEAF
-            assert (rows["reflectance"] == np.where(leaf, tree["leaf_reflectance"], tree["bark_reflectance"])).all()
+            assert (
+                rows["reflectance"] == np.where(leaf, tree["leaf_reflectance"], tree["bark_reflectance"])
+            ).all()
             names = [forest.materials[m] for m in rows["material"]]
             assert names == [f"{key.species} {'leaf' if is_leaf else 'bark'}" for is_leaf in leaf]
     assert (used == 1).all()
@@ -216,6 +218,8 @@ def test_a_track_may_stray_from_the_path(make_forest, aside_m):
 def test_a_path_that_keeps_all_trees_out_of_sight_is_named(forest, track_m, caplog, clearance_m, warned):
     """A clearance of the range of the sensor leaves no stem that it sees."""
     section = forest.section.model_copy(update={"path_clearance_m": clearance_m})
-    world, _ = ForestSite(section, 5).world(track_m[:, :2], reach_m=20.0, farthest_m=20.0, wind=None, start_ns=0)
+    world, _ = ForestSite(section, 5).world(
+        track_m[:, :2], reach_m=20.0, farthest_m=20.0, wind=None, start_ns=0
+    )
     gap_m = distance_m(feet_m(world.trees(track_m))[:, :2], track_m[:, :2])
     assert (gap_m.min() > 20.0) == warned == ("path_clearance_m = 20: leaves no tree" in caplog.text)

@@ -47,7 +47,9 @@ def test_a_list_is_read_as_it_stands(tmp_path):
 def test_diameters_in_millimetres_are_refused(tmp_path):
     """A list whose middle tree is less than 12 times as high as thick is one of millimetres; a single such tree is not."""
     rows = "x,y,species,dbh_cm,height_m\n1,2,silver_birch,{},21\n5,2,silver_birch,{},22\n9,2,silver_birch,{},20\n"
-    message = "line 4, column dbh_cm: found 222 cm at a height of 20 m; half of all trees are less than 10 times"
+    message = (
+        "line 4, column dbh_cm: found 222 cm at a height of 20 m; half of all trees are less than 10 times"
+    )
     with pytest.raises(GeometryError, match=message):
         read(tmp_path, rows.format(205, 210, 222))
     assert read(tmp_path, rows.format(20.5, 210, 22.2))["dbh_m"].max() == 2.1
@@ -171,7 +173,9 @@ def test_crowns_are_prototypes_of_the_lists_own_trees(make):
     assert keys[0] == keys[1]
     key = keys[0]
     assert key.species == "silver_birch"
-    assert (key.dbh_m, key.height_m, key.crown_base_m, key.crown_width_m) == pytest.approx((0.205, 20.5, 9, 4.5))
+    assert (key.dbh_m, key.height_m, key.crown_base_m, key.crown_width_m) == pytest.approx(
+        (0.205, 20.5, 9, 4.5)
+    )
     lai = flora().trees["silver_birch"].leaf_area_index
     assert key.leaf_area_m2 == pytest.approx(lai * np.pi / 4 * 4.5**2)
 

@@ -73,7 +73,9 @@ def test_diameters_and_volumes_are_those_of_the_mesh(rows, solids, trees):
         assert row["stem_m3"] == pytest.approx(solid.volume - buried_m * ground_m2, rel=1e-4)
         slant = 1 / np.cos(np.radians(tree["lean_deg"]))
         for name, above_m in (("dbh_m", 1.3 + 1e-5), ("dbh_us_m", 1.37)):
-            assert row[name] == pytest.approx(section_diameter_m(solid, UP, [0, 0, above_m * slant]), abs=1e-4)
+            assert row[name] == pytest.approx(
+                section_diameter_m(solid, UP, [0, 0, above_m * slant]), abs=1e-4
+            )
         outline = trimesh.intersections.mesh_plane(solid, UP, [0, 0, (1.3 + 1e-5) * slant])
         girth_m = np.linalg.norm(outline[:, 1] - outline[:, 0], axis=1).sum()
         assert row["girth_over_pi_m"] == pytest.approx(girth_m / np.pi, abs=1e-4)
@@ -121,9 +123,13 @@ def test_the_top_is_the_highest_vertex(rows, solids, trees, crowns):
     wide, long = crown_scale(trees, crowns)
     for i, (tree, key, solid) in enumerate(zip(trees, crowns, solids, strict=True)):
         lean = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])[i]
-        mesh = trimesh.util.concatenate([trimesh.Trimesh(m.vertices_m, m.faces) for m in crown_meshes(SEED, key)])
+        mesh = trimesh.util.concatenate(
+            [trimesh.Trimesh(m.vertices_m, m.faces) for m in crown_meshes(SEED, key)]
+        )
         mesh.apply_scale([wide[i], wide[i], long[i]])
-        mesh.apply_transform(trimesh.transformations.rotation_matrix(np.radians(tree["crown_azimuth_deg"]), [0, 0, 1]))
+        mesh.apply_transform(
+            trimesh.transformations.rotation_matrix(np.radians(tree["crown_azimuth_deg"]), [0, 0, 1])
+        )
         along_m = tree["crown_base_m"] / np.cos(np.radians(tree["lean_deg"]))
         places = np.concatenate([mesh.vertices + [0, 0, along_m], solid.vertices]) @ lean.T
         assert rows["top_m"][i] == pytest.approx(places[:, 2].max(), abs=1e-5)
@@ -161,7 +167,9 @@ def test_mass_wood_and_density_of_one_tree_agree(name, kg_m3, branches, stand):
     sizes = ("dbh_m", "height_m", "crown_base_m", "crown_width_m")
     tree = trees_of([name], **{size: getattr(key, size) for size in sizes})
     (row,) = inventory(tree, [key], seed=SEED)
-    needles = species.biomass.model_copy(update={"coefficients": (0.0,) * 40 + species.biomass.coefficients[40:]})
+    needles = species.biomass.model_copy(
+        update={"coefficients": (0.0,) * 40 + species.biomass.coefficients[40:]}
+    )
     sizes = tree["dbh_m"], tree["height_m"], tree["crown_base_m"]
     (needle_kg,) = species.model_copy(update={"biomass": needles}).biomass_kg(*sizes)
     assert (row["biomass_kg"] - needle_kg) / row["wood_m3"] == pytest.approx(kg_m3, rel=0.12)

@@ -25,7 +25,9 @@ rows = partial(module.planted, section=ROWS, purpose=Growth.STAND, per_ha=1600.0
 
 
 def patchy(per_ha=700.0, seed=9):
-    return module.patchy(seed=seed, purpose=Growth.HERBS, even_per_ha=0.2 * per_ha, patchy_per_ha=0.8 * per_ha)
+    return module.patchy(
+        seed=seed, purpose=Growth.HERBS, even_per_ha=0.2 * per_ha, patchy_per_ha=0.8 * per_ha
+    )
 
 
 def points_of(pattern, across=ACROSS):
@@ -62,7 +64,14 @@ def matern_index(per_ha, distance_m):
 
 @pytest.mark.parametrize(
     ("make", "per_ha"),
-    [(hard_core, 30.0), (hard_core, 700.0), (hard_core, 4000.0), (scattered, 700.0), (clusters, 700.0), (rows, 1600.0)],
+    [
+        (hard_core, 30.0),
+        (hard_core, 700.0),
+        (hard_core, 4000.0),
+        (scattered, 700.0),
+        (clusters, 700.0),
+        (rows, 1600.0),
+    ],
 )
 def test_density_is_as_set(make, per_ha):
     """Over ten hectares the number is right within 3 sigma: of a Poisson count, or of clumps of eight on average."""

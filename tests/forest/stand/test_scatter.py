@@ -47,7 +47,9 @@ def things(section, tiles=TILES, *, trunks=NO_TRUNKS, **where):
 
 
 def saplings(*species):
-    return settings.Regeneration(stems_per_ha=1500.0, species=[*species], height_m=(0.5, 4.0), pattern=ANYWHERE)
+    return settings.Regeneration(
+        stems_per_ha=1500.0, species=[*species], height_m=(0.5, 4.0), pattern=ANYWHERE
+    )
 
 
 def shrubs(*species):
@@ -79,7 +81,9 @@ def test_a_placed_sapling_has_the_height_and_diameter_of_its_record():
     body = trimesh.Trimesh(stem.vertices_m @ T[:, :3].T + T[:, 3], stem.faces, process=False)
     assert body.is_watertight
     assert body.bounds[1, 2] == pytest.approx(tree["z_m"] + tree["height_m"], abs=1e-5)
-    assert section_diameter_m(body, [0, 0, 1], [0, 0, tree["z_m"] + 1.3]) == pytest.approx(tree["dbh_m"], abs=1e-5)
+    assert section_diameter_m(body, [0, 0, 1], [0, 0, tree["z_m"] + 1.3]) == pytest.approx(
+        tree["dbh_m"], abs=1e-5
+    )
 
 
 def test_shrub_heights_are_those_of_their_kind():
@@ -126,7 +130,9 @@ def test_unknown_plants_are_named():
         (saplings, "larch", "regeneration", "silver_birch"),
         (shrubs, "broom", "shrubs", "hazel"),
     ):
-        with pytest.raises(GeometryError, match=f"{key}.species: unknown species '{name}'; expected one of {first}"):
+        with pytest.raises(
+            GeometryError, match=f"{key}.species: unknown species '{name}'; expected one of {first}"
+        ):
             layer(kind(name))
 
 
@@ -295,7 +301,9 @@ def test_moss_and_litter_are_ground_and_lie_along_it():
         placed = things(section, path=NEAR, height_m=lambda x, y: 0.2 * x + 0.1 * y)
         world = np.concatenate([one.world_T_shape for one in placed])
         up = world[:, :, 2] / np.linalg.norm(world[:, :, 2], axis=1, keepdims=True)
-        np.testing.assert_allclose(up, np.tile(np.array([-0.2, -0.1, 1.0]) / np.sqrt(1.05), (len(up), 1)), atol=1e-9)
+        np.testing.assert_allclose(
+            up, np.tile(np.array([-0.2, -0.1, 1.0]) / np.sqrt(1.05), (len(up), 1)), atol=1e-9
+        )
         assert distance_m(world[:, :2, 3], NEAR).min() < 0.3
         assert all(one.is_ground and (one.surfaces["semantic"] == Semantic.GROUND).all() for one in placed)
 
@@ -351,7 +359,9 @@ def test_labels_say_what_it_is(section, semantic, parts, species):
     middle = materials.get(semantic) or np.array([plants[n].bark_reflectance for n in first["species"]])
     assert stats.kstest(first["reflectance"] - middle, stats.uniform(-0.08, 0.16).cdf).pvalue > 0.01
     if len(parts) > 1:
-        assert np.abs(last["reflectance"] - [plants[n].leaf_reflectance for n in last["species"]]).max() < 0.08
+        assert (
+            np.abs(last["reflectance"] - [plants[n].leaf_reflectance for n in last["species"]]).max() < 0.08
+        )
 
 
 def test_shares_are_those_that_were_asked_for():
@@ -364,7 +374,11 @@ def test_shares_are_those_that_were_asked_for():
     whole, pieces, plates = (len(found[kind][0]) for kind in kinds)
     count = whole + pieces / 2
     _, wide, high = size_m(found[FloorKind.LOG][0]).T
-    for share, expected in ((plates / count, 0.3), (pieces / 2 / count, 0.25), ((high < 0.9 * wide).mean(), 0.7 * 0.4)):
+    for share, expected in (
+        (plates / count, 0.3),
+        (pieces / 2 / count, 0.25),
+        ((high < 0.9 * wide).mean(), 0.7 * 0.4),
+    ):
         assert share == pytest.approx(expected, abs=3 * np.sqrt(expected * (1 - expected) / whole))
     section = {"per_ha": 200.0, "species": ["silver_birch"]}
     found, felled = (found_of(settings.Stumps(**section, broken=share)) for share in (0.3, 0.0))

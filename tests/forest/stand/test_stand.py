@@ -26,12 +26,20 @@ PINE = SpeciesShare(species="scots_pine", share=1.0, dbh_cm=26.0, height_m=21.0)
 
 
 def make_stand(
-    *, stems_per_ha=800.0, species=(BIRCH, SPRUCE), path_xy_m=FAR_XY_M, clearance_m=0.8, trails=None, **section
+    *,
+    stems_per_ha=800.0,
+    species=(BIRCH, SPRUCE),
+    path_xy_m=FAR_XY_M,
+    clearance_m=0.8,
+    trails=None,
+    **section,
 ):
     whole = sum(one.share for one in species)
     species = [one.model_copy(update={"share": one.share / whole}) for one in species]
     return Stand(
-        Forest(kind="forest", stems_per_ha=stems_per_ha, species=species, path_clearance_m=clearance_m, **section),
+        Forest(
+            kind="forest", stems_per_ha=stems_per_ha, species=species, path_clearance_m=clearance_m, **section
+        ),
         Land(14, lambda x, y: 0.01 * x + 0.02 * y, Corridor(path_xy_m, clearance_m), trails=trails),
     )
 

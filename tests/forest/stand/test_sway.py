@@ -173,12 +173,20 @@ def test_a_tree_is_at_one_place_whatever_window_it_is_in(make_wind, loose, track
     wind, aside_m = make_wind(), np.array([6.0, -3.0, 0.0])
     first = wind.with_sway(loose.window(track_m), track_m, START_NS, START_NS + 6_795_000_000)
     there_m = track_m + aside_m
-    second = wind.with_sway(loose.window(there_m), there_m, START_NS + 5_012_345_678, START_NS + 11_000_000_000)
+    second = wind.with_sway(
+        loose.window(there_m), there_m, START_NS + 5_012_345_678, START_NS + 11_000_000_000
+    )
     shift = (second.sway.start_ns - first.sway.start_ns) // KNOT_NS
     assert first.sway.start_ns <= START_NS
     assert first.sway.start_ns + KNOT_NS * (len(first.sway.shear) - 1) >= START_NS + 6_795_000_000
     own, other = (
-        dict(zip(w.surfaces["instance"][w.first_surface[w.sway.placement]], w.sway.shear.swapaxes(0, 1), strict=True))
+        dict(
+            zip(
+                w.surfaces["instance"][w.first_surface[w.sway.placement]],
+                w.sway.shear.swapaxes(0, 1),
+                strict=True,
+            )
+        )
         for w in (first, second)
     )
     both = own.keys() & other.keys()

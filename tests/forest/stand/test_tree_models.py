@@ -62,7 +62,11 @@ def some_trees(n=12):
     """Birches of many sizes, some leaning."""
     rng, number = np.random.default_rng(2), np.arange(n)
     place = {"id": 100 + number, "x_m": 10.0 * number, "y_m": 3.0, "z_m": 7.0, "lean_towards_deg": 40.0}
-    size = {"height_m": rng.uniform(6, 25, n), "dbh_m": rng.uniform(0.08, 0.5, n), "lean_deg": 4.0 * (number % 2)}
+    size = {
+        "height_m": rng.uniform(6, 25, n),
+        "dbh_m": rng.uniform(0.08, 0.5, n),
+        "lean_deg": 4.0 * (number % 2),
+    }
     looks = {"crown_azimuth_deg": rng.uniform(0, 360, n), "bark_reflectance": 0.55, "leaf_reflectance": 0.45}
     return trees_of(["silver_birch"] * n, **place, **size, **looks)
 
@@ -94,7 +98,9 @@ def test_a_trees_dbh_is_that_of_its_mesh(models):
     for tree, transform, meshes in solids(models, some_trees()):
         axis = transform[:, 2] / np.linalg.norm(transform[:, 2])
         at_m = transform[:, 3] + axis * 1.3 / axis[2]
-        assert section_diameter_m(meshes[PlantPart.STEM], axis, at_m) == pytest.approx(tree["dbh_m"], abs=1e-4)
+        assert section_diameter_m(meshes[PlantPart.STEM], axis, at_m) == pytest.approx(
+            tree["dbh_m"], abs=1e-4
+        )
 
 
 def test_rows_of_the_inventory_are_those_of_the_meshes(models):
@@ -216,7 +222,9 @@ def test_a_tree_too_short_for_its_model_is_refused(models):
 def test_sections_do_not_depend_on_which_way_faces_look(turn):
     """A tube of 24 sides has the area and girth of its polygon, its faces looking in or out; the largest outline counts."""
     tubes = [prism([[0, 0, 0], [0, 0, 2]], [r, r]) for r in (0.3, 0.1)]
-    cutter = Cutter([vertices for vertices, _ in tubes], [faces[:, ::turn].astype(np.uint32) for _, faces in tubes])
+    cutter = Cutter(
+        [vertices for vertices, _ in tubes], [faces[:, ::turn].astype(np.uint32) for _, faces in tubes]
+    )
     outline = cutter.cut(1.0)
     assert outline.diameter_m == pytest.approx(2 * 0.3 * np.sqrt(12 / np.pi * np.sin(np.pi / 12)), rel=1e-9)
     assert outline.tape_m == pytest.approx(48 * 0.3 * np.sin(np.pi / 24) / np.pi, rel=1e-9)
@@ -276,7 +284,10 @@ def test_returns_name_the_trees_of_the_user(scene):
     rows, places_m, away_m = (np.concatenate(of) for of in (met, places_m, away_m))
     trees = emulator.parts.world.trees(np.zeros((1, 3)))
     for number in np.unique(rows["instance"][rows["part"] == PlantPart.STEM]):
-        (tree,), stem = trees[trees["id"] == number], (rows["instance"] == number) & (rows["part"] == PlantPart.STEM)
+        (tree,), stem = (
+            trees[trees["id"] == number],
+            (rows["instance"] == number) & (rows["part"] == PlantPart.STEM),
+        )
         assert (rows["species"][stem] == tree["species"]).all()
         assert np.median(np.hypot(places_m[stem, 0] - tree["x_m"], places_m[stem, 1] - tree["y_m"])) < 0.4
     birch = rows["species"] == BIRCH.number

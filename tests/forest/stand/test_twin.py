@@ -76,7 +76,10 @@ def glb(full_forest, window, near, things, way):
     """The bytes of a twin."""
     places_m = {one.instance: one.place_m for one in things}
     places_m |= dict(zip(near["id"].tolist(), feet_m(near), strict=True))
-    file, look = io.BytesIO(), {"species": SPECIES, "colours": np.full((len(window.surfaces), 3), 128, np.uint8)}
+    file, look = (
+        io.BytesIO(),
+        {"species": SPECIES, "colours": np.full((len(window.surfaces), 3), 128, np.uint8)},
+    )
     inside = lambda xy_m: way.distance_m(xy_m) <= RADIUS_M  # noqa: E731
     write_glb(file, window, full_forest.shape, places_m=places_m, inside=inside, **look)
     return file.getvalue()
@@ -111,7 +114,11 @@ def test_parts_say_in_numbers_what_their_names_say_and_share_meshes(header):
     name, species, _ = node["name"].split("/")
     extras = node["extras"]
     assert SPECIES[extras.pop("species")] == species
-    assert extras == {"semantic": Semantic.TREE, "part": PlantPart.STEM, "instance": int(name.removeprefix("tree_"))}
+    assert extras == {
+        "semantic": Semantic.TREE,
+        "part": PlantPart.STEM,
+        "instance": int(name.removeprefix("tree_")),
+    }
     shown = [node["mesh"] for node in header["nodes"] if "mesh" in node]
     assert sorted(set(shown)) == list(range(len(header["meshes"])))
     assert len(shown) > 2 * len(header["meshes"])
@@ -138,10 +145,14 @@ def test_ground_is_that_of_the_place_and_stems_are_whole(glb, full_forest, windo
         mesh, labels = scene.geometry[scene.graph[node][1]], node.split("/")
         faces[labels[0]] += len(mesh.faces) if labels[-1] == "stem" else 0
         if labels[0].startswith("ground"):
-            ab, ac = (mesh.triangles[:, i, :2] - mesh.triangles[:, 0, :2] for i in (1, 2))  # z is still up in meshes
+            ab, ac = (
+                mesh.triangles[:, i, :2] - mesh.triangles[:, 0, :2] for i in (1, 2)
+            )  # z is still up in meshes
             shown_m2 += np.abs(ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]).sum() / 2
     assert shown_m2 == pytest.approx(np.pi * RADIUS_M**2 + 2 * RADIUS_M * np.hypot(4, 0.9), rel=0.02)
-    for key, first in zip((window.shapes[i] for i in window.shape), window.first_surface.tolist(), strict=True):
+    for key, first in zip(
+        (window.shapes[i] for i in window.shape), window.first_surface.tolist(), strict=True
+    ):
         meshes = full_forest.shape(key) if isinstance(key, TileKey) else ()
         for mesh, row in zip(meshes, window.surfaces[first:], strict=False):
             if row["part"] == PlantPart.STEM:

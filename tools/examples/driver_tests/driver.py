@@ -38,7 +38,9 @@ class Driver:
             "z_m": np.where(range_m > 0, range_m * np.sin(up) + OFFSET_M, 0.0),
             "range_m": range_m,
             "ring": np.broadcast_to(RING, range_m.shape),
-            "is_last": np.broadcast_to((np.arange(12) % 2 == 0)[:, None, None] & (mode == DUAL), range_m.shape),
+            "is_last": np.broadcast_to(
+                (np.arange(12) % 2 == 0)[:, None, None] & (mode == DUAL), range_m.shape
+            ),
         }
         return {name: np.ravel(values) for name, values in out.items()}
 

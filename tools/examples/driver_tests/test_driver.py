@@ -26,7 +26,9 @@ def test_rings_count_from_below(vlp16):
     points, truth = read(vlp16, 10)
     there = points["range_m"] > 0
     elevation_deg = np.degrees(np.arcsin(truth["sensor_m"][there, 2] / truth["range_m"][there]))
-    assert np.abs(elevation_deg - (2 * points["ring"][there] - 15)).max() < 1  # lasers sit up to 11 mm off the centre
+    assert (
+        np.abs(elevation_deg - (2 * points["ring"][there] - 15)).max() < 1
+    )  # lasers sit up to 11 mm off the centre
 
 
 @pytest.mark.vlp16("static_bench", {"sensor.return_mode": "dual", "beam.model": "adaptive"})

@@ -1,8 +1,11 @@
 """Comparison of a few pulses of a run with their converged answer while the run goes on.
 
-In each block of firing sequences, eight consecutive sequences of two lasers are drawn: 0.05 % of a VLP-16's pulses. The
-audit judges the hits of the run itself, so only the answers are cast. The seed and the block determine the drawn
-pulses, so threads and order do not matter, and the run does not change. Errors are summed as integers by cluster, so
+In each block of firing sequences, eight consecutive sequences of two lasers are drawn: 0.05 % of a VLP-16's
+pulses. The
+audit judges the hits of the run itself, so only the answers are cast. The seed and the block determine the
+drawn
+pulses, so threads and order do not matter, and the run does not change. Errors are summed as integers by
+cluster, so
 the sums do not depend on order or number of threads.
 """
 
@@ -26,7 +29,8 @@ from vlp16emu.scenario import Scenario
 from vlp16emu.types import F4, F8, I8, U1, Firings, Hits
 
 FEWEST_CLUSTERS = 8  # clusters with errors; with fewer no interval is given
-_STRONGEST, _LAST = 0, 1
+_STRONGEST = 0
+_LAST = 1
 _CONFIDENCE = 0.95
 _UM = 1e-6
 _HALF_LIGHT_M_PER_NS = 0.299792458 / 2.0
@@ -58,11 +62,14 @@ class Errors:
 
     pulses: int
     returns: int  # pulses with a return in the answer
-    range_rmse_m: float  # RMSE of strongest returns that match the answer's, like the next fields up to `range_p95_m`
+    range_rmse_m: (
+        float  # RMSE of strongest returns that match the answer's, like the next fields up to `range_p95_m`
+    )
     range_bias_m: float
     range_p95_m: float  # 95th percentile of absolute errors
     mean_error_m: float
-    """Mean absolute error of all strongest returns; a lost or wrong return counts as the detector's resolution."""
+    """Mean absolute error of all strongest returns; a lost or wrong return counts as the detector's
+    resolution."""
     lost: float
     invented: float
     wrong_strongest: float
@@ -81,7 +88,9 @@ def answer_beam(beam: Footprint, rays: int, seed: int, number: int = 0) -> Footp
     return replace(beam.changed(model="fixed", rays=rays), seed=own)
 
 
-def detections_of(firings: Firings, hits: Hits, surfaces: NDArray[np.void], exact: UnitDetector) -> Detections:
+def detections_of(
+    firings: Firings, hits: Hits, surfaces: NDArray[np.void], exact: UnitDetector
+) -> Detections:
     """Detect all echoes of some pulses with a detector without noise, sorted by sequence, then by laser."""
     returns = detect(firings, hits, surfaces, exact, truth=False)
     return Detections(returns.distance_m.reshape(-1, 3), returns.reflectivity.reshape(-1, 3))
@@ -89,7 +98,8 @@ def detections_of(firings: Firings, hits: Hits, surfaces: NDArray[np.void], exac
 
 def compare(answer: Detections, detected: Detections, resolution_m: float) -> Comparison:
     """Compare the detections of n pulses with the answer; ranges more than half a resolution apart belong to different echoes."""
-    seen, got = answer.distance_m[:, _STRONGEST] > 0, detected.distance_m[:, _STRONGEST] > 0
+    seen = answer.distance_m[:, _STRONGEST] > 0
+    got = detected.distance_m[:, _STRONGEST] > 0
     off_m = detected.distance_m.astype(np.float64) - answer.distance_m
     other = (seen & got)[:, None] & (np.abs(off_m) > resolution_m / 2)
     matched = seen & got & ~other[:, _STRONGEST]
@@ -108,7 +118,8 @@ def compare(answer: Detections, detected: Detections, resolution_m: float) -> Co
 
 def errors_of(compared: Comparison, resolution_m: float) -> Errors:
     """Summarise a comparison that was made with `resolution_m`."""
-    error_m, returns = compared.error_m, compared.returns
+    error_m = compared.error_m
+    returns = compared.returns
 
     def share(count: float) -> float:
         return float(count / returns) if returns else np.nan
@@ -153,7 +164,8 @@ class Tally:
     def add(self, compared: Comparison) -> None:
         """Add a cluster."""
         error_um = np.rint(compared.error_m / _UM).astype(np.int64)
-        matched, squares_um2 = len(error_um), int(error_um @ error_um)
+        matched = len(error_um)
+        squares_um2 = int(error_um @ error_um)
         self.clusters += 1
         self.with_errors += squares_um2 > 0
         self.pulses += compared.pulses
@@ -176,10 +188,14 @@ class Tally:
     def range_rmse_interval_m(self) -> tuple[float, float] | None:
         """95 % confidence interval of this RMSE over all pulses, with the clusters as a sample; None if there are too few.
 
-        The mean square is a ratio of sums over clusters; its variance is the variance of the clusters about the ratio
-        (Cochran, Sampling Techniques, 3rd ed. 1977, section 6.3). Squares have a skewed distribution, so Student's interval
-        is on their logarithm, with a quarter of the degrees of freedom of the effective number of clusters. With 40 to 600
-        clusters and lognormal errors, 91 to 96 % of intervals then contain the truth at sigma 0.5 and 0.8, and 87 to 90 % at
+        The mean square is a ratio of sums over clusters; its variance is the variance of the clusters about
+        the ratio
+        (Cochran, Sampling Techniques, 3rd ed. 1977, section 6.3). Squares have a skewed distribution, so
+        Student's interval
+        is on their logarithm, with a quarter of the degrees of freedom of the effective number of clusters.
+        With 40 to 600
+        clusters and lognormal errors, 91 to 96 % of intervals then contain the truth at sigma 0.5 and 0.8,
+        and 87 to 90 % at
         1.1, where few clusters dominate; intervals that miss it are too low.
         """
         if self.with_errors < FEWEST_CLUSTERS or self.range_rmse_m is None:
@@ -195,9 +211,12 @@ class Tally:
         return self.range_rmse_m * math.exp(-reach / 2), self.range_rmse_m * math.exp(reach / 2)
 
 
-_SEQUENCES, _LASERS = 8, 2
-_RAYS, _TIMES = 512, 4
-"""Sub-rays of an answer: at least the first number, and at least the second number times the sub-rays of a pulse. With
+_SEQUENCES = 8
+_LASERS = 2
+_RAYS = 512
+_TIMES = 4
+"""Sub-rays of an answer: at least the first number, and at least the second number times the sub-rays of a
+pulse. With
 512, the remaining error is a fifth of the error of pulses with 64, and 1/20 of the error of one ray."""
 _SAMPLED = ("fixed", "adaptive")
 
@@ -232,18 +251,23 @@ class Audit:
         counts = tally.lost, tally.invented, tally.wrong_strongest
         lost, invented, other = (count / tally.returns if tally.returns else None for count in counts)
         low_m, high_m = tally.range_rmse_interval_m or (None, None)
-        return AuditFinding(self.exact, tally.pulses, tally.range_rmse_m, low_m, high_m, lost, invented, other)
+        return AuditFinding(
+            self.exact, tally.pulses, tally.range_rmse_m, low_m, high_m, lost, invented, other
+        )
 
     def __call__(self, job: Job, firings: Firings, hits: Hits, geometry: Geometry) -> None:
         """Audit the pulses of whole or partial blocks, in the same geometry."""
         if self.exact:
             return
         unit = job.unit
-        block, index = Batching(firings.t_ns.shape[1], unit.head.beams.sequence_ns).block, firings.index
+        block = Batching(firings.t_ns.shape[1], unit.head.beams.sequence_ns).block
+        index = firings.index
         for begin in range(index // block * block, index + len(firings.t_ns), block):
             self._audit(unit, firings, hits, geometry, begin, block)
 
-    def _audit(self, unit: Unit, firings: Firings, hits: Hits, geometry: Geometry, begin: int, sequences: int) -> None:
+    def _audit(
+        self, unit: Unit, firings: Firings, hits: Hits, geometry: Geometry, begin: int, sequences: int
+    ) -> None:
         """Audit the drawn pulses of the block that begins with sequence `begin`, if they are among those that were cast."""
         lasers = firings.t_ns.shape[1]
         draw = generator(unit.seed, Purpose.AUDIT, unit.number, begin)
@@ -252,7 +276,8 @@ class Audit:
             return
         chosen = np.sort(draw.choice(lasers, min(_LASERS, lasers), replace=False))
         rows = slice(first, first + _SEQUENCES)
-        part, exact = _some_firings(firings, rows, chosen), unit.detector.without_chance()
+        part = _some_firings(firings, rows, chosen)
+        exact = unit.detector.without_chance()
         beam = answer_beam(unit.beam, max(_RAYS, _TIMES * unit.beam.rays), unit.seed)
         answer = geometry.cast(part, unit.head.beams.near_m[chosen], unit.section.max_range_m, beam)
         found = _some_hits(hits, rows, chosen)
@@ -271,7 +296,8 @@ def _some_firings(firings: Firings, rows: slice, lasers: I8) -> Firings:
 
 
 def _some_hits(hits: Hits, rows: slice, lasers: I8) -> Hits:
-    own, before = hits.count[rows], int(hits.count[: rows.start].sum())
+    own = hits.count[rows]
+    before = int(hits.count[: rows.start].sum())
     stop = before + np.cumsum(own, dtype=np.int64).reshape(own.shape)
     count = np.ascontiguousarray(own[:, lasers])
     last = stop[:, lasers].reshape(-1)

@@ -29,7 +29,8 @@ _TAIL = 0.95  # share of absolute errors below `range_p95_m`
 def intervals_of(groups: Sequence[Comparison], resolution_m: float) -> dict[str, Interval]:
     """Return the 95 % interval of each error of `errors_of`, by name, from comparisons of independent groups.
 
-    A ratio of sums over groups has the variance of the groups about the ratio (Cochran, Sampling Techniques, 3rd
+    A ratio of sums over groups has the variance of the groups about the ratio (Cochran, Sampling Techniques,
+    3rd
     ed. 1977, section 6.3).
     """
     matched = np.array([len(group.error_m) for group in groups], np.float64)
@@ -45,7 +46,9 @@ def intervals_of(groups: Sequence[Comparison], resolution_m: float) -> dict[str,
         "range_bias_m": _signed(sums([group.error_m for group in groups]), matched),
         "range_p95_m": _quantile([np.abs(group.error_m) for group in groups]),
         "mean_error_m": _positive(absolute_m, returns),
-        "reflectivity_rmse": _root(_positive(sums([group.reflectivity_error**2 for group in groups]), matched)),
+        "reflectivity_rmse": _root(
+            _positive(sums([group.reflectivity_error**2 for group in groups]), matched)
+        ),
     }
     for name in ("lost", "invented", "wrong_strongest", "wrong_last"):
         counts = np.array([getattr(group, name) for group in groups], np.float64)
@@ -55,7 +58,8 @@ def intervals_of(groups: Sequence[Comparison], resolution_m: float) -> dict[str,
 
 def _spread(parts: F8, wholes: F8) -> float:
     """Return the standard error of the ratio of the sums of parts (g,) and wholes (g,)."""
-    groups, rest = len(parts), parts - parts.sum() / wholes.sum() * wholes
+    groups = len(parts)
+    rest = parts - parts.sum() / wholes.sum() * wholes
     return math.sqrt((rest**2).sum() * groups / (groups - 1)) / float(wholes.sum())
 
 

@@ -1,6 +1,7 @@
 """Error against run time: settings of the beam and near_m, on pulses from the whole run.
 
-The reference is the converged answer: the same pulses with many more sub-rays, detected without noise. Beyond `near_m`
+The reference is the converged answer: the same pulses with many more sub-rays, detected without noise. Beyond
+`near_m`
 single leaves differ from the leaves of the explicit world, so means over the same pulses are compared there.
 """
 
@@ -20,7 +21,15 @@ from numpy.typing import NDArray
 from vlp16emu.engine import Parts, Unit, assemble, beam_of, window_of
 from vlp16emu.engine.windows import Batching, workers
 from vlp16emu.errors import RunError
-from vlp16emu.extras.accuracy.audit import Detections, Errors, answer_beam, apart_m, compare, detections_of, errors_of
+from vlp16emu.extras.accuracy.audit import (
+    Detections,
+    Errors,
+    answer_beam,
+    apart_m,
+    compare,
+    detections_of,
+    errors_of,
+)
 from vlp16emu.extras.accuracy.intervals import Interval, intervals_of
 from vlp16emu.forest.settings import Woods
 from vlp16emu.random import Purpose, generator
@@ -94,7 +103,8 @@ def choices(rows: Sequence[Row]) -> dict[str, float]:
 
 
 GROUP = 8
-"""Firing sequences of a group, which begins at a multiple of eight: an adaptive beam adapts within these eight only."""
+"""Firing sequences of a group, which begins at a multiple of eight: an adaptive beam adapts within these
+eight only."""
 TIMED_SEQUENCES = 96
 """Firing sequences per window for run time: the overhead of a call is then below a tenth of a ray each."""
 _MOST_SEGMENTS = 8  # greatest number of segments of a long walk: each needs a window of the world
@@ -113,7 +123,8 @@ def draw_groups(
     Yields the number of a segment, only 0 if nothing moves, and its groups in order of time.
     """
     draw = generator(seed, Purpose.AUDIT, -1)
-    per_block, segment = batching.block // GROUP, batching.segment if moves else blocks
+    per_block = batching.block // GROUP
+    segment = batching.segment if moves else blocks
     segments = -(-blocks // segment)
     chosen = _one_of_each(draw, segments, min(_MOST_SEGMENTS, segments))
     most = -(-pulses // (GROUP * batching.lasers * len(chosen)))
@@ -139,7 +150,8 @@ def opened_windows(
     unit = parts.units[0]
     batching = Batching(len(unit.head.beams.elevation_deg), unit.head.beams.sequence_ns)
     run_ns = seconds_to_ns(min(scenario.duration_s, unit.motion.run_time_s))
-    built, blocks = caster(parts.world, pool), len(batching.blocks(0, run_ns))
+    built = caster(parts.world, pool)
+    blocks = len(batching.blocks(0, run_ns))
     for segment, groups in draw_groups(batching, blocks, pulses, unit.seed, moves=parts.moves):
         geometry = built.open(window_of(parts, scenario.start_ns, batching, segment))
         yield geometry, groups, min(groups[-1].stop * batching.sequence_ns / run_ns, 1.0)
@@ -179,9 +191,13 @@ class Bench:
 
 _COUNTS = (4, 8, 16, 32, 64, 128)
 _TIMES_TARGET = (0.25, 0.5, 1.0, 2.0, 4.0)  # targets of adaptive beams, relative to the scene's target
-_RAYS, _TIMES = 4096, 4  # sub-rays of an answer: at least the first, and the second times the sub-rays of a pulse
+# sub-rays of an answer: at least the first, and the second times the sub-rays of a pulse
+_RAYS = 4096
+_TIMES = 4
 _REPEATS = 5
-_ANSWERED_TWICE = 4  # every fourth group also gives the error of the answer itself, because answers are expensive
+_ANSWERED_TWICE = (
+    4  # every fourth group also gives the error of the answer itself, because answers are expensive
+)
 
 
 class BeamSetting(NamedTuple):
@@ -217,15 +233,18 @@ class _SettingsBench:
     """All settings on one bench, measured window by window."""
 
     def __init__(self, bench: Bench, scenario: Scenario) -> None:
-        self._bench, self._apart_m = bench, apart_m(scenario.detector)
+        self._bench = bench
+        self._apart_m = apart_m(scenario.detector)
         self._beams = beam_settings(scenario, bench.unit.seed)
         self._wide = next(setting.beam for setting in self._beams if setting.model == "fixed")
         self._detections = defaultdict[str, list[Detections]](list)
-        self._us, self._rays = defaultdict[str, list[float]](list), defaultdict[str, list[float]](list)
+        self._us = defaultdict[str, list[float]](list)
+        self._rays = defaultdict[str, list[float]](list)
 
     def detect_groups(self, geometry: Geometry, groups: Sequence[range], pool: ThreadPoolExecutor) -> None:
         """Detect the groups of one window with all settings."""
-        bench, aimed = self._bench, [self._bench.aimed(group) for group in groups]
+        bench = self._bench
+        aimed = [self._bench.aimed(group) for group in groups]
 
         def answers(aimed: Sequence[Firings], number: int) -> list[Detections]:
             return list(pool.map(lambda firings: bench.answer(geometry, firings, self._wide, number), aimed))
@@ -259,7 +278,8 @@ class _SettingsBench:
         )
 
     def _row(self, setting: BeamSetting) -> Row:
-        name, us = setting.name, np.array(self._us[setting.name]).reshape(-1, _REPEATS).mean(axis=0)
+        name = setting.name
+        us = np.array(self._us[setting.name]).reshape(-1, _REPEATS).mean(axis=0)
         pairs = zip(self._detections["answer"], self._detections[name], strict=True)
         groups = [compare(answer, detected, self._apart_m) for answer, detected in pairs]
         return Row(
@@ -307,7 +327,9 @@ def measure_accuracy(
 
 _NEAR_M = (10.0, 15.0, 20.0, 30.0, math.inf)
 _NORMAL_95 = 1.96
-_STRONGEST, _LAST, _SECOND = 0, 1, 2  # columns of Returns
+_STRONGEST = 0  # columns of Returns
+_LAST = 1
+_SECOND = 2
 
 
 def measure_foliage(
@@ -320,9 +342,11 @@ def measure_foliage(
     if not isinstance(world := scenario.world, Woods):
         return ()
     levels = sorted({*_NEAR_M, world.near_m})
-    us, groups = list[float](), list[list[dict[str, float]]]()
+    us = list[float]()
+    groups = list[list[dict[str, float]]]()
     for number, near_m in enumerate(levels):
-        means, times_us = list[dict[str, float]](), list[float]()
+        means = list[dict[str, float]]()
+        times_us = list[float]()
         for returns, time_us, share in returns_of(scenario, near_m, pulses):
             means.append(_means(returns, scenario.sensor.max_range_m))
             times_us.append(time_us)
@@ -330,7 +354,9 @@ def measure_foliage(
         groups.append(means)
         us.append(float(np.median(times_us)))
     return tuple(
-        LevelOfDetail(f"world.near_m={near_m:g}", near_m == world.near_m, time_us, departures(means, groups[-1]))
+        LevelOfDetail(
+            f"world.near_m={near_m:g}", near_m == world.near_m, time_us, departures(means, groups[-1])
+        )
         for near_m, time_us, means in zip(levels, us, groups, strict=True)
     )
 
@@ -338,12 +364,14 @@ def measure_foliage(
 def returns_of(scenario: Scenario, near_m: float, pulses: int) -> Iterator[tuple[Returns, float, float]]:
     """Cast groups of pulses of the first unit against a scene's world with single leaves up to `near_m`, and detect them without noise.
 
-    Yields returns of a group, microseconds per pulse in its window on one core, and the completed share of the run.
+    Yields returns of a group, microseconds per pulse in its window on one core, and the completed share of
+    the run.
     """
     world = scenario.world.model_copy(update={"near_m": near_m})
     parts = assemble(scenario.model_copy(update={"world": world}))
     unit = parts.units[0]
-    bench, detector = Bench(unit, unit.beam.rays), unit.detector.without_chance()
+    bench = Bench(unit, unit.beam.rays)
+    detector = unit.detector.without_chance()
 
     def returns(geometry: Geometry, group: range) -> Returns:
         firings = bench.aimed(group)

@@ -37,7 +37,8 @@ _METADATA_VERSION = 8  # last metadata version of rosbag2 with the quality of se
 def check_bag(path: Path) -> None:
     """Refuse a path that no bag can be written to.
 
-    Raises OutputError if the suffix is no bag's, or the folder exists; MissingExtraError if rosbags is not installed.
+    Raises OutputError if the suffix is no bag's, or the folder exists; MissingExtraError if rosbags is not
+    installed.
     """
     suffix = path.suffix.lower()
     if suffix not in _SUFFIXES or not path.name:
@@ -51,7 +52,8 @@ def check_bag(path: Path) -> None:
 class BagFile:
     """A bag that gets its name when it is closed without error; a context manager.
 
-    It is .mcap (ROS 2), .bag (ROS 1), or a folder without suffix (ROS 2, SQLite); a file is replaced, a folder is not.
+    It is .mcap (ROS 2), .bag (ROS 1), or a folder without suffix (ROS 2, SQLite); a file is replaced, a
+    folder is not.
     Messages may come in any order within a second, and are written in the order of their times.
 
     Raises OutputError if the suffix is no bag's, the folder exists, or nothing can be written there;
@@ -65,7 +67,8 @@ class BagFile:
         from rosbags.rosbag2 import Writer as Writer2
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-        self.path, suffix = path, path.suffix.lower()
+        self.path = path
+        suffix = path.suffix.lower()
         self.is_ros1 = suffix == ".bag"
         self._store = get_typestore(Stores.ROS1_NOETIC if self.is_ros1 else Stores.ROS2_HUMBLE)
         for name, text in _OWN_TYPES.items():
@@ -132,7 +135,9 @@ class BagFile:
         Raises RunError if the disk is full, or the stamp is out of the range of bags.
         """
         if not 0 <= t_ns <= LATEST_NS:
-            raise RunError(f"{self.path}: a message at {t_ns / S_NS:.3f} s since 1970 fits no bag; no bag is written")
+            raise RunError(
+                f"{self.path}: a message at {t_ns / S_NS:.3f} s since 1970 fits no bag; no bag is written"
+            )
         heapq.heappush(self._held, (t_ns, next(self._number), topic, self._message(name, fields)))
         self.counts[topic] = self.counts.get(topic, 0) + 1
         first_ns, last_ns = self.span_ns or (t_ns, t_ns)
@@ -171,10 +176,13 @@ class BagFile:
         """Announce a topic: reliable, depth ten; fixed transforms are latched, as in tf2_ros."""
         from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 
-        is_fixed, any_time = topic == "/tf_static", QosTime(0, 0)
+        is_fixed = topic == "/tf_static"
+        any_time = QosTime(0, 0)
         more: dict[str, object] = {"latching": 1} if is_fixed else {}
         if not self.is_ros1:
-            depth, durability = (1, QosDurability.TRANSIENT_LOCAL) if is_fixed else (10, QosDurability.VOLATILE)
+            depth, durability = (
+                (1, QosDurability.TRANSIENT_LOCAL) if is_fixed else (10, QosDurability.VOLATILE)
+            )
             kept = QosHistory.KEEP_LAST, depth, QosReliability.RELIABLE, durability
             times = any_time, any_time, QosLiveliness.SYSTEM_DEFAULT, any_time
             qos = Qos(*kept, *times, avoid_ros_namespace_conventions=False)

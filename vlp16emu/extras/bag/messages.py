@@ -13,7 +13,15 @@ from vlp16emu.errors import PacketError
 from vlp16emu.extras.bag.bag_file import BagFile
 from vlp16emu.extras.imu.sampler import GRAVITY_M_S2
 from vlp16emu.extras.truth.truth import given_mount, transform
-from vlp16emu.packets import DATA_PAYLOAD, JUMP_NS, data_fields, decode_data, decode_position, faults_in, scan_starts
+from vlp16emu.packets import (
+    DATA_PAYLOAD,
+    JUMP_NS,
+    data_fields,
+    decode_data,
+    decode_position,
+    faults_in,
+    scan_starts,
+)
 from vlp16emu.types import U1
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
@@ -21,14 +29,18 @@ if TYPE_CHECKING:  # bags without images load no camera
     from vlp16emu.extras.camera.lens import Lens
     from vlp16emu.extras.camera.shot import Shot
 
-_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")])
+_POINT = np.dtype(
+    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")]
+)
 """PointXYZIRT of velodyne_pointcloud (pointcloudXYZIRT.cpp, ros-drivers/velodyne): packed, 22 bytes."""
-_FLOAT32, _UINT16 = 7, 4  # types of sensor_msgs/PointField
+_FLOAT32 = 7  # types of sensor_msgs/PointField
+_UINT16 = 4
 _FIELDS = [
     (name, offset, _FLOAT32 if kind.kind == "f" else _UINT16, 1)
     for name, (kind, offset, *_) in (_POINT.fields or {}).items()
 ]
-_NO_ATTITUDE, _NO_ESTIMATE = (0.0,) * 4, np.array([-1.0, *[0.0] * 8])
+_NO_ATTITUDE = (0.0,) * 4
+_NO_ESTIMATE = np.array([-1.0, *[0.0] * 8])
 """Orientation of an inertial unit that reports none, and the covariance that marks it (sensor_msgs/Imu)."""
 _EXACT = np.zeros(36)
 _CAMERA = "camera_optical_frame"  # its axes are x right, y down, z forward (REP 103)
@@ -39,13 +51,17 @@ _UNKNOWN_RAD2 = math.pi**2 / 3.0  # variance of a uniformly distributed heading,
 class UnitMessages:
     """Writer of the messages that the ROS driver makes from the packets of one sensor.
 
-    A scan ends with the packet that passes azimuth 0, as with the driver's default `cut_angle`, or before a jump of a
-    clock. Its stamp is the time of its first packet by `clock`, as with the driver's setting `timestamp_first_packet`.
+    A scan ends with the packet that passes azimuth 0, as with the driver's default `cut_angle`, or before a
+    jump of a
+    clock. Its stamp is the time of its first packet by `clock`, as with the driver's setting
+    `timestamp_first_packet`.
     Packets after the last cut are no scan.
     """
 
     def __init__(self, bag: BagFile, frame: str, clock: PacketClock) -> None:
-        self._bag, self._frame, self._clock = bag, frame, clock
+        self._bag = bag
+        self._frame = frame
+        self._clock = clock
         self._space = f"/{frame}".removesuffix("/velodyne")
         self._last: tuple[float, int, int] | None = None
         """Azimuth of the latest packet, and its time by the sensor's clock and by the chosen clock."""
@@ -57,7 +73,8 @@ class UnitMessages:
         """Take a data packet, and return UTC of its first pulse; errors of `check`."""
         fields = np.frombuffer(payload, DATA_PAYLOAD)[0]
         stamps = stamp_ns, int(fields["timestamp_us"]), int(fields["return_mode"])
-        azimuth_deg, (sensor_ns, t_ns) = fields["blocks"]["azimuth_cdeg"][0] / 100, self._clock.packet_ns(*stamps)
+        azimuth_deg = fields["blocks"]["azimuth_cdeg"][0] / 100
+        (sensor_ns, t_ns) = self._clock.packet_ns(*stamps)
         ends = False
         if self._last is not None:
             last_deg, last_ns, last_t_ns = self._last
@@ -74,7 +91,8 @@ class UnitMessages:
 
     def position(self, stamp_ns: int, payload: bytes) -> int:
         """Take a position packet, and return its UTC; a new sentence becomes a message."""
-        fields, topic = decode_position(payload), f"{self._space}/nmea_sentence"
+        fields = decode_position(payload)
+        topic = f"{self._space}/nmea_sentence"
         t_ns = self._clock.position_ns(stamp_ns, fields.time_ns // US_NS)
         if fields.sentence not in (b"", self._sentence):
             text = fields.sentence.decode("ascii", "replace").strip()
@@ -94,7 +112,9 @@ class UnitMessages:
         return payloads
 
     def _write_scan(self) -> None:
-        bag, payloads, t_ns = self._bag, self.check(), np.array([t_ns for t_ns, _, _ in self._held])
+        bag = self._bag
+        payloads = self.check()
+        t_ns = np.array([t_ns for t_ns, _, _ in self._held])
         if not self._held:
             return
         self._held = []
@@ -108,10 +128,12 @@ class UnitMessages:
         since_packet_ns = (found.time_ns - clock_ns[found.packet]) % HOUR_NS
         points = np.zeros(len(found.ring), _POINT)
         points["x"], points["y"], points["z"] = found.xyz_m.T
-        points["intensity"], points["ring"] = found.reflectivity, found.ring
+        points["intensity"] = found.reflectivity
+        points["ring"] = found.ring
         points["time"] = (t_ns[found.packet] + since_packet_ns - begin_ns) / S_NS
         size = len(points), _POINT.itemsize
-        header, data = bag.header(begin_ns, self._frame, topics[1]), points.view(np.uint8)
+        header = bag.header(begin_ns, self._frame, topics[1])
+        data = points.view(np.uint8)
         what = (header, 1, size[0], _FIELDS, False, size[1], size[0] * size[1], data, True)
         bag.write(topics[1], end_ns, "sensor_msgs/msg/PointCloud2", *what)
 
@@ -119,7 +141,8 @@ class UnitMessages:
 class TrueMessages:
     """Writer of the ground truth of a run; poses are x y z and quaternion x y z w.
 
-    Frames follow REP 105 and REP 103: mounted devices are children of `base_link`, the body of `rig.json`. The ground
+    Frames follow REP 105 and REP 103: mounted devices are children of `base_link`, the body of `rig.json`.
+    The ground
     truth has frames of its own, so that a SLAM program can publish `map` to `odom` to `base_link`.
 
     Parameters
@@ -132,10 +155,18 @@ class TrueMessages:
     """
 
     def __init__(
-        self, bag: BagFile, rig: Mapping[str, Any], scenario: Mapping[str, Any], frames: Sequence[str], tf: str
+        self,
+        bag: BagFile,
+        rig: Mapping[str, Any],
+        scenario: Mapping[str, Any],
+        frames: Sequence[str],
+        tf: str,
     ) -> None:
-        self._bag, self._rig, self._frames = bag, rig, frames
-        imu, gps = scenario.get("imu"), scenario["gps"]
+        self._bag = bag
+        self._rig = rig
+        self._frames = frames
+        imu = scenario.get("imu")
+        gps = scenario["gps"]
         keys = ("gyro_noise_rad_s_sqrt_hz", "accel_noise_m_s2_sqrt_hz")
         self._imu = [np.eye(3).ravel() * imu[key] ** 2 * imu["rate_hz"] for key in keys] if imu else []
         tilt_rad2 = (imu["accel_bias_m_s2"] / GRAVITY_M_S2) ** 2 if imu else 0.0
@@ -172,7 +203,8 @@ class TrueMessages:
         if self._sensor_T_base is not None:
             numbers = _moved_to_base(numbers, self._sensor_T_base)
         topic = "/ground_truth/odom"
-        placed, header = (numbers[:3], numbers[3:7]), self._bag.header(t_ns, "map", topic)
+        placed = (numbers[:3], numbers[3:7])
+        header = self._bag.header(t_ns, "map", topic)
         twist = (numbers[7:10], numbers[10:]), _EXACT
         self._bag.write(topic, t_ns, "nav_msgs/msg/Odometry", header, self._child, (placed, _EXACT), twist)
         moved = self._bag.header(t_ns, "map", "/tf"), self._child, placed
@@ -180,7 +212,9 @@ class TrueMessages:
 
     def inertial(self, t_ns: int, read: Sequence[float]) -> None:
         """Write angular rate and specific force (6,) with the covariance of their white noise, and the attitude if it follows."""
-        attitude, covariance = (read[6:], self._attitude_rad2) if len(read) > 6 else (_NO_ATTITUDE, _NO_ESTIMATE)
+        attitude, covariance = (
+            (read[6:], self._attitude_rad2) if len(read) > 6 else (_NO_ATTITUDE, _NO_ESTIMATE)
+        )
         what = attitude, covariance, read[:3], self._imu[0], read[3:6], self._imu[1]
         header = self._bag.header(t_ns, "imu", "/imu/data")
         self._bag.write("/imu/data", t_ns, "sensor_msgs/msg/Imu", header, *what)
@@ -190,12 +224,15 @@ class TrueMessages:
         latitude_deg, longitude_deg, valid = said
         # Status -1 is none, service 1 is GPS, covariance 1 is approximated.
         what = (int(valid) - 1, 1), latitude_deg, longitude_deg, math.nan, self._place, 1
-        self._bag.write("/fix", t_ns, "sensor_msgs/msg/NavSatFix", self._bag.header(t_ns, "gps", "/fix"), *what)
+        self._bag.write(
+            "/fix", t_ns, "sensor_msgs/msg/NavSatFix", self._bag.header(t_ns, "gps", "/fix"), *what
+        )
 
     def image(self, lens: "Lens", shot: "Shot") -> None:
         """Write the layers of an image, each with its intrinsics as drivers of depth cameras publish them.
 
-        Depth is in metres, NaN where nothing is met (REP 118); instances are those of points, as signed numbers.
+        Depth is in metres, NaN where nothing is met (REP 118); instances are those of points, as signed
+        numbers.
         """
         depth_m = np.where(shot.depth_m > 0.0, shot.depth_m, np.float32(np.nan))
         instance = shot.instance.view(np.int32)

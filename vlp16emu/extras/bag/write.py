@@ -14,7 +14,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from vlp16emu.captures import Capture, CaptureReader, Clock, PacketClock, UnitClock, chosen_unit, unit_clocks, units_in
+from vlp16emu.captures import (
+    Capture,
+    CaptureReader,
+    Clock,
+    PacketClock,
+    UnitClock,
+    chosen_unit,
+    unit_clocks,
+    units_in,
+)
 from vlp16emu.captures.capture import CapturedUnit, Datagram
 from vlp16emu.elementary import matvec
 from vlp16emu.engine import Engine
@@ -53,7 +62,9 @@ class Truth(NamedTuple):
 
     rig: Mapping[str, Any]  # `rig.json`, with the units that are written
     scenario: Mapping[str, Any]  # `scenario.json`
-    feeds: Callable[[TrueMessages, int], Sequence[Feed]]  # returns the feeds of samples from the first pulse on
+    feeds: Callable[
+        [TrueMessages, int], Sequence[Feed]
+    ]  # returns the feeds of samples from the first pulse on
     after_ns: int  # time after the last packet that is also written
 
 
@@ -82,7 +93,10 @@ class BagSink(PacketSink):
         truth: Truth | None,
     ) -> None:
         self.bag = BagFile(path)
-        self._frames, self._clock_of, self._tf, self._truth = frames, clock_of, options.tf, truth
+        self._frames = frames
+        self._clock_of = clock_of
+        self._tf = options.tf
+        self._truth = truth
         self._units = dict[int, UnitMessages]()
         self._feeds: Sequence[Feed] | None = None
         self._sent = Counter[PacketKind]()
@@ -143,10 +157,15 @@ def _sha256(file: Path) -> str:
 
 
 @contextmanager
-def bag_of_run(path: Path, engine: Engine, rate_hz: int, options: BagOptions | None = None) -> Iterator[list[BagSink]]:
+def bag_of_run(
+    path: Path, engine: Engine, rate_hz: int, options: BagOptions | None = None
+) -> Iterator[list[BagSink]]:
     """Open a bag for the packets and the ground truth of a run, with poses at `rate_hz`; errors of `BagFile` and `written_beside`."""
-    options, scenario, units = options or BagOptions(), engine.scenario, engine.parts.units
-    rig, tree = rig_of(scenario, engine.parts), scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
+    options = options or BagOptions()
+    scenario = engine.scenario
+    units = engine.parts.units
+    rig = rig_of(scenario, engine.parts)
+    tree = scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
     frames = _frames(len(units))
     photographer = None
     if scenario.camera is not None:
@@ -176,7 +195,8 @@ def _feeds_of_run(
 ) -> Sequence[Feed]:
     from scipy.spatial.transform import Rotation
 
-    parts, start_ns = engine.parts, engine.scenario.start_ns
+    parts = engine.parts
+    start_ns = engine.scenario.start_ns
 
     def odometry(true: Kinematics) -> None:
         quaternion = Rotation.from_matrix(true.world_R_body).as_quat(canonical=True)
@@ -186,7 +206,9 @@ def _feeds_of_run(
             to.odometry(*sample)
 
     def inertial(read: Inertial) -> None:
-        rates = np.column_stack([read.angular_rate_rad_s, read.specific_force_m_s2, *attitude_of(read)]).tolist()
+        rates = np.column_stack(
+            [read.angular_rate_rad_s, read.specific_force_m_s2, *attitude_of(read)]
+        ).tolist()
         stamps_ns = read.t_ns if read.stamp_ns is None else read.stamp_ns
         for sample in zip(stamps_ns.tolist(), rates, strict=True):
             to.inertial(*sample)
@@ -210,7 +232,8 @@ def _feeds_of_run(
 
 def _images_of_run(engine: Engine, photographer: "Photographer", to: TrueMessages, begin_ns: int) -> Feed:
     """Return the feed of the images that the scene's camera takes from an instant on, until the run is stopped."""
-    start_ns, step_ns = engine.scenario.start_ns, photographer.step_ns
+    start_ns = engine.scenario.start_ns
+    step_ns = photographer.step_ns
 
     def take(t_ns: int) -> None:
         with suppress(CancelledError):  # a stopped run goes without its last images
@@ -250,24 +273,33 @@ def write_bag(
     images : folder of images of the same run, which needs `truth`
     unit : the sensor to write, as `chosen_unit` takes it; by default all sensors
     clock : clock of all stamps, as `unit_clocks` takes it
-    options : transforms, and a configuration beside the bag, which without ground truth has only the capture's speed
+    options : transforms, and a configuration beside the bag, which without ground truth has only the
+        capture's speed
     stop : ends the bag between two packets; it is valid
 
-    Raises CaptureError, PacketError if the file is no capture, is damaged, or has stamps out of the range of bags;
-    InputError if the ground truth cannot be read or has another number of units, or there is no such unit or clock;
+    Raises CaptureError, PacketError if the file is no capture, is damaged, or has stamps out of the range of
+    bags;
+    InputError if the ground truth cannot be read or has another number of units, or there is no such unit or
+    clock;
     OutputError, MissingExtraError, RunError like `BagFile` and `written_beside`.
     """
-    options, stop = options or BagOptions(), stop or Event()
+    options = options or BagOptions()
+    stop = stop or Event()
     spare([capture], out)
     check_bag(out)
     if images is not None and truth is None:
-        raise InputError("--images", "found without --truth", "--truth DIR of the same run, whose frames they are in")
+        raise InputError(
+            "--images", "found without --truth", "--truth DIR of the same run, whose frames they are in"
+        )
     every = units_in(capture, required=True)
     units = every if unit is None else [chosen_unit(capture, unit, where="--unit") or every[0]]
     clocks = unit_clocks(capture, units, clock, where="--clock")
     _check_stamps(capture, clocks)
-    made, frames = [one.make() for one in clocks], _frames(len(units))
-    true = None if truth is None else _truth_of(truth, [every.index(one) for one in units], len(every), images)
+    made = [one.make() for one in clocks]
+    frames = _frames(len(units))
+    true = (
+        None if truth is None else _truth_of(truth, [every.index(one) for one in units], len(every), images)
+    )
 
     with (
         written_beside(out, options.slam, lambda: _rig(true, capture, units[0], frames[0])),
@@ -323,7 +355,9 @@ def _truth_of(folder: Path, taken: Sequence[int], units: int, images: Path | Non
     """Return the ground truth of a folder for the units `taken`, with images; the capture has `units` units."""
     rig, scenario = (read_json(folder / name, _EXPECTED) for name in ("rig.json", "scenario.json"))
     if len(rig["units"]) != units:
-        raise InputError(str(folder / "rig.json"), f"found {len(rig['units'])} units", f"{units}, as in the capture")
+        raise InputError(
+            str(folder / "rig.json"), f"found {len(rig['units'])} units", f"{units}, as in the capture"
+        )
     rig = {**rig, "units": [rig["units"][number] for number in taken]}
     rig.pop("camera", None)  # of images that are not in the bag
     if images is not None:
@@ -336,7 +370,10 @@ def _truth_of(folder: Path, taken: Sequence[int], units: int, images: Path | Non
         read = (*IMU_AXES, *(ATTITUDE if imu.get("attitude") else ()))
         stamp = STAMP if imu.get("jitter_s") or any(imu.get("delay_s", ())) else _TIME
         found = [_feed(_poses(folder / rig["units"][0]["trajectory"], begin_ns), to.odometry)]
-        for name, columns, take, time in (("imu.csv", read, to.inertial, stamp), ("gnss.csv", _SAID, to.fix, _TIME)):
+        for name, columns, take, time in (
+            ("imu.csv", read, to.inertial, stamp),
+            ("gnss.csv", _SAID, to.fix, _TIME),
+        ):
             if (folder / name).exists():
                 rows = _table(folder / name, columns, time=time)
                 found.append(_feed((row for row in rows if row[0] >= begin_ns), take))
@@ -368,9 +405,11 @@ def _poses(path: Path, begin_ns: int) -> Iterator[Row]:
     rates = [0.0] * 6
     for t_ns, pose in _table(path, _POSE[1:], names=_POSE):
         if before is not None:
-            (t0_ns, pose0), step_s = before, (t_ns - before[0]) / S_NS
+            (t0_ns, pose0) = before
+            step_s = (t_ns - before[0]) / S_NS
             try:
-                back, turn = Rotation.from_quat(pose0[3:]).inv(), Rotation.from_quat(pose[3:])
+                back = Rotation.from_quat(pose0[3:]).inv()
+                turn = Rotation.from_quat(pose[3:])
             except ValueError:
                 raise InputError(str(path), f"no rotation at {t_ns / S_NS:.3f} s", "a quaternion") from None
             moved_m = matvec(back.as_matrix(), np.subtract(pose[:3], pose0[:3]))
@@ -380,21 +419,29 @@ def _poses(path: Path, begin_ns: int) -> Iterator[Row]:
         before = t_ns, pose
     if before is None or before[0] < begin_ns:
         found = "no poses" if before is None else f"poses until {before[0] / S_NS:.3f} s"
-        raise InputError(str(path), found, f"poses from the capture's first pulse on, {begin_ns / S_NS:.3f} s")
+        raise InputError(
+            str(path), found, f"poses from the capture's first pulse on, {begin_ns / S_NS:.3f} s"
+        )
     yield before[0], before[1] + rates
 
 
-def _table(path: Path, columns: Sequence[str], names: Sequence[str] = (), *, time: str = _TIME) -> Iterator[Row]:
+def _table(
+    path: Path, columns: Sequence[str], names: Sequence[str] = (), *, time: str = _TIME
+) -> Iterator[Row]:
     """Yield the time and the numbers of some columns of a CSV, or of a TUM file, which has no header."""
     with readable(path, _EXPECTED, InputError, most_bytes=_EVER_NS), path.open() as lines:
         reader = csv.DictReader(lines, names or None, delimiter=" " if names else ",")
         if missing := {time, *columns} - set(reader.fieldnames or ()):
-            raise InputError(f"{path}, line 1", f"no column {min(missing)}", f"the columns {', '.join(columns)}")
+            raise InputError(
+                f"{path}, line 1", f"no column {min(missing)}", f"the columns {', '.join(columns)}"
+            )
         for row in reader:
             if row[time] == "#":
                 continue
             try:
-                seconds, _, decimals = row[time].partition(".")  # other programs write fewer decimals than nine
+                seconds, _, decimals = row[time].partition(
+                    "."
+                )  # other programs write fewer decimals than nine
                 yield int(seconds + f"{decimals:0<9}"[:9]), [float(row[name]) for name in columns]
             except (AttributeError, TypeError, ValueError):
                 found = f"found {' '.join(str(cell) for cell in row.values())[:60]}"

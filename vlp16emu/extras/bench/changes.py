@@ -83,8 +83,12 @@ class DisturbedOptics:
 
 
 _STALE_NS = 5 * S_NS
-"""Time without a sentence after which the sensor behaves as if it never had one (assumption: the window of the pulse)."""
-_PRINTABLE = (0x30, 0x5B)  # range of a garbled character: digits, capitals, and the characters between them in ASCII
+"""Time without a sentence after which the sensor behaves as if it never had one (assumption: the window of
+the pulse)."""
+_PRINTABLE = (
+    0x30,
+    0x5B,
+)  # range of a garbled character: digits, capitals, and the characters between them in ASCII
 
 _Spans = tuple[tuple[int, int], ...]
 
@@ -116,9 +120,12 @@ class DisturbedGps(GpsInput):
     def pps_at(self, t_ns: int) -> PpsState:
         """Return the state of the pulse as the sensor reports it at an instant.
 
-        Pulses are locked if they were steady for the window and their sentences name the second before them; a sentence
-        that is garbled, or names another second, is an error (63-9243 Rev D, section 9.3.3 and appendix G; the end of a
-        state is an assumption: a state from pulses ends at the first missing edge, a state from a sentence at the next
+        Pulses are locked if they were steady for the window and their sentences name the second before them;
+        a sentence
+        that is garbled, or names another second, is an error (63-9243 Rev D, section 9.3.3 and appendix G;
+        the end of a
+        state is an assumption: a state from pulses ends at the first missing edge, a state from a sentence at
+        the next
         sentence, or after 5 s without one).
         """
         edge_ns = t_ns // S_NS * S_NS
@@ -143,7 +150,9 @@ class DisturbedGps(GpsInput):
             return None
         second_ns = (t_ns - self.sentence_delay_ns) // S_NS * S_NS
         missing = self._spans["missing_sentence"]
-        while (span := _span_at(missing, second_ns + self.sentence_delay_ns)) or self._comes_ns(second_ns) > t_ns:
+        while (span := _span_at(missing, second_ns + self.sentence_delay_ns)) or self._comes_ns(
+            second_ns
+        ) > t_ns:
             # The last sentence before the missing ones.
             first_ns = span[0] if span else second_ns + self.sentence_delay_ns
             second_ns = (first_ns - 1 - self.sentence_delay_ns) // S_NS * S_NS
@@ -153,7 +162,9 @@ class DisturbedGps(GpsInput):
 
     def sentence(self, fix: GnssFix, seed: int) -> bytes:
         """Return the sentence of a fix as the sensor receives it; parameters as in `GpsInput`."""
-        text = bytearray(rmc(replace(fix, valid=False) if self._events_at("void_sentence", fix.t_ns) else fix))
+        text = bytearray(
+            rmc(replace(fix, valid=False) if self._events_at("void_sentence", fix.t_ns) else fix)
+        )
         for event in self._events_at("wrong_sentence", fix.t_ns):
             random = generator(seed, Purpose.SENTENCE, fix.t_ns // S_NS)
             body = range(len(b"$GPRMC,"), text.index(b"*"))
@@ -185,11 +196,15 @@ class DisturbedGps(GpsInput):
     @cached_property
     def _delays_ns(self) -> tuple[Sequence[int], Sequence[int]]:
         """Instants UTC of the arrival of punctual sentences, and the delay of sentences from each instant on."""
-        late = [(*self._span_ns(event), seconds_to_ns(event.by_s)) for event in self._events_of("late_sentence")]
+        late = [
+            (*self._span_ns(event), seconds_to_ns(event.by_s)) for event in self._events_of("late_sentence")
+        ]
         begins = sorted(late)
         turns_ns = sorted({turn_ns for begin_ns, end_ns, _ in late for turn_ns in (begin_ns, end_ns)})
         delays_ns = list[int]()
-        active = list[tuple[int, int]]()  # heap of the delays that have begun, the longest first, and their ends
+        active = list[
+            tuple[int, int]
+        ]()  # heap of the delays that have begun, the longest first, and their ends
         begun = 0
         for turn_ns in turns_ns:
             while begun < len(begins) and begins[begun][0] <= turn_ns:
@@ -271,7 +286,8 @@ def with_events(unit: Unit, scenario: Scenario) -> Unit:
     events = [event for event in scenario.events if event.unit == unit.number + 1]
     if not events:
         return unit
-    section, start_ns = unit.section, scenario.start_ns
+    section = unit.section
+    start_ns = scenario.start_ns
     gps = DisturbedGps.of(scenario.gps, events, start_ns)
     wobbles = (
         Wobbling(one.begin_ns, one.end_ns - one.begin_ns, one.amplitude_rpm, one.period_s)
@@ -296,7 +312,9 @@ def with_events(unit: Unit, scenario: Scenario) -> Unit:
     )
 
 
-def clock_spans(section: Lidar, events: Sequence[Event], gps: DisturbedGps, start_ns: int) -> tuple[ClockSpan, ...]:
+def clock_spans(
+    section: Lidar, events: Sequence[Event], gps: DisturbedGps, start_ns: int
+) -> tuple[ClockSpan, ...]:
     """Return the spans of the clock: locked to GPS if possible, otherwise free-running from its last reading, or from power-up.
 
     Pulses without sentences pull the fraction of a second to their edge (63-9243 Rev D, appendix G).
@@ -306,7 +324,8 @@ def clock_spans(section: Lidar, events: Sequence[Event], gps: DisturbedGps, star
     gps : the receiver's pulse and sentences
     start_ns : UTC of the first laser pulse
     """
-    power_up_ns, own_ppm = start_ns - seconds_to_ns(section.powered_for_s or 0.0), section.clock_error_ppm or 0.0
+    power_up_ns = start_ns - seconds_to_ns(section.powered_for_s or 0.0)
+    own_ppm = section.clock_error_ppm or 0.0
     ppm = own_ppm
     locked_ns = gps.spans_ns(PpsState.LOCKED)
     pulsed_ns = tuple((_ceil(begin), end) for begin, end in gps.spans_ns(PpsState.SYNCHRONIZING))
@@ -332,13 +351,16 @@ def clock_spans(section: Lidar, events: Sequence[Event], gps: DisturbedGps, star
 
 def spins(unit: Unit, events: Sequence[Event], start_ns: int) -> tuple[Spin, ...]:
     """Return the motion of the rotor: constant speed, changes to another speed, and pulls into phase."""
-    done, power_up, runs = list(unit.head.rotor.spins), InForce.of(unit.section), True
+    done = list(unit.head.rotor.spins)
+    power_up = InForce.of(unit.section)
+    runs = True
     wanted = power_up
     for t_ns, event in _rotor_settings(events):
         before = wanted.rpm, wanted.phase_lock_deg, runs
         is_on = event.kind == "power_cycle"
         if is_on:
-            wanted, runs = power_up, True
+            wanted = power_up
+            runs = True
         elif event.kind == "motor_stop":
             runs = t_ns != event.begin_ns
         else:
@@ -362,7 +384,9 @@ def locks_ns(power_up: InForce, events: Sequence[Event]) -> tuple[tuple[int, int
             turns.append((t_ns, turns[-1][1].after(event)))
     ends_ns = [t_ns for t_ns, _ in turns[1:]] + [FOREVER_NS]
     spans = zip(turns, ends_ns, strict=True)
-    return _union((begin_ns, end_ns) for (begin_ns, wanted), end_ns in spans if wanted.phase_lock_deg != "off")
+    return _union(
+        (begin_ns, end_ns) for (begin_ns, wanted), end_ns in spans if wanted.phase_lock_deg != "off"
+    )
 
 
 def _phase_deg(wanted: InForce, utc_ns: int) -> float | None:
@@ -385,7 +409,8 @@ def _rotor_settings(events: Sequence[Event]) -> list[tuple[int, Event]]:
 
 def _steered(spin: Spin, t_ns: int, wanted: InForce, start_ns: int, *, runs: bool) -> Iterator[Spin]:
     """Yield the motion of the rotor from its present state to the wanted one, from an instant on."""
-    rpm, target = spin.rpm_at(t_ns), float(wanted.rpm if runs else 0)
+    rpm = spin.rpm_at(t_ns)
+    target = float(wanted.rpm if runs else 0)
     angle_deg = _angle_deg(spin, t_ns)
     if rpm != target:
         ramp = Spin(t_ns, angle_deg, rpm, math.copysign(RUN_UP_RPM_S, target - rpm))
@@ -416,7 +441,8 @@ def spans_of(sensor: Lidar, events: Sequence[Event]) -> tuple[Stretch, ...]:
     for event in sorted(events, key=lambda event: event.at_s):
         if event.kind == "power_cycle":
             sent = power_up
-            off, on = _sequence(event.begin_ns), _sequence(event.end_ns)
+            off = _sequence(event.begin_ns)
+            on = _sequence(event.end_ns)
             changes += [(off, replace(sent, laser=False)), (on, sent)]
         elif event.kind == "setting":
             sent = sent.after(event)
@@ -427,7 +453,8 @@ def spans_of(sensor: Lidar, events: Sequence[Event]) -> tuple[Stretch, ...]:
     for (first, state), stop in zip(changes, stops, strict=True):
         if not state.laser or first == stop:
             continue
-        mode, fov_deg = ReturnMode(state.return_mode), None if state.fov_deg == ALL_AROUND else state.fov_deg
+        mode = ReturnMode(state.return_mode)
+        fov_deg = None if state.fov_deg == ALL_AROUND else state.fov_deg
         last = spans[-1] if spans else None
         if last and last.stop == first and (last.mode, last.fov_deg) == (mode, fov_deg):
             spans[-1] = replace(last, stop=stop)

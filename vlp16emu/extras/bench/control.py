@@ -31,15 +31,21 @@ from vlp16emu.types import PpsState, ReturnMode, SensorModel
 from vlp16emu.units import FOREVER_NS, S_NS, seconds_to_ns
 
 _LEAD_NS = 150_000_000
-"""Least time from a setting to the first packet with it: by then the engine has computed that packet again."""
+"""Least time from a setting to the first packet with it: by then the engine has computed that packet
+again."""
 _MOST_LEAD_NS = 1_000_000_000
 _MERGED_S = 5.0  # greatest time that a setting waits until the packets of earlier settings are computed ahead
-_CALM_S, _PROMPT = 2.0, 2
-"""Number of changes, without a pause of this length between them, for which packets are computed again; later changes
+_CALM_S = 2.0
+_PROMPT = 2
+"""Number of changes, without a pause of this length between them, for which packets are computed again; later
+changes
 take effect after the packets that are already computed."""
-_APART_S, _APART = 1.0, 20.0
-"""Least time between such later changes, and the least ratio to the time that a change took: each makes the next one slower."""
-_POLL_S, _WARM_S = 0.01, 0.01
+_APART_S = 1.0
+_APART = 20.0
+"""Least time between such later changes, and the least ratio to the time that a change took: each makes the
+next one slower."""
+_POLL_S = 0.01
+_WARM_S = 0.01
 _STEP_S = 0.001  # times of events are rounded up to this
 
 
@@ -50,7 +56,9 @@ def web_interfaces(feed: PacketFeed, sink: UdpSink, under_way: UnderWay, http: H
     with ExitStack() as stack:
         host, first = http.address
         servers = [
-            stack.enter_context(WebServer(device, host, first and first + number, fault=partial(control.fault, number)))
+            stack.enter_context(
+                WebServer(device, host, first and first + number, fault=partial(control.fault, number))
+            )
             for number, device in enumerate(control.devices)
         ]
         stack.enter_context(control.following())
@@ -68,8 +76,10 @@ def _settings_of(unit: Unit, host: str) -> DeviceSettings:
 class Control:
     """Control of a stream by settings from other threads, with reports of the state of its sensors.
 
-    After a pause, a setting makes the engine compute packets again from a moment ahead; so does the next setting, when
-    these packets are ready. In a flood, all settings of a second are one change, which takes effect after the packets
+    After a pause, a setting makes the engine compute packets again from a moment ahead; so does the next
+    setting, when
+    these packets are ready. In a flood, all settings of a second are one change, which takes effect after the
+    packets
     that are already computed. So no client can block the engine.
 
     Parameters
@@ -81,22 +91,32 @@ class Control:
     """
 
     def __init__(self, feed: PacketFeed, sink: UdpSink, under_way: UnderWay, saved: Path | None) -> None:
-        self._feed, self._sink, self._under_way = feed, sink, under_way
+        self._feed = feed
+        self._sink = sink
+        self._under_way = under_way
         self._factory = [_settings_of(unit, sink.address) for unit in feed.engine.parts.units]
         self._events: list[Event] = list(feed.engine.scenario.events)
         self._to_come = sorted(self._events, key=lambda event: event.at_s)
         """Events of the scene that the web interface does not show yet."""
-        self._set, self._wanted = list[Event](), list[Event]()
-        """Settings of the web interface, and other events, of the next change; `at_s` counts from that change."""
+        self._set = list[Event]()
+        self._wanted = list[Event]()
+        """Settings of the web interface, and other events, of the next change; `at_s` counts from that
+        change."""
         self._at_ns = 0  # UTC, ns, of the first packet with the latest change
-        self._lock, self._asked, self._over = threading.Lock(), threading.Event(), threading.Event()
+        self._lock = threading.Lock()
+        self._asked = threading.Event()
+        self._over = threading.Event()
         self._taking_up = threading.Lock()
-        self._lead_ns, self._ahead_ns, self._calm_s, self._prompt = _LEAD_NS, 0, 0.0, _PROMPT
+        self._lead_ns = _LEAD_NS
+        self._ahead_ns = 0
+        self._calm_s = 0.0
+        self._prompt = _PROMPT
         self.devices = [self._device(unit, saved) for unit in feed.engine.parts.units]
         """State of the web interface of each sensor."""
 
     def _device(self, unit: Unit, saved: Path | None) -> Device:
-        sensor, n = require_packets(unit.section), unit.number
+        sensor = require_packets(unit.section)
+        n = unit.number
         return Device(
             self._factory[n],
             status=partial(self.status, n),
@@ -138,7 +158,9 @@ class Control:
             where, found, expected = explain(error, tables().json_schema())
             raise InputError(f"event {kind}{where.removeprefix('[0]')}", found, expected) from None
         except ValueError as error:
-            raise InputError(f"event {kind}", f"found unit {unit} of {self._scenario.title}", str(error)) from None
+            raise InputError(
+                f"event {kind}", f"found unit {unit} of {self._scenario.title}", str(error)
+            ) from None
         with self._lock:
             self._wanted += wanted
         self._apply_pending()
@@ -150,20 +172,27 @@ class Control:
 
     def fault(self, unit: int) -> int | None:
         """Return the HTTP status of all answers of a unit now, 0 for no answer; None without a fault."""
-        since_ns, own = self._since_ns(), (one for one in self._events if (one.effect, one.unit) == ("web", unit + 1))
+        since_ns = self._since_ns()
+        own = (one for one in self._events if (one.effect, one.unit) == ("web", unit + 1))
         return next((error.status or 0 for error in own if error.begin_ns <= since_ns < error.end_ns), None)
 
     def status(self, unit: int) -> DeviceStatus:
         """Return the state of a unit."""
         self._adopt()
-        of, since_ns = self._feed.engine.parts.units[unit], self._since_ns()
+        of = self._feed.engine.parts.units[unit]
+        since_ns = self._since_ns()
         now_ns = self._scenario.start_ns + since_ns
         ends_ns = [end for _, end in of.timeline.silences_ns if end <= since_ns]
-        powered_ns = since_ns - max(ends_ns) if ends_ns else since_ns + seconds_to_ns(of.section.powered_for_s or 0.0)
-        settings, rpm = self.devices[unit].settings, of.head.rotor.rpm_at(since_ns)
+        powered_ns = (
+            since_ns - max(ends_ns) if ends_ns else since_ns + seconds_to_ns(of.section.powered_for_s or 0.0)
+        )
+        settings = self.devices[unit].settings
+        rpm = of.head.rotor.rpm_at(since_ns)
         second_ns = max(now_ns // S_NS * S_NS - self._scenario.start_ns, 0)
         payload = self._sink.latest_position[unit]
-        sent = decode_position(payload) if len(payload) == POSITION_BYTES else None  # an event may truncate a packet
+        sent = (
+            decode_position(payload) if len(payload) == POSITION_BYTES else None
+        )  # an event may truncate a packet
         return DeviceStatus(
             t_ns=now_ns,
             pps=sent.pps if sent else PpsState.ABSENT,
@@ -187,7 +216,8 @@ class Control:
     def _changed(self, unit: int, old: DeviceSettings, new: DeviceSettings, *, restarts: bool) -> None:
         """Apply new settings of a unit with the next change of the stream.
 
-        Raises OutputError if the new receiver is out of reach, or no longer on this machine on which the stream began.
+        Raises OutputError if the new receiver is out of reach, or no longer on this machine on which the
+        stream began.
         """
         with self._lock:
             self._redirect(unit, old, new)
@@ -211,7 +241,8 @@ class Control:
 
     def _adopt(self) -> None:
         """Update the web interface with the settings of past events."""
-        since_s, due = self._since_ns() / S_NS, list[Event]()
+        since_s = self._since_ns() / S_NS
+        due = list[Event]()
         with self._lock:
             while self._to_come and self._to_come[0].at_s <= since_s:
                 due.append(self._to_come.pop(0))
@@ -221,7 +252,9 @@ class Control:
     def _after(self, one: Event, settings: DeviceSettings) -> DeviceSettings:
         if one.effect == "power":
             return self._factory[one.unit - 1]
-        return _with_in_force(settings, _in_force(settings).after(one)) if one.effect == "settings" else settings
+        return (
+            _with_in_force(settings, _in_force(settings).after(one)) if one.effect == "settings" else settings
+        )
 
     def _redirect(self, unit: int, old: DeviceSettings, new: DeviceSettings) -> None:
         """Send to the new receiver; to another machine only if the run began with another machine."""
@@ -257,24 +290,29 @@ class Control:
                     [one.model_copy(update={"at_s": at_s + one.at_s}) for one in some]
                     for some in (self._set, self._wanted)
                 )
-                self._set, self._wanted = [], []
+                self._set = []
+                self._wanted = []
                 self._to_come = sorted([*self._to_come, *happening], key=lambda event: event.at_s)
                 self._events = self._events + made + happening
             if not made and not happening:
                 return None
-            self._calm_s, self._prompt = time.monotonic() + _CALM_S, max(self._prompt - 1, 0)
+            self._calm_s = time.monotonic() + _CALM_S
+            self._prompt = max(self._prompt - 1, 0)
             self._at_ns = self._scenario.start_ns + seconds_to_ns(at_s)
-            engine, due_ns = self._feed.engine.with_events(self._events), self._scenario.start_ns + from_ns
+            engine = self._feed.engine.with_events(self._events)
+            due_ns = self._scenario.start_ns + from_ns
             self._under_way.redo(due_ns, lambda from_ns: self._feed.begin_again(from_ns, engine))
             return due_ns
 
     def _wait_until_ahead(self, from_ns: int) -> None:
         """Wait until packets of a change are computed ahead; if that took longer than their lead, the next lead is longer."""
-        begin_s, has_begun = time.monotonic(), False
+        begin_s = time.monotonic()
+        has_begun = False
         while (took_s := time.monotonic() - begin_s) < _MERGED_S and not self._over.wait(_POLL_S):
             until_ns = self._under_way.made_until_ns
             if not has_begun and until_ns > from_ns:
-                has_begun, self._lead_ns = True, min(max(_LEAD_NS, round(2 * took_s * S_NS)), _MOST_LEAD_NS)
+                has_begun = True
+                self._lead_ns = min(max(_LEAD_NS, round(2 * took_s * S_NS)), _MOST_LEAD_NS)
             # A live run is never computed far ahead.
             if has_begun and until_ns >= self._under_way.due_in_ns(min(self._lead_ns, self._ahead_ns // 2)):
                 return

@@ -1,6 +1,7 @@
 """The state behind the web interface: settings, status, and their documents and forms (63-9243 Rev D, 10.2).
 
-A real unit answers some bad requests with 200 and ignores them. Here a request with an invalid value or an unknown key
+A real unit answers some bad requests with 200 and ignores them. Here a request with an invalid value or an
+unknown key
 is ignored as a whole, and the answer gives the reason.
 """
 
@@ -47,8 +48,12 @@ _Receiver = _address(
     "the IPv4 address of a host, or 255.255.255.255",
     lambda at: not (at.is_unspecified or at.is_multicast or (at.is_reserved and int(at) != _ALL_ONES)),
 )
-_Gateway = _address("the IPv4 address of a router, or 0.0.0.0", lambda at: not (at.is_multicast or at.is_reserved))
-_Mask = _address("a network mask such as 255.255.255.0", lambda mask: int(mask) > 0 and "01" not in f"{int(mask):032b}")
+_Gateway = _address(
+    "the IPv4 address of a router, or 0.0.0.0", lambda at: not (at.is_multicast or at.is_reserved)
+)
+_Mask = _address(
+    "a network mask such as 255.255.255.0", lambda mask: int(mask) > 0 and "01" not in f"{int(mask):032b}"
+)
 _WholeDegree = Annotated[int, Field(ge=0, le=359)]
 
 
@@ -63,7 +68,10 @@ class DeviceSettings:
     """Speed of the rotor; other speeds disturb speed control and phase lock (section 8.3)."""
     return_mode: ReturnMode = ReturnMode.STRONGEST  # echoes that are sent
     laser_on: bool = True  # False: no data packets, only position packets
-    fov_deg: tuple[_WholeDegree, _WholeDegree] = (0, 359)  # first and last azimuth that is sent; (0, 359) is all around
+    fov_deg: tuple[_WholeDegree, _WholeDegree] = (
+        0,
+        359,
+    )  # first and last azimuth that is sent; (0, 359) is all around
     phase_lock_on: bool = False  # True if the rotor follows the pulse of the GPS receiver
     phase_lock_cdeg: Annotated[int, Field(ge=0, le=35_999)] = 0  # rotor angle at each pulse, in 0.01 degree
     host: Annotated[str, _Receiver] = "255.255.255.255"  # IPv4 address that packets are sent to
@@ -109,9 +117,11 @@ class Device:
     Parameters
     ----------
     factory : settings if none have been saved
-    status : returns the present state of the sensor; called from the thread of the web server, and must not wait
+    status : returns the present state of the sensor; called from the thread of the web server, and must not
+        wait
     is_up : returns True if the sensor answers, which it does not while it starts
-    changed : called at each change as `changed(before, after, restarts=False)`, with `restarts` if the sensor starts
+    changed : called at each change as `changed(before, after, restarts=False)`, with `restarts` if the sensor
+        starts
     again; must not wait; if it raises, nothing changes
     info : constants of the unit
     saved : file that keeps saved settings from run to run; None to keep them for this run only
@@ -127,8 +137,12 @@ class Device:
         info: DeviceInfo,
         saved: Path | None = None,
     ) -> None:
-        self.status, self.is_up, self.info = status, is_up, info
-        self._changed, self._file, self._lock = changed, saved, Lock()
+        self.status = status
+        self.is_up = is_up
+        self.info = info
+        self._changed = changed
+        self._file = saved
+        self._lock = Lock()
         self.power_up = _read(saved, factory) if saved is not None and saved.exists() else factory
         """Settings after the next power-up: the last saved ones, otherwise the factory's."""
         self.settings = self.power_up
@@ -186,15 +200,29 @@ def _read(path: Path, factory: DeviceSettings) -> DeviceSettings:
 
 
 _COUNTS_PER_V = 4096 / 5
-_AMBIENT_C, _BOTTOM_C, _TOP_C = 25.0, 51.1, 53.1  # of the surroundings, and final values of the boards
+_AMBIENT_C = 25.0  # of the surroundings, and final values of the boards
+_BOTTOM_C = 51.1
+_TOP_C = 53.1
 _WARM_UP_S = 150.0  # time constant of the boards' warm-up
 _SWAY_C = 0.2  # amplitude of temperature changes
-_REST_A, _LASER_A, _MOTOR_A_PER_RPM = 0.20, 0.10, 0.18 / 600
+_REST_A = 0.20
+_LASER_A = 0.10
+_MOTOR_A_PER_RPM = 0.18 / 600
 """Current of the electronics, of the lasers and of the motor: together 0.48 A at 600 rpm."""
 _RAILS = {
-    "bot": {"pwr_1_2v": (1.2036, 11), "pwr_5v": (5.020 / 2, 13), "pwr_2_5v": (2.499, 17), "pwr_3_3v": (3.3032, 19)}
+    "bot": {
+        "pwr_1_2v": (1.2036, 11),
+        "pwr_5v": (5.020 / 2, 13),
+        "pwr_2_5v": (2.499, 17),
+        "pwr_3_3v": (3.3032, 19),
+    }
     | {"pwr_v_in": (11.964 / 11, 23)},
-    "top": {"hv": (5 - 181 / 101, 29), "ad_temp": (0.735, 31), "pwr_5v": (5.073 / 2, 37), "pwr_2_5v": (2.499, 41)}
+    "top": {
+        "hv": (5 - 181 / 101, 29),
+        "ad_temp": (0.735, 31),
+        "pwr_5v": (5.073 / 2, 37),
+        "pwr_2_5v": (2.499, 41),
+    }
     | {"pwr_3_3v": (3.280, 43), "pwr_5v_raw": (5.347 / 2, 47), "pwr_vccint": (1.1914, 59)},
 }  # volts at the converters of both boards, and the period of their small variation in seconds
 
@@ -202,7 +230,8 @@ _RAILS = {
 def diagnostics(status: DeviceStatus) -> dict[str, object]:
     """Return `diag.json`: counts of the converters, which follow the state.
 
-    Formulas: 63-9243 Rev D, sections 10.2.3.2 and 10.2.3.3. The values belong to healthy units; their variation is an
+    Formulas: 63-9243 Rev D, sections 10.2.3.2 and 10.2.3.3. The values belong to healthy units; their
+    variation is an
     assumption.
     """
 
@@ -224,12 +253,17 @@ def diagnostics(status: DeviceStatus) -> dict[str, object]:
     return {"volt_temp": boards, "vhv": 412, "adc_nf": 14, "ixe": 1}
 
 
-_MODELS = {SensorModel.VLP_16: "VLP-16", SensorModel.PUCK_LITE: "Puck LITE", SensorModel.PUCK_HI_RES: "Puck Hi-Res"}
+_MODELS = {
+    SensorModel.VLP_16: "VLP-16",
+    SensorModel.PUCK_LITE: "Puck LITE",
+    SensorModel.PUCK_HI_RES: "Puck Hi-Res",
+}
 """The first name is documented; the others follow the data sheets (assumption)."""
 _FIRMWARE = Path(__file__).with_name("firmware.json")
 """Firmware images 3.0.41.1 and the fallback 1.9.3.0, and their states: invented, but consistent."""
 _PARTS = {
-    f"/cgi/{name}.json": part for name, part in (("settings", "config"), ("diag",) * 2, ("status",) * 2, ("info",) * 2)
+    f"/cgi/{name}.json": part
+    for name, part in (("settings", "config"), ("diag",) * 2, ("status",) * 2, ("info",) * 2)
 }  # documents that are read alone, and their names in the snapshot
 _MOST_KEYS = 16
 
@@ -298,8 +332,13 @@ def document(path: str, device: Device) -> object | None:
     """Return the present document of a path; None if there is none."""
     if path not in (*_PARTS, "/cgi/snapshot.hdl"):
         return None
-    status, info = device.status(), device.info
-    motor = {"state": _switch(status.motor_on), "rpm": round(status.motor_rpm), "lock": _switch(status.phase_locked)}
+    status = device.status()
+    info = device.info
+    motor = {
+        "state": _switch(status.motor_on),
+        "rpm": round(status.motor_rpm),
+        "lock": _switch(status.phase_locked),
+    }
     own = {"model": _MODELS[info.model], "serial": info.serial, "mac_addr": info.mac.hex("-")}
     firmware: dict[str, object] = json.loads(_FIRMWARE.read_text(encoding="utf-8"))
     snapshot = {
@@ -318,7 +357,8 @@ def document(path: str, device: Device) -> object | None:
 def submit(path: str, body: bytes, device: Device) -> None:
     """Apply a form of one of `PATHS`, as a whole or not at all.
 
-    Raises `FormError` if it has a key or a value that the sensor does not accept; other errors as in `Device`.
+    Raises `FormError` if it has a key or a value that the sensor does not accept; other errors as in
+    `Device`.
     """
     if path in _ACTIONS:
         word, act = _ACTIONS[path]
@@ -327,7 +367,9 @@ def submit(path: str, body: bytes, device: Device) -> None:
         act(device)
         return
     try:
-        pairs = parse_qsl(body.decode("ascii"), keep_blank_values=True, strict_parsing=True, max_num_fields=_MOST_KEYS)
+        pairs = parse_qsl(
+            body.decode("ascii"), keep_blank_values=True, strict_parsing=True, max_num_fields=_MOST_KEYS
+        )
     except ValueError:
         pairs = []
     if not pairs:
@@ -336,7 +378,8 @@ def submit(path: str, body: bytes, device: Device) -> None:
 
 
 def _with(form: str, settings: DeviceSettings, pair: tuple[str, str]) -> DeviceSettings:
-    (name, text), keys = pair, {key.name: key for key in _KEYS if key.form == form}
+    (name, text) = pair
+    keys = {key.name: key for key in _KEYS if key.form == form}
     if name not in keys:
         raise FormError(f"{name[:40]!r}: unknown key, expected {' or '.join(keys)}")
     key = keys[name]

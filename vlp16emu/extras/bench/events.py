@@ -95,7 +95,11 @@ KEYS: dict[str, tuple[Any, Any, str]] = {
     "rpm": (Rpm | None, None, "Rotor speed, which changes gradually."),
     "return_mode": (Literal["strongest", "last", "dual"] | None, None, "Echoes that are sent."),
     "laser": (bool | None, None, _LAW),
-    "fov_deg": (_Sector | None, None, "First and last azimuth that is sent, whole degrees; (0, 359) is all around."),
+    "fov_deg": (
+        _Sector | None,
+        None,
+        "First and last azimuth that is sent, whole degrees; (0, 359) is all around.",
+    ),
     "phase_lock_deg": (_from(float, ge=0, lt=360) | Literal["off"] | None, None, _PHASE),
     "amplitude_rpm": (_from(float, gt=0, le=100), 6.0, "Greatest difference from the set speed."),
     "period_s": (_from(float, ge=0.05, le=1000), 1.0, "Time from one greatest speed to the next."),
@@ -104,7 +108,11 @@ KEYS: dict[str, tuple[Any, Any, str]] = {
     "sector_deg": (_Sector, ..., "First and last azimuth of the dirt, clockwise."),
     "transmission": (Fraction, 0.3, "Share of the light that passes, in each direction."),
     "offset_us": (_from(float, ge=-1e9, le=1e9), 0.0, "Offset of the clock from then on, positive if fast."),
-    "drift_ppm": (_from(float, ge=-1000, le=1000), 0.0, "Rate error of the clock from then on, positive if fast."),
+    "drift_ppm": (
+        _from(float, ge=-1000, le=1000),
+        0.0,
+        "Rate error of the clock from then on, positive if fast.",
+    ),
     "characters": (_from(int, ge=1, le=60), 1, "Number of characters that are replaced."),
     "late_sentence.by_s": (_from(float, gt=0, le=60), 0.5, "Delay, beside `gps.sentence_delay_s`."),
     "packets": (Literal["data", "position", "both"], "data", "Kinds of packets that it affects."),
@@ -113,17 +121,27 @@ KEYS: dict[str, tuple[Any, Any, str]] = {
     "after_s": (_from(float, ge=0, le=10), 0.0, "Time from the first copy to the second."),
     "by": (_from(int, ge=1, le=100), 1, "Number of packets of its kind that overtake a packet."),
     "by_s": (_from(float, gt=0, le=10), 0.05, "Delay of the packets."),
-    "up_to_s": (_from(float, gt=0, le=10), 0.02, "Greatest delay; delays are uniformly distributed up to it."),
+    "up_to_s": (
+        _from(float, gt=0, le=10),
+        0.02,
+        "Greatest delay; delays are uniformly distributed up to it.",
+    ),
     "bits": (_from(int, ge=1, le=4096), 8, "Number of bits that are flipped in a packet."),
     "to_bytes": (_from(int, ge=0, le=1205), 600, "Remaining bytes of the payload."),
-    "status": (_from(int, ge=400, le=599) | None, None, "HTTP status of the answers; no answer if not given."),
+    "status": (
+        _from(int, ge=400, le=599) | None,
+        None,
+        "HTTP status of the answers; no answer if not given.",
+    ),
 }  # type, default and meaning of each key; `...` for one that is required, and `KIND.KEY` where two kinds differ
 
 
 class Kind(NamedTuple):
     """A row of `KINDS`."""
 
-    effect: Literal["settings", "rotor", "power", "clock", "optics", "gps", "packets", "web"]  # effect on the sensor
+    effect: Literal[
+        "settings", "rotor", "power", "clock", "optics", "gps", "packets", "web"
+    ]  # effect on the sensor
     keys: str  # names of `KEYS`, in addition to the keys of `Event`
     selects: str
     meaning: str

@@ -1,6 +1,7 @@
 """Faults of packets between the sensor and its receiver: changes of their bytes and times.
 
-A fault is a function of the packet alone: its unit, its kind and its number, which counts from the run's first pulse.
+A fault is a function of the packet alone: its unit, its kind and its number, which counts from the run's
+first pulse.
 So a part of a run equals the same part of the whole run, and threads change nothing.
 """
 
@@ -22,9 +23,14 @@ from vlp16emu.units import MS_NS, seconds_to_ns
 
 _ORDER = ("jitter", "reorder", "delay", "freeze", "drop", "corrupt", "truncate", "duplicate")
 """Order of several faults of a packet."""
-_LATE_KEYS = {"delay": "by_s", "jitter": "up_to_s", "duplicate": "after_s"}  # key of the longest delay of a fault
+_LATE_KEYS = {
+    "delay": "by_s",
+    "jitter": "up_to_s",
+    "duplicate": "after_s",
+}  # key of the longest delay of a fault
 _LONGEST_NS = 20 * MS_NS
-"""Greatest time between consecutive packets at their rate: 18.6 ms for position packets (63-9243 Rev D, section 8.2.2).
+"""Greatest time between consecutive packets at their rate: 18.6 ms for position packets (63-9243 Rev D,
+section 8.2.2).
 If no packet follows within it, a packet is not overtaken."""
 
 Streams = Callable[[int, int], Iterator[Packet]]
@@ -49,10 +55,13 @@ class PacketFault:
 
     def hits(self, packet: Packet, number: int) -> bool:
         """Return True if it affects a packet, given before all faults, with its number in its unit and kind."""
-        event, since_ns = self.event, packet.due_ns - self.start_ns
+        event = self.event
+        since_ns = packet.due_ns - self.start_ns
         if packet.kind not in kinds_of(event):
             return False
-        is_in = number in self.counted[packet.kind] if self.counted else event.begin_ns <= since_ns < event.end_ns
+        is_in = (
+            number in self.counted[packet.kind] if self.counted else event.begin_ns <= since_ns < event.end_ns
+        )
         if not is_in or not event.is_random:
             return is_in
         return bool(self._random(Purpose.PACKET_FAULT, packet, number) < event.share)
@@ -67,7 +76,9 @@ class PacketFault:
 
     def change(self, packet: Packet, number: int) -> tuple[Packet, ...]:
         """Return the packets that replace an affected packet, without effects that depend on earlier packets."""
-        event, due_ns, payload = self.event, packet.due_ns, packet.payload
+        event = self.event
+        due_ns = packet.due_ns
+        payload = packet.payload
         match event.kind:
             case "drop":
                 return ()
@@ -124,7 +135,8 @@ class Wire:
 
     def passed(self, packets: Iterable[Packet]) -> Iterator[Packet]:
         """Yield the arriving packets, in order of sending."""
-        waiting, serials = list[tuple[int, int, Packet]](), count()
+        waiting = list[tuple[int, int, Packet]]()
+        serials = count()
         for packet in packets:
             for sent in self._after_faults(packet):
                 heappush(waiting, (sent.due_ns, next(serials), sent))
@@ -163,7 +175,8 @@ def faults_of(scenario: Scenario, units: Sequence[Unit]) -> list[PacketFault]:
     for number, event in enumerate(scenario.events):
         if event.effect != "packets":
             continue
-        unit, counted = units[event.unit - 1], dict[PacketKind, range]()
+        unit = units[event.unit - 1]
+        counted = dict[PacketKind, range]()
         if event.count is not None:
             firsts = {kind: number_at(scenario, unit, kind, event.begin_ns) for kind in kinds_of(event)}
             counted = {kind: range(first, first + event.count) for kind, first in firsts.items()}
@@ -191,7 +204,11 @@ def arriving(
         if fault.event.kind == "freeze" and fault.event.begin_ns < from_ns < fault.event.end_ns
         for kind in kinds_of(fault.event)
         for earlier in [streams(fault.event.begin_ns, stop_ns)]
-        if (packet := next((one for one in earlier if (one.unit, one.kind) == (fault.unit.number, kind)), None))
+        if (
+            packet := next(
+                (one for one in earlier if (one.unit, one.kind) == (fault.unit.number, kind)), None
+            )
+        )
     }
     numbers = Counter({unit.number: unit.timeline.count(0, from_ns) for unit in units})
     passed = Wire(faults, numbers, frozen).passed(streams(from_ns, stop_ns))

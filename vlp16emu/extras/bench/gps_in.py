@@ -21,10 +21,13 @@ from vlp16emu.units import HOUR_NS, MS_NS, S_NS, seconds_to_ns
 _LINE = re.compile(rb"[^\r\n]*[\r\n]+")
 _LONGEST = 256  # bytes without an end of line that are no sentence: twice the space of a position packet
 _STEADY_NS = 5 * MS_NS
-"""Error of a steady pulse against its second: a program that polls a line every millisecond, beside other programs,
+"""Error of a steady pulse against its second: a program that polls a line every millisecond, beside other
+programs,
 gives it to a pulse that is exact to a microsecond (assumption)."""
 _LOST_NS = S_NS + S_NS // 2  # time without a pulse after which pulses count as lost
-_STALE_NS = 5 * S_NS  # time without a good sentence after which sentences no longer set the clock (assumption)
+_STALE_NS = (
+    5 * S_NS
+)  # time without a good sentence after which sentences no longer set the clock (assumption)
 _SHARE = 8
 """A pulse corrects this fraction of the clock's error, so that stamps do not show the jitter of polling."""
 
@@ -43,13 +46,16 @@ class GpsLine:
 
     Parameters
     ----------
-    gps : table of the scene: time for which pulses must be steady, and if only sentences of status A set the clock
+    gps : table of the scene: time for which pulses must be steady, and if only sentences of status A set the
+        clock
     power_up_ns : instant at which the sensor's own clock was zero
-    is_pulsed : False without a line for pulses: then a second begins `gps.sentence_delay_s` before its sentence
+    is_pulsed : False without a line for pulses: then a second begins `gps.sentence_delay_s` before its
+        sentence
     """
 
     def __init__(self, gps: Gps, power_up_ns: int, *, is_pulsed: bool) -> None:
-        self._gps, self._is_pulsed = gps, is_pulsed
+        self._gps = gps
+        self._is_pulsed = is_pulsed
         self._lock = threading.RLock()  # `receive` takes pulses
         self._buffer = b""
         self.heard = Heard()
@@ -154,9 +160,14 @@ class GpsReader:
     def __init__(self, gps_in: GpsIn, gps: Gps, powered_for_s: float) -> None:
         self._pulse = None if gps_in.pulse == "sentence" else gps_in.pulse
         self._port = SerialPort(gps_in.port, _BAUD, "--gps-in")
-        if self._pulse and self._port.use(lambda port: has_line(lambda: getattr(port, gps_in.pulse))) is False:
+        if (
+            self._pulse
+            and self._port.use(lambda port: has_line(lambda: getattr(port, gps_in.pulse))) is False
+        ):
             self._port.close()
-            raise OutputError(f"--gps-in {gps_in.port}", f"no line {self._pulse.upper()}", "--gps-in-pulse sentence")
+            raise OutputError(
+                f"--gps-in {gps_in.port}", f"no line {self._pulse.upper()}", "--gps-in-pulse sentence"
+            )
         power_up_ns = time.monotonic_ns() - seconds_to_ns(powered_for_s)
         self.line = GpsLine(gps, power_up_ns, is_pulsed=self._pulse is not None)
         self._over = threading.Event()
@@ -199,21 +210,32 @@ class GpsReader:
     def _poll(self, port: Any) -> tuple[bytes, bool, int]:
         """Return the bytes that are there, the state of the line, and the instant; without a line, wait for a character."""
         if self._pulse:
-            high, at_ns = bool(getattr(port, self._pulse)), time.monotonic_ns()
+            high = bool(getattr(port, self._pulse))
+            at_ns = time.monotonic_ns()
             return (port.read(port.in_waiting) if port.in_waiting else b""), high, at_ns
         data = port.read(1)
-        return (data + (port.read(port.in_waiting) if data and port.in_waiting else b""), False, time.monotonic_ns())
+        return (
+            data + (port.read(port.in_waiting) if data and port.in_waiting else b""),
+            False,
+            time.monotonic_ns(),
+        )
 
 
 class GpsInSink(PacketSink):
     """Sink that gives packets the stamps, state and sentence of a sensor with this receiver on its line.
 
-    Instants of packets follow their due times, even if they are sent late: stamps show no jitter of the host. Only if
-    the stream is late by more than the tolerance, instants are counted again from `clock_ns`, the clock of the line.
+    Instants of packets follow their due times, even if they are sent late: stamps show no jitter of the host.
+    Only if
+    the stream is late by more than the tolerance, instants are counted again from `clock_ns`, the clock of
+    the line.
     """
 
-    def __init__(self, sink: PacketSink, line: GpsLine, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
-        self._sink, self._line, self._clock_ns = sink, line, clock_ns
+    def __init__(
+        self, sink: PacketSink, line: GpsLine, clock_ns: Callable[[], int] = time.monotonic_ns
+    ) -> None:
+        self._sink = sink
+        self._line = line
+        self._clock_ns = clock_ns
         self._ahead_ns: int | None = None
 
     def send(self, packet: Packet) -> None:
@@ -228,6 +250,8 @@ class GpsInSink(PacketSink):
         if packet.kind is PacketKind.POSITION:
             made_ns = sent_ns - STAMP_LEAD_NS
         else:
-            made_ns = sent_ns - (age_ns(packet) if packet.fired_ns is None else packet.due_ns - packet.fired_ns)
+            made_ns = sent_ns - (
+                age_ns(packet) if packet.fired_ns is None else packet.due_ns - packet.fired_ns
+            )
         line = self._line
         self._sink.send(restamped(packet, line.clock_ns(made_ns), line.state_at(made_ns), line.sentence))

@@ -3,8 +3,10 @@
 >>> IMU_FRAME.itemsize, IMU_FRAME.isalignedstruct
 (72, True)
 
-The format is our own, because no sensor of Velodyne has one; `protocol/imu_frame.toml` describes it. The offset of each
-field is a multiple of its size, so it is a plain struct in C, and numbers equal the ground truth to the last bit.
+The format is our own, because no sensor of Velodyne has one; `protocol/imu_frame.toml` describes it. The
+offset of each
+field is a multiple of its size, so it is a plain struct in C, and numbers equal the ground truth to the last
+bit.
 """
 
 import zlib
@@ -27,7 +29,8 @@ IMU_FRAME = np.dtype(
     ],
     align=True,
 )
-_MAGIC, _VERSION = b"IMU", 1
+_MAGIC = b"IMU"
+_VERSION = 1
 _CHECKED = 8  # offset of the bytes that the checksum covers
 
 
@@ -42,7 +45,9 @@ def imu_frames(first: int, t_ns: I8, rate_rad_s: F8, force_m_s2: F8) -> list[byt
     """
     frames = np.zeros(len(t_ns), IMU_FRAME)
     frames["sequence"] = np.arange(first, first + len(t_ns))
-    frames["t_ns"], frames["angular_rate_rad_s"], frames["specific_force_m_s2"] = t_ns, rate_rad_s, force_m_s2
+    frames["t_ns"] = t_ns
+    frames["angular_rate_rad_s"] = rate_rad_s
+    frames["specific_force_m_s2"] = force_m_s2
     return [_sealed(frame) for frame in frames]
 
 

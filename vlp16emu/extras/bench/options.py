@@ -36,11 +36,17 @@ class Http(Options):
     ]
     saved: Annotated[
         Path | None,
-        Option("File that keeps the settings saved in the web interface from run to run.", "FILE", "--http-settings"),
+        Option(
+            "File that keeps the settings saved in the web interface from run to run.",
+            "FILE",
+            "--http-settings",
+        ),
     ] = None  # file of the first sensor; files of other sensors have its name with their number
     serving: Callable[[list[tuple[str, int]]], None] = lambda _: None
     """Called with address and port of each interface, before the first packet leaves."""
-    controlled: Callable[[Any], None] = lambda _: None  # called before `serving`, with the `Control` of the sensors
+    controlled: Callable[[Any], None] = lambda _: (
+        None
+    )  # called before `serving`, with the `Control` of the sensors
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -73,7 +79,9 @@ class PosesIn(Options):
             "--flown",
         ),
     ] = None
-    news: Callable[[str], None] = lambda _: None  # called with a line when the stream waits for poses or loses them
+    news: Callable[[str], None] = lambda _: (
+        None
+    )  # called with a line when the stream waits for poses or loses them
 
 
 @dataclass(frozen=True)
@@ -88,9 +96,9 @@ class Outlets(Options):
             "PORT",
         ),
     ] = None
-    gps_pps: Annotated[str, Option("Line of that port for the receiver's pulse.", words=("dtr", "rts", "off"))] = (
-        "dtr"  # a null-modem cable connects DTR to DCD, where programs expect the pulse
-    )
+    gps_pps: Annotated[
+        str, Option("Line of that port for the receiver's pulse.", words=("dtr", "rts", "off"))
+    ] = "dtr"  # a null-modem cable connects DTR to DCD, where programs expect the pulse
     imu_out: Annotated[
         str | None,
         Option(
@@ -128,6 +136,8 @@ class BenchOptions(StreamOptions):
     """Options of a stream and of its additional inputs and outputs."""
 
     http: Http | None = None  # None for no web interfaces
-    poses: PosesIn | None = None  # the stream of a live scene begins with the first pose, and drops late packets
+    poses: PosesIn | None = (
+        None  # the stream of a live scene begins with the first pose, and drops late packets
+    )
     outlets: Outlets | None = None
     gps_in: GpsIn | None = None  # sets the clock of the sensors instead of the receiver of the scene

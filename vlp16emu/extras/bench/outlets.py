@@ -35,7 +35,9 @@ PULSE_HIGH, PULSE_LOW = b"\1", b"\0"
 _READS_PER_S = 50
 """Span of samples that are read together: not longer, because live poses are unknown far ahead."""
 
-_Beat = tuple[int, Packet | Callable[[], Packet]]  # due time of a packet, and the packet or a function that returns it
+_Beat = tuple[
+    int, Packet | Callable[[], Packet]
+]  # due time of a packet, and the packet or a function that returns it
 
 
 class Beside:
@@ -45,13 +47,17 @@ class Beside:
     """
 
     def __init__(self, engine: Engine, kinds: Collection[PacketKind]) -> None:
-        scenario, parts = engine.scenario, engine.parts
+        scenario = engine.scenario
+        parts = engine.parts
         if not scenario.gps.connected and not {PacketKind.NMEA, PacketKind.PPS}.isdisjoint(kinds):
             raise ScenarioError("gps.connected", "found false", "true, for a receiver to be played")
         if scenario.imu is None and PacketKind.IMU in kinds:
             raise ScenarioError("imu", "no such table in the scene", "[imu], such as imu.preset=consumer")
-        self._start_ns, self._delay_ns = scenario.start_ns, parts.gps.sentence_delay_ns
-        self._receiver, self._imu, self._kinds = engine.receiver, parts.imu, kinds
+        self._start_ns = scenario.start_ns
+        self._delay_ns = parts.gps.sentence_delay_ns
+        self._receiver = engine.receiver
+        self._imu = parts.imu
+        self._kinds = kinds
         self._rate_hz = scenario.imu.rate_hz if scenario.imu else 0
 
     def among(self, packets: Iterator[Packet], start_ns: int, stop_ns: int) -> Iterator[Packet]:
@@ -87,11 +93,13 @@ class Beside:
     def _pulses(self, numbers: range) -> Iterator[_Beat]:
         for number in numbers:
             second, is_end = divmod(number, 2)
-            due_ns, level = second * S_NS + is_end * PULSE_NS, (PULSE_HIGH, PULSE_LOW)[is_end]
+            due_ns = second * S_NS + is_end * PULSE_NS
+            level = (PULSE_HIGH, PULSE_LOW)[is_end]
             yield due_ns, Packet(PacketKind.PPS, due_ns, level)
 
     def _samples(self, numbers: range) -> Iterator[_Beat]:
-        imu, ready = self._imu, dict[int, Packet]()
+        imu = self._imu
+        ready = dict[int, Packet]()
         assert isinstance(imu, ImuSampler)
 
         def sample(number: int) -> Packet:
@@ -115,7 +123,8 @@ T = TypeVar("T")
 
 _RETRY_S = 1.0  # period of attempts to open a device that has vanished
 _PATIENCE_S = 0.25
-"""Greatest time that a message waits for the line, and that writing takes: a quarter of a receiver's second."""
+"""Greatest time that a message waits for the line, and that writing takes: a quarter of a receiver's
+second."""
 _WAITING = 4096  # greatest number of waiting messages: more than samples of an inertial unit in that time
 _LINELESS = ("socket://",)  # ports that accept the setting of a line without an error, but have no line
 
@@ -170,8 +179,11 @@ class SerialPort:
     def __init__(self, name: str, baud: int, where: str, line: str | None = None) -> None:
         import serial  # here: few runs need it
 
-        self.name, self._baud, self.line = name, baud, line
-        self._error, self._slow = (serial.SerialException, OSError, termios.error), serial.SerialTimeoutException
+        self.name = name
+        self._baud = baud
+        self.line = line
+        self._error = (serial.SerialException, OSError, termios.error)
+        self._slow = serial.SerialTimeoutException
         self._away_since_s: float | None = None
         self._opened_s = self._tried_s = time.monotonic()
         self.away: tuple[Away, ...] = ()  # past times without the device
@@ -257,7 +269,8 @@ class SerialSink(PacketSink):
     @property
     def result(self) -> OutletResult:
         """Result so far."""
-        port, counts = self._port, (self._messages, self._bytes, self._dropped)
+        port = self._port
+        counts = (self._messages, self._bytes, self._dropped)
         return OutletResult(port.name, *counts, port.away, port.line, self._pulses if port.has_line else None)
 
     def _run(self) -> None:
@@ -281,7 +294,8 @@ class SerialSink(PacketSink):
 
         if (written := self._port.use(put)) is None:
             return False
-        self._messages, self._bytes = self._messages + 1, self._bytes + written
+        self._messages = self._messages + 1
+        self._bytes = self._bytes + written
         return True
 
     def _set_line(self, *, high: bool) -> None:
@@ -303,7 +317,8 @@ class Ways(PacketSink):
     """Sinks of sentences, pulses and inertial samples beside the packets of the sensors, as one sink."""
 
     def __init__(self, asked: Outlets) -> None:
-        self._asked, self._ways = asked, dict[PacketKind, SerialSink | ImuUdpSink]()
+        self._asked = asked
+        self._ways = dict[PacketKind, SerialSink | ImuUdpSink]()
         self._sensors: PacketSink
 
     def __exit__(self, *_: object) -> None:
@@ -351,7 +366,9 @@ def _imu_way(to: str, rate_hz: int) -> "SerialSink | ImuUdpSink":
         most_hz = _BAUD // (_BITS * IMU_FRAME.itemsize)
         if rate_hz > most_hz:
             found = f"found imu.rate_hz = {rate_hz}"
-            raise OutputError(f"{_WHERE} {to}", found, f"at most {most_hz} on a line of {_BAUD} baud, or udp://")
+            raise OutputError(
+                f"{_WHERE} {to}", found, f"at most {most_hz} on a line of {_BAUD} baud, or udp://"
+            )
         return SerialSink(SerialPort(to.removeprefix("serial:"), _BAUD, _WHERE))
     return ImuUdpSink(*host_and_port(to, _WHERE, "udp://HOST:PORT, or serial:PORT", "udp://"))
 

@@ -39,7 +39,9 @@ _STAMP_AT = {
 _PPS_AT = _offset(layout.POSITION_PAYLOAD, "pps")
 _MODE_AT = _offset(layout.DATA_PAYLOAD, "return_mode")
 _DUAL = bytes([layout.RETURN_MODE_BYTE[ReturnMode.DUAL]])
-_SENTENCE = slice(_offset(layout.POSITION_PAYLOAD, "sentence"), _offset(layout.POSITION_PAYLOAD, "unused_tail"))
+_SENTENCE = slice(
+    _offset(layout.POSITION_PAYLOAD, "sentence"), _offset(layout.POSITION_PAYLOAD, "unused_tail")
+)
 
 
 def has_stamp(packet: Packet) -> bool:
@@ -69,7 +71,8 @@ def moved(packet: Packet, by_s: int, now_ns: int | None = None) -> Packet:
     Parameters
     ----------
     by_s : whole seconds, of either sign
-    now_ns : UTC at which the packet is sent, if the date of the sentence may differ from the date of the capture: then
+    now_ns : UTC at which the packet is sent, if the date of the sentence may differ from the date of the
+        capture: then
     the sentence is also moved by whole hours, to the hour of `now_ns`
     """
     payload = bytearray(packet.payload)
@@ -124,8 +127,10 @@ def _moved_sentence(field: bytes, by_s: int, now_ns: int | None) -> bytes:
 class NowSink(PacketSink):
     """Sink that moves packets by a whole number of seconds to the present of the system's clock.
 
-    Because the number is whole, the intervals between pulses of the receiver, sentences and stamps do not change. The
-    stream begins at the instant with the first packet's fraction of a second, so it waits for less than a second.
+    Because the number is whole, the intervals between pulses of the receiver, sentences and stamps do not
+    change. The
+    stream begins at the instant with the first packet's fraction of a second, so it waits for less than a
+    second.
 
     Parameters
     ----------
@@ -134,10 +139,12 @@ class NowSink(PacketSink):
     """
 
     def __init__(self, sink: PacketSink, *, clock_ns: Callable[[], int] = time.time_ns) -> None:
-        self._sink, self._clock_ns = sink, clock_ns
+        self._sink = sink
+        self._clock_ns = clock_ns
         self._ahead_ns = 0
         self.moved_s = 0
-        """Whole seconds from the time of the packets to the present; set when the first packet leaves, like `began_ns`."""
+        """Whole seconds from the time of the packets to the present; set when the first packet leaves, like
+        `began_ns`."""
         self.began_ns = 0  # UTC of the first packet by the sensor's clock
 
     def begin(self, first: Packet, stop: Event) -> int:
@@ -147,7 +154,8 @@ class NowSink(PacketSink):
         -------
         Time since the instant, in ns; negative before it
         """
-        sent_ns, now_ns = self._sent_ns(first), self._clock_ns()
+        sent_ns = self._sent_ns(first)
+        now_ns = self._clock_ns()
         at_ns = now_ns + (sent_ns - now_ns) % S_NS
         stop.wait((at_ns - now_ns) / S_NS)
         self._start(first, sent_ns, at_ns)
@@ -155,7 +163,8 @@ class NowSink(PacketSink):
 
     def join(self, first: Packet, left_ns: int) -> None:
         """Begin with a clock that already runs; `left_ns` is the time since the first packet left, negative before."""
-        sent_ns, due_ns = self._sent_ns(first), self._clock_ns() + left_ns
+        sent_ns = self._sent_ns(first)
+        due_ns = self._clock_ns() + left_ns
         self._start(first, sent_ns, sent_ns + round((due_ns - sent_ns) / S_NS) * S_NS)
 
     def _sent_ns(self, first: Packet) -> int:
@@ -168,7 +177,9 @@ class NowSink(PacketSink):
         return hour_ns + made_ns + age_ns(first)
 
     def _start(self, first: Packet, sent_ns: int, at_ns: int) -> None:
-        self.moved_s, self.began_ns, self._ahead_ns = (at_ns - sent_ns) // S_NS, at_ns, at_ns - first.due_ns
+        self.moved_s = (at_ns - sent_ns) // S_NS
+        self.began_ns = at_ns
+        self._ahead_ns = at_ns - first.due_ns
 
     def send(self, packet: Packet) -> None:
         """Send one packet; errors of the sink."""

@@ -1,6 +1,7 @@
 """The web interface of the sensor, in a thread of its own.
 
-Some hand-written clients accept only one spelling of `Content-Length`, no chunks, and perhaps only the first segment.
+Some hand-written clients accept only one spelling of `Content-Length`, no chunks, and perhaps only the first
+segment.
 So each answer has that header, in this spelling, and leaves in one piece.
 """
 
@@ -31,7 +32,8 @@ _HEAD = re.compile(rb"(%b) ([!-~]+) HTTP/1\.([01])\r?\n((?:%b:[^\x00\r\n]*\r?\n)
 """Method, target, minor version and header lines (RFC 9112, sections 3 and 5)."""
 _ONCE = ("host", "content-length", "transfer-encoding")
 _CHUNK = re.compile(rb"([0-9A-Fa-f]{1,8})[ \t]*(?:;[^\r\n]*)?\r?\n")
-_JSON, _HTML = "application/json", "text/html; charset=utf-8"
+_JSON = "application/json"
+_HTML = "text/html; charset=utf-8"
 _PAGE_POLICY = (
     "default-src 'none'; connect-src 'self'; img-src data:; script-src 'unsafe-inline'; "
     "style-src 'unsafe-inline'; form-action 'none'; frame-ancestors 'none'"
@@ -77,14 +79,18 @@ class WebServer:
     ----------
     device : settings and status of the sensor
     host, port : address to listen on; port 0 for a free one
-    fault : returns the present fault: HTTP status of all answers, 0 for no answer, None for no fault; called from the
+    fault : returns the present fault: HTTP status of all answers, 0 for no answer, None for no fault; called
+        from the
     server's thread, and must not wait
 
     Raises OutputError if it cannot listen on this address.
     """
 
-    def __init__(self, device: Device, host: str, port: int, *, fault: Callable[[], int | None] = lambda: None) -> None:
-        self.device, self.fault = device, fault
+    def __init__(
+        self, device: Device, host: str, port: int, *, fault: Callable[[], int | None] = lambda: None
+    ) -> None:
+        self.device = device
+        self.fault = fault
         self.page = Path(__file__).with_name("page.html").read_bytes()
         self._lines = dict[StreamWriter, asyncio.Task[None] | None]()
         self._began = Event()
@@ -117,8 +123,11 @@ class WebServer:
         self._thread.join()
 
     async def _run(self) -> None:
-        self._loop, self._over = asyncio.get_running_loop(), asyncio.Event()
-        self._loop.set_exception_handler(lambda *_: None)  # a broken connection is no message for standard error
+        self._loop = asyncio.get_running_loop()
+        self._over = asyncio.Event()
+        self._loop.set_exception_handler(
+            lambda *_: None
+        )  # a broken connection is no message for standard error
         server = await asyncio.start_server(self._connected, sock=self._socket, limit=MOST_HEADER_BYTES)
         self._began.set()
         await self._over.wait()
@@ -203,10 +212,12 @@ def _answer(request: _Request, server: WebServer) -> _Answer:
 def _is_foreign(request: _Request, *, is_private: bool) -> bool:
     """Return True if a browser sends a request for a page that is not the sensor's own.
 
-    Pages of other sites can send forms to any host, and their names may resolve to this machine. So the origin of a
+    Pages of other sites can send forms to any host, and their names may resolve to this machine. So the
+    origin of a
     form must be the requested host, and on an interface of this machine alone the host must be an address.
     """
-    host, origin = request.headers.get("host"), request.headers.get("origin")
+    host = request.headers.get("host")
+    origin = request.headers.get("origin")
     if request.method == "POST" and origin not in (None, f"http://{host}"):
         return True
     if not is_private or host is None:
@@ -257,7 +268,8 @@ async def _line(line: StreamReader) -> bytes:
 
 async def _body(line: StreamReader, headers: dict[str, str]) -> bytes:
     """Return a body; for one that is too long, one byte more than the limit."""
-    coding, length = headers.get("transfer-encoding"), headers.get("content-length", "0")
+    coding = headers.get("transfer-encoding")
+    length = headers.get("content-length", "0")
     if coding is None:
         if not re.fullmatch(r"[0-9]{1,20}", length, re.ASCII):
             raise _BadRequestError(400, "a content-length that is no number")

@@ -171,8 +171,10 @@ def write_images(
     options : fields of `ImageOptions`
 
     Raises InputError for a wrong option or a distortion that cannot be inverted; MissingExtraError if
-    pillow is not installed; OutputError if the folder has content or cannot be written; TrajectoryError if the
-    walk ends before the span; RunError if the disk is full, which leaves the images before; CancelledError, and
+    pillow is not installed; OutputError if the folder has content or cannot be written; TrajectoryError if
+    the
+    walk ends before the span; RunError if the disk is full, which leaves the images before; CancelledError,
+    and
     no folder, if `stop` is set before the first image.
     """
     asked = ImageOptions.from_fields(options)
@@ -209,7 +211,8 @@ def write_images(
 
 def _cameras(photographer: Photographer, scene: str, depth: str, images: ImageFolder) -> dict[str, Any]:
     """Return `cameras.json`."""
-    lens, scenario = photographer.lens, photographer.engine.scenario
+    lens = photographer.lens
+    scenario = photographer.engine.scenario
     names = ("k1", "k2", "p1", "p2", "k3")
     return {
         "written_by": f"vlp16emu {version('vlp16emu')}",
@@ -270,7 +273,8 @@ def read_images(folder: Path) -> tuple[dict[str, Any], Lens, Iterator[Shot]]:
         size = known["width"], known["height"]
         distortion = tuple(known["distortion"].values())
         lens = Lens(*size, known["fx"], known["fy"], known["cx"], known["cy"], distortion)
-        rows, unit_m = cameras["images"], float(cameras["depth"]["unit_m"])
+        rows = cameras["images"]
+        unit_m = float(cameras["depth"]["unit_m"])
     except (KeyError, TypeError, AttributeError):
         raise InputError(str(folder / "cameras.json"), "not all of its members", _EXPECTED) from None
     table = _instances(folder / "instances.csv")

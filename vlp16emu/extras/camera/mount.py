@@ -25,5 +25,7 @@ def camera_mount(scenario: Scenario) -> Mount:
 
 def optical(R: F8) -> F8:
     """Return rotations (..., 3, 3) of `AXES` for rotations of x forward, y left, z up."""
-    forward, left, up = R[..., 0], R[..., 1], R[..., 2]
+    forward = R[..., 0]
+    left = R[..., 1]
+    up = R[..., 2]
     return np.stack([-left, -up, forward], axis=-1) + 0.0  # no -0.0

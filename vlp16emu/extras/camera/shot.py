@@ -82,7 +82,8 @@ class Photographer:
     """
 
     def __init__(self, engine: Engine, samples: int = 1) -> None:
-        scenario, parts = engine.scenario, engine.parts
+        scenario = engine.scenario
+        parts = engine.parts
         self.engine = engine
         self.section = camera_of(scenario)
         self.lens = Lens.of(self.section)
@@ -152,7 +153,8 @@ class Photographer:
 
     def _view(self, geometry: Geometry, t_ns: int, fine: int) -> View:
         """Cast the rays of an image."""
-        rays, width = self._rays[fine], self.lens.width * fine
+        rays = self._rays[fine]
+        width = self.lens.width * fine
         row_ns = self.row_times_ns(t_ns, _places(self.lens.height, fine))
         poses = self.motion.poses_at(row_ns if self.section.readout_s else row_ns[:1])
         pose_of = np.repeat(np.minimum(np.arange(len(row_ns)), len(poses.t_ns) - 1), width)
@@ -317,7 +319,8 @@ def _difference(place_m: F8, range_m: F8, axis: int) -> F8:
     with np.errstate(invalid="ignore"):  # between two rays that meet nothing
         gap_m = np.nan_to_num(np.abs(np.diff(range_m, axis=axis)), nan=np.inf)
     after, before = [(0, 0), (0, 0)], [(0, 0), (0, 0)]
-    after[axis], before[axis] = (0, 1), (1, 0)
+    after[axis] = (0, 1)
+    before[axis] = (1, 0)
     is_after = np.pad(gap_m, after, constant_values=np.inf) <= np.pad(gap_m, before, constant_values=np.inf)
     steps = np.pad(step_m, [*after, (0, 0)]), np.pad(step_m, [*before, (0, 0)])
     return np.where(is_after[..., None], *steps)

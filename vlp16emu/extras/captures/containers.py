@@ -1,6 +1,7 @@
 """Frames of pcapng, and of archives with pcap or pcapng in them.
 
-This module parses the records itself, because dpkt's readers convert stamps to floats, drop the length on the wire and
+This module parses the records itself, because dpkt's readers convert stamps to floats, drop the length on the
+wire and
 the link types of pcapng, and do not report a truncated last packet.
 """
 
@@ -19,23 +20,31 @@ from vlp16emu.captures.capture import EXPECTED, PCAP, Frame, not_a_capture, pcap
 from vlp16emu.errors import CaptureError
 from vlp16emu.units import S_NS, US_NS
 
-_SECTION, _INTERFACE, _OLD_PACKET, _SIMPLE_PACKET, _PACKET = 0x0A0D0D0A, 1, 2, 3, 6
+_SECTION = 0x0A0D0D0A
+_INTERFACE = 1
+_OLD_PACKET = 2
+_SIMPLE_PACKET = 3
+_PACKET = 6
 """Block types of pcapng. Source of all pcapng numbers: IETF draft-ietf-opsawg-pcapng."""
 _BYTE_ORDER = 0x1A2B3C4D
-_OPTION_RESOLUTION, _OPTION_OFFSET = 9, 14
+_OPTION_RESOLUTION = 9
+_OPTION_OFFSET = 14
 _LONGEST_BLOCK_BYTES = 16 << 20  # a longer block means damage (MAX_BLOCK_SIZE of Wireshark)
 _ARCHIVES: dict[bytes, Any] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ\0": lzma.open}
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _TAR_AT = 257  # offset of the magic number of POSIX tar (IEEE 1003.1, ustar)
 _OTHERS = {b"PK\x03\x04": ("zip", "unzip -p"), b"\x04\x22\x4d\x18": ("lz4", "lz4 -dc")}
 
-Frames = Iterator[Frame | None]  # frames of a file; the last is None if the file ends in the middle of a record
+Frames = Iterator[
+    Frame | None
+]  # frames of a file; the last is None if the file ends in the middle of a record
 
 
 def frames(path: Path, file: Any) -> Frames:
     """Yield the frames of a file that is no plain pcap.
 
-    Raises CaptureError if it is neither pcapng nor a readable archive with a capture in it, or a record is damaged.
+    Raises CaptureError if it is neither pcapng nor a readable archive with a capture in it, or a record is
+    damaged.
     """
     head = b""
     try:
@@ -68,7 +77,9 @@ def _unpacked(path: Path, file: Any) -> Any:
         return BufferedReader(zstandard.ZstdDecompressor().stream_reader(file, read_across_frames=True))
     for magic, (name, command) in _OTHERS.items():
         if head.startswith(magic):
-            raise CaptureError(str(path), f"a {name} archive", f"{EXPECTED}: `{command} {path.name} > some.pcap`")
+            raise CaptureError(
+                str(path), f"a {name} archive", f"{EXPECTED}: `{command} {path.name} > some.pcap`"
+            )
     return next((opener(file) for magic, opener in _ARCHIVES.items() if head.startswith(magic)), file)
 
 
@@ -81,7 +92,10 @@ class _Interface(NamedTuple):
 
 def _pcapng(path: Path, file: Any) -> Frames:
     """Yield the frames of pcapng; the file is read from after the type of its first block."""
-    order, kind, interfaces, blocks = "<", _SECTION, list[_Interface](), 0
+    order = "<"
+    kind = _SECTION
+    interfaces = list[_Interface]()
+    blocks = 0
     while True:
         blocks += 1
         length_at = read(file, 8 if kind == _SECTION else 4)
@@ -93,7 +107,8 @@ def _pcapng(path: Path, file: Any) -> Frames:
             yield None
             return
         if not 12 <= length <= _LONGEST_BLOCK_BYTES or length % 4:  # type, length, length again
-            where, expected = f"{path}: block {blocks}", f"12 to {_LONGEST_BLOCK_BYTES}, in steps of 4"
+            where = f"{path}: block {blocks}"
+            expected = f"12 to {_LONGEST_BLOCK_BYTES}, in steps of 4"
             raise CaptureError(where, f"a length of {length} bytes", expected)
         body = read(file, rest := length - 4 - len(length_at))
         if len(body) < rest:
@@ -104,7 +119,8 @@ def _pcapng(path: Path, file: Any) -> Frames:
                 interfaces.append(_interface(body, order))
             frame = _frame(body, kind, order, interfaces)
         except struct.error:
-            found, expected = f"a block of type {kind} with {len(body) - 4} bytes", "its fields"
+            found = f"a block of type {kind} with {len(body) - 4} bytes"
+            expected = "its fields"
             raise CaptureError(f"{path}: block {blocks}", found, expected) from None
         if frame is not None:
             yield frame
@@ -113,12 +129,16 @@ def _pcapng(path: Path, file: Any) -> Frames:
             if head:
                 yield None
             return
-        kind = int.from_bytes(head, "little" if order == "<" else "big")  # the type of a section is a palindrome
+        kind = int.from_bytes(
+            head, "little" if order == "<" else "big"
+        )  # the type of a section is a palindrome
 
 
 def _interface(body: bytes, order: str) -> _Interface:
     link_type, _, snap_bytes = struct.unpack_from(f"{order}2HI", body)
-    units_per_s, offset_s, at = S_NS // US_NS, 0, 8
+    units_per_s = S_NS // US_NS
+    offset_s = 0
+    at = 8
     while at + 4 <= len(body):
         code, size = struct.unpack_from(f"{order}2H", body, at)
         value = body[at + 4 : at + 4 + size]
@@ -133,12 +153,15 @@ def _interface(body: bytes, order: str) -> _Interface:
 def _frame(body: bytes, kind: int, order: str, interfaces: list[_Interface]) -> Frame | None:
     """Read a packet block; None for other blocks and for packets of an interface that is not described."""
     if kind == _SIMPLE_PACKET and interfaces:
-        wire, own = struct.unpack_from(f"{order}I", body)[0], interfaces[0]
+        wire = struct.unpack_from(f"{order}I", body)[0]
+        own = interfaces[0]
         captured = min(wire, own.snap_bytes or wire)
         return Frame(0, own.link_type, wire, body[4 : 4 + captured])
     if kind not in (_PACKET, _OLD_PACKET) or len(body) < 20:  # the fields before the frame
         return None
-    number, high, low, captured, wire = struct.unpack_from(f"{order}{'I' if kind == _PACKET else 'H2x'}4I", body)
+    number, high, low, captured, wire = struct.unpack_from(
+        f"{order}{'I' if kind == _PACKET else 'H2x'}4I", body
+    )
     if number >= len(interfaces):
         return None
     own = interfaces[number]

@@ -13,22 +13,45 @@ _BARE_IP_AT = {101: 0, 12: 0, 14: 0, 228: 0, 229: 0, 0: 4, 108: 4, 109: 12}
 """Offset of the IP header by link type: raw IP, BSD loopback, OpenBSD's encapsulation."""
 _PPP_AT = {9: 0, 50: 0, 166: 1, 204: 1, 51: 6}
 """Offset of PPP by link type: serial, with a direction byte, PPPoE."""
-_WIFI, _NFLOG, _NFLOG_PAYLOAD = 105, 239, 9
-_WRAPPED = {127: ("<H", 2, None), 163: (">I", 4, None), 192: ("<H", 2, 4), 149: ("<I", 0, 8), 258: ("<I", 0, 8)}
-"""Link types with a header of their own in front: format and offset of its length, and offset of the inner link type,
-which is IEEE 802.11 if there is no such field. Radiotap, AVS, PPI, and PKTAP of macOS under both of its numbers."""
+_WIFI = 105
+_NFLOG = 239
+_NFLOG_PAYLOAD = 9
+_WRAPPED = {
+    127: ("<H", 2, None),
+    163: (">I", 4, None),
+    192: ("<H", 2, 4),
+    149: ("<I", 0, 8),
+    258: ("<I", 0, 8),
+}
+"""Link types with a header of their own in front: format and offset of its length, and offset of the inner
+link type,
+which is IEEE 802.11 if there is no such field. Radiotap, AVS, PPI, and PKTAP of macOS under both of its
+numbers."""
 _LINK_TYPES = frozenset({*_ETHERTYPE_AT, *_BARE_IP_AT, *_PPP_AT, *_WRAPPED, _WIFI, _NFLOG})
 
-_IPV4, _IPV6, _TAGS = 0x0800, 0x86DD, (0x8100, 0x88A8, 0x9100)
-_MPLS, _PPPOE, _BRIDGED, _LLC = (0x8847, 0x8848), 0x8864, 0x6558, (0x0001, 0x0004)
+_IPV4 = 0x0800
+_IPV6 = 0x86DD
+_TAGS = (0x8100, 0x88A8, 0x9100)
+_MPLS = (0x8847, 0x8848)
+_PPPOE = 0x8864
+_BRIDGED = 0x6558
+_LLC = (0x0001, 0x0004)
 """EtherTypes of IEEE 802 and RFC 3032, 2516, 1701; the last ones mark 802.3 and 802.2 in SLL."""
 _SMALLEST_ETHERTYPE = 0x0600
 _PPP_IP = (0x0021, 0x0057)
-_UDP, _IP_IN_IP, _IP6_IN_IP, _GRE = 17, 4, 41, 47
-_FRAGMENT6, _AUTHENTICATION, _EXTENSIONS6 = 44, 51, (0, 43, 60, 51, 44)
+_UDP = 17
+_IP_IN_IP = 4
+_IP6_IN_IP = 41
+_GRE = 47
+_FRAGMENT6 = 44
+_AUTHENTICATION = 51
+_EXTENSIONS6 = (0, 43, 60, 51, 44)
 """Protocol numbers of IANA; headers that may stand in front of the payload of IPv6 (RFC 8200)."""
-_VXLAN, _GENEVE = (4789).to_bytes(2), (6081).to_bytes(2)  # UDP ports of RFC 7348 and RFC 8926
-_ERSPAN, _ERSPAN_3 = 0x88BE, 0x22EB  # EtherTypes of mirrored traffic in GRE (draft-foschiano-erspan)
+_VXLAN = (4789).to_bytes(2)  # UDP ports of RFC 7348 and RFC 8926
+_GENEVE = (6081).to_bytes(2)
+# EtherTypes of mirrored traffic in GRE (draft-foschiano-erspan)
+_ERSPAN = 0x88BE
+_ERSPAN_3 = 0x22EB
 _MOST_LAYERS = 8
 _INCOMPLETE = 64  # greatest number of incomplete datagrams kept
 _NO_FRAGMENTS = "datagrams whose other IP fragments are missing (capture with `udp or ip[6:2] & 0x1fff != 0`)"
@@ -51,7 +74,8 @@ class Unwrapper:
 
     def __init__(self) -> None:
         self._held = dict[bytes, dict[int, tuple[bytes, Ip]]]()
-        self._dropped, self._unread = 0, Counter[str]()
+        self._dropped = 0
+        self._unread = Counter[str]()
 
     @property
     def missed(self) -> Counter[str]:
@@ -74,7 +98,8 @@ class Unwrapper:
         """Return the frame of the first fragment with the bytes of all fragments, when the last one has arrived."""
         held = self._held.setdefault(ip.key, {})
         held[ip.fragment] = frame, ip
-        parts, at = list[bytes](), 0
+        parts = list[bytes]()
+        at = 0
         while at in held:
             part, one = held[at]
             parts.append(part[one.body : one.end])
@@ -102,7 +127,8 @@ def _ip_in(link_type: int, frame: bytes) -> Ip | None:
         except struct.error:
             return None
     if link_type in _ETHERTYPE_AT:
-        kind_at, body = begin + _ETHERTYPE_AT[link_type], begin + _BODY_AT[link_type]
+        kind_at = begin + _ETHERTYPE_AT[link_type]
+        body = begin + _BODY_AT[link_type]
         kind = int.from_bytes(frame[kind_at : kind_at + 2])
         at: int | None = body if kind == _IPV4 else _ip_after(frame, kind, body)
     elif link_type in _BARE_IP_AT:
@@ -120,7 +146,8 @@ def _ip_in(link_type: int, frame: bytes) -> Ip | None:
         found = None if at is None else _ip_at(frame, at)
         if found is None:
             return ip
-        ip, at = found, _ip_in_tunnel(frame, found)
+        ip = found
+        at = _ip_in_tunnel(frame, found)
         if at is None:
             return ip
     return ip
@@ -128,7 +155,8 @@ def _ip_in(link_type: int, frame: bytes) -> Ip | None:
 
 def _ip_in_wifi(frame: bytes, at: int) -> int | None:
     """Find the IP header in a data frame of IEEE 802.11 that is not encrypted."""
-    kind, flags = frame[at : at + 1], frame[at + 1 : at + 2]
+    kind = frame[at : at + 1]
+    flags = frame[at + 1 : at + 2]
     if not flags or kind[0] & 0x4C != 0x08 or flags[0] & 0x40:
         return None
     quality = bool(kind[0] & 0x80)
@@ -153,7 +181,8 @@ def _ip_after(frame: bytes, kind: int, at: int) -> int | None:
         if kind in (_IPV4, _IPV6):
             return at
         if kind in _TAGS:
-            kind, at = int.from_bytes(frame[at + 2 : at + 4]), at + 4
+            kind = int.from_bytes(frame[at + 2 : at + 4])
+            at = at + 4
         elif kind in _MPLS:
             while at + 4 <= len(frame) and not frame[at + 2] & 1:  # the lowest label has this bit
                 at += 4
@@ -161,9 +190,11 @@ def _ip_after(frame: bytes, kind: int, at: int) -> int | None:
         elif kind == _PPPOE:
             return _behind_ppp(frame, at + 6)
         elif kind == _BRIDGED:
-            kind, at = int.from_bytes(frame[at + 12 : at + 14]), at + 14
+            kind = int.from_bytes(frame[at + 12 : at + 14])
+            at = at + 14
         elif (kind < _SMALLEST_ETHERTYPE or kind in _LLC) and frame[at : at + 3] == b"\xaa\xaa\x03":
-            kind, at = int.from_bytes(frame[at + 6 : at + 8]), at + 8
+            kind = int.from_bytes(frame[at + 6 : at + 8])
+            at = at + 8
         else:
             return None
     return None
@@ -182,25 +213,35 @@ def _behind_ppp(frame: bytes, at: int) -> int | None:
 def _ip_at(frame: bytes, at: int) -> Ip | None:
     version = frame[at] >> 4 if at < len(frame) else 0
     if version == 4 and len(frame) >= at + 20:  # RFC 791
-        body, words = at + 4 * (frame[at] & 0x0F), int.from_bytes(frame[at + 6 : at + 8])
+        body = at + 4 * (frame[at] & 0x0F)
+        words = int.from_bytes(frame[at + 6 : at + 8])
         end = at + int.from_bytes(frame[at + 2 : at + 4])
         end = end if end > at else len(frame)  # 0 if the network card segments the datagram
         if body < at + 20:
             return None
-        protocol, fragment = frame[at + 9], (words & 0x1FFF) * 8
+        protocol = frame[at + 9]
+        fragment = (words & 0x1FFF) * 8
         key = frame[at + 12 : at + 20] + frame[at + 4 : at + 6] + frame[at + 9 : at + 10]
         return Ip(at, body, end, protocol, fragment, bool(words & 0x2000), key)
     return _ip6_at(frame, at) if version == 6 and len(frame) >= at + 40 else None  # RFC 8200
 
 
 def _ip6_at(frame: bytes, at: int) -> Ip | None:
-    protocol, body, fragment, more = frame[at + 6], at + 40, 0, False
-    end, key = body + int.from_bytes(frame[at + 4 : at + 6]), frame[at + 8 : at + 40]
+    protocol = frame[at + 6]
+    body = at + 40
+    fragment = 0
+    more = False
+    end = body + int.from_bytes(frame[at + 4 : at + 6])
+    key = frame[at + 8 : at + 40]
     while protocol in _EXTENSIONS6 and body + 8 <= len(frame):
-        before, protocol, size = protocol, frame[body], frame[body + 1]
+        before = protocol
+        protocol = frame[body]
+        size = frame[body + 1]
         if before == _FRAGMENT6:
             words = int.from_bytes(frame[body + 2 : body + 4])
-            fragment, more, key = words & 0xFFF8, bool(words & 1), key + frame[body + 4 : body + 8]
+            fragment = words & 0xFFF8
+            more = bool(words & 1)
+            key = key + frame[body + 4 : body + 8]
         body += 8 if before == _FRAGMENT6 else (size + 2) * 4 if before == _AUTHENTICATION else (size + 1) * 8
         if fragment:
             break
@@ -214,16 +255,21 @@ def _ip_in_tunnel(frame: bytes, ip: Ip) -> int | None:
     if ip.protocol in (_IP_IN_IP, _IP6_IN_IP):
         return at
     if ip.protocol == _GRE and at + 4 <= len(frame):
-        flags, kind = frame[at], int.from_bytes(frame[at + 2 : at + 4])
+        flags = frame[at]
+        kind = int.from_bytes(frame[at + 2 : at + 4])
         at += 4 + 4 * sum(bool(flags & bit) for bit in (0x80, 0x20, 0x10))
         if kind == _ERSPAN:
-            at, kind = at + 8 * bool(flags & 0x10), _BRIDGED  # type I has neither a number nor a header
+            at = at + 8 * bool(flags & 0x10)  # type I has neither a number nor a header
+            kind = _BRIDGED
         elif kind == _ERSPAN_3:
-            at, kind = at + 12 + 8 * (at + 12 <= len(frame) and frame[at + 11] & 1), _BRIDGED
+            at = at + 12 + 8 * (at + 12 <= len(frame) and frame[at + 11] & 1)
+            kind = _BRIDGED
         return _ip_after(frame, kind, at)
     port = frame[at + 2 : at + 4] if ip.protocol == _UDP else b""
     if port == _VXLAN:
         return _ip_after(frame, _BRIDGED, at + 16)
     if port == _GENEVE and at + 16 <= len(frame):
-        return _ip_after(frame, int.from_bytes(frame[at + 10 : at + 12]), at + 16 + 4 * (frame[at + 8] & 0x3F))
+        return _ip_after(
+            frame, int.from_bytes(frame[at + 10 : at + 12]), at + 16 + 4 * (frame[at + 8] & 0x3F)
+        )
     return None

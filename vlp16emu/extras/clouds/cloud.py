@@ -60,7 +60,8 @@ class PointLabels:
     """Labels of points in one scheme, block by block, and heights above the ground."""
 
     def __init__(self, scheme: LabelScheme, height_m: HeightField) -> None:
-        self._scheme, self._height_m = scheme, height_m
+        self._scheme = scheme
+        self._height_m = height_m
         self._numbers: dict[int, int] = {}
 
     def of(self, points: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
@@ -94,7 +95,9 @@ class Column:
     dtype: str
     csv: Sequence[str]  # headers, one for each number of a point in this column
     decimals: int = 0  # decimals in .csv. Integers with decimals are in units of the last decimal
-    ply: Sequence[str] = ()  # names of properties, as many as headers; empty for a column of .npz and .csv only
+    ply: Sequence[
+        str
+    ] = ()  # names of properties, as many as headers; empty for a column of .npz and .csv only
     ply_dtype: str = ""  # type of the properties, if it differs from the array's
 
     @property
@@ -120,7 +123,11 @@ class CloudAbout:
     unit: int = 1  # number of the sensor in a rig, from 1
 
 
-RETURN_NAMES = ("strongest", "last", "second_strongest")  # meaning of the numbers in the column `return_number`
+RETURN_NAMES = (
+    "strongest",
+    "last",
+    "second_strongest",
+)  # meaning of the numbers in the column `return_number`
 
 _AXES = {
     PointFrame.SENSOR: "x forward (azimuth 0), y left, z up",
@@ -139,9 +146,12 @@ def capture_comments(frame: PointFrame, clock: str) -> tuple[str, ...]:
 
 
 _ROWS = {name: tuple(Column(*row) for row in rows) for name, rows in _table("columns.toml").items()}
-CAPTURE_COLUMNS, SCENE_COLUMNS = _ROWS["capture"], _ROWS["scene"]
-TRUTH_COLUMNS, LABEL_COLUMNS = _ROWS["truth"], _ROWS["labels"]
-"""Optional columns of points of a scene, and of a capture with ground truth: the surface of each point, and labels in a scheme."""
+CAPTURE_COLUMNS = _ROWS["capture"]
+SCENE_COLUMNS = _ROWS["scene"]
+TRUTH_COLUMNS = _ROWS["truth"]
+LABEL_COLUMNS = _ROWS["labels"]
+"""Optional columns of points of a scene, and of a capture with ground truth: the surface of each point, and
+labels in a scheme."""
 DESKEWED_COLUMNS = (
     *(column for column in SCENE_COLUMNS if column.name not in ("elevation_deg", "return_number")),
     *_ROWS["placed"],
@@ -181,15 +191,20 @@ class PointWriter(ABC):
 class CsvFile(PointWriter):
     """CSV with one line per point; the header names the units."""
 
-    def __init__(self, file: IO[bytes], columns: Sequence[Column], _about: CloudAbout, _stack: ExitStack) -> None:
-        self._file, self._columns = file, columns
+    def __init__(
+        self, file: IO[bytes], columns: Sequence[Column], _about: CloudAbout, _stack: ExitStack
+    ) -> None:
+        self._file = file
+        self._columns = columns
         file.write(f"{','.join(name for column in columns for name in column.csv)}\n".encode())
 
     def write(self, block: Block) -> None:
         """Write a line for each point."""
-        formats, fields = list[str](), list[list[Any]]()
+        formats = list[str]()
+        fields = list[list[Any]]()
         for column in self._columns:
-            values, unit = block[column.name], 10**column.decimals
+            values = block[column.name]
+            unit = 10**column.decimals
             for array in values.reshape(len(values), len(column.csv)).T:
                 if array.dtype.kind == "f":
                     formats.append(f"%.{column.decimals}f")
@@ -212,11 +227,16 @@ _PLY_KINDS = {"<f4": "float", "<f8": "double", "|u1": "uchar", "<u2": "ushort", 
 class PlyFile(PointWriter):
     """Binary little-endian PLY; the number of points is filled in at the end."""
 
-    def __init__(self, file: IO[bytes], columns: Sequence[Column], about: CloudAbout, _stack: ExitStack) -> None:
-        self._file, self._comments = file, about.comments
+    def __init__(
+        self, file: IO[bytes], columns: Sequence[Column], about: CloudAbout, _stack: ExitStack
+    ) -> None:
+        self._file = file
+        self._comments = about.comments
         # Coordinates first, as some readers expect.
         self._columns = sorted((column for column in columns if column.ply), key=lambda c: c.ply[0] != "x")
-        self._vertex = np.dtype([(name, self._kind(column)) for column in self._columns for name in column.ply])
+        self._vertex = np.dtype(
+            [(name, self._kind(column)) for column in self._columns for name in column.ply]
+        )
         file.write(self._header())
 
     def write(self, block: Block) -> None:
@@ -284,8 +304,12 @@ class NpzFile(PointWriter):
     The format stores one array after the other, so each array waits in a temporary file beside the output.
     """
 
-    def __init__(self, file: IO[bytes], columns: Sequence[Column], _about: CloudAbout, stack: ExitStack) -> None:
-        self._file, self._columns, folder = file, columns, Path(file.name).parent
+    def __init__(
+        self, file: IO[bytes], columns: Sequence[Column], _about: CloudAbout, stack: ExitStack
+    ) -> None:
+        self._file = file
+        self._columns = columns
+        folder = Path(file.name).parent
         self._waiting = [stack.enter_context(tempfile.TemporaryFile(dir=folder)) for _ in columns]  # noqa: SIM115
 
     def write(self, block: Block) -> None:
@@ -312,8 +336,10 @@ def point_file(
 ) -> Iterator[PointWriter]:
     """Open a file for points in the format of its suffix; error messages call it `where`; `inputs` are not replaced.
 
-    If an error ends the points, the file has the points before it. If there are no points, or the file itself cannot be
-    written, there is no file. InputError if the suffix names no format, MissingExtraError if its library is not
+    If an error ends the points, the file has the points before it. If there are no points, or the file itself
+    cannot be
+    written, there is no file. InputError if the suffix names no format, MissingExtraError if its library is
+    not
     installed, OutputError and RunError like `OutputFile`.
     """
     if not has_door(path.suffix, "clouds"):

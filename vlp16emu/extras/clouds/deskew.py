@@ -43,7 +43,10 @@ class Trajectory:
     """
 
     def __init__(self, path: Path, unit: int, errors: TrajectoryErrors | None = None) -> None:
-        self.path, self.unit, self.origin, self.sensor = path, unit, None, None
+        self.path = path
+        self.unit = unit
+        self.origin = None
+        self.sensor = None
         if path.is_dir():
             self.path, self.origin, self.sensor = _of_truth(path, unit)
         poses = read_tum(self.path)
@@ -70,7 +73,8 @@ class Trajectory:
         """Return rotations (n, 3, 3) and positions (n, 3) of the sensor in the world at instants (n,)."""
         at_ns = np.clip(t_ns + self._offset_ns, self._first_ns, self._last_ns)
         poses = self._motion.poses_at(at_ns)
-        turn, place_m = poses.world_R_body, poses.world_p_body_m
+        turn = poses.world_R_body
+        place_m = poses.world_p_body_m
         if self._drift is not None:
             turn, place_m = self._with_drift(turn, place_m, (at_ns - self._first_ns) / _MINUTE_NS)
         if self._mount is not None:
@@ -123,7 +127,13 @@ class CaptureTruth:
 
 
 def write_deskewed(
-    capture: Path, path: Path, way: Trajectory, truth: CaptureTruth | None, *, stop: Event, clock: str | None = None
+    capture: Path,
+    path: Path,
+    way: Trajectory,
+    truth: CaptureTruth | None,
+    *,
+    stop: Event,
+    clock: str | None = None,
 ) -> dict[str, Any]:
     """Write the points of a capture, in the world and in the sensor's frame, to a file of `point_file`; return its contents.
 
@@ -133,7 +143,8 @@ def write_deskewed(
     stop : ends the file between two parts of the capture
     clock : clock of the pulses, as for `vlp16emu.packets.unit_clocks`
 
-    Raises InputError, TrajectoryError if the ground truth belongs to another run, or no pulse has a pose; CaptureError,
+    Raises InputError, TrajectoryError if the ground truth belongs to another run, or no pulse has a pose;
+    CaptureError,
     PacketError if the capture cannot be read, or is damaged; the file has the points before.
     """
     known = chosen_unit(capture, way.sensor or str(way.unit), where="--unit")
@@ -151,7 +162,8 @@ def write_deskewed(
             for chunk in chain([first], chunks):
                 for block, left_out in _blocks(chunk, way, truth, start_ns):
                     writer.write(block)
-                    points, without_pose = points + len(block["t_ns"]), without_pose + left_out
+                    points = points + len(block["t_ns"])
+                    without_pose = without_pose + left_out
                 last_ns = int(chunk.utc_ns[-1]) - start_ns
                 if stop.is_set():
                     break
@@ -166,7 +178,8 @@ def write_deskewed(
         "truth": truth is not None,
         "simulated_s": last_ns / S_NS,  # from the first pulse of the capture to the last
         "clock": stamped.clock,
-        "host_ahead_s": (stamped.host_ahead_ns or 0) / S_NS,  # capture stamp minus sensor's clock at the first packet
+        "host_ahead_s": (stamped.host_ahead_ns or 0)
+        / S_NS,  # capture stamp minus sensor's clock at the first packet
         "bytes": path.stat().st_size,
         "interrupted": stop.is_set(),
     }
@@ -174,7 +187,9 @@ def write_deskewed(
 
 def _without_poses(way: Trajectory, pulses_ns: tuple[int, int], clock: str) -> TrajectoryError:
     """Return the error of a trajectory without a pose between the first and the last pulse of a capture."""
-    poses, pulses = ("from {:.3f} to {:.3f} s".format(*s) for s in (way.span_s, [t_ns / S_NS for t_ns in pulses_ns]))
+    poses, pulses = (
+        "from {:.3f} to {:.3f} s".format(*s) for s in (way.span_s, [t_ns / S_NS for t_ns in pulses_ns])
+    )
     expected = f"poses at the pulses, {pulses} by the {clock} clock (see --clock and --time-offset)"
     return TrajectoryError(str(way.path), f"poses {poses}", expected)
 
@@ -184,13 +199,15 @@ def _blocks(
 ) -> Iterator[tuple[dict[str, NDArray[Any]], int]]:
     """Yield the transformed points of some data packets at a time, each echo once, and the number without a pose."""
     chunk_t_ns = chunk.t_ns
-    points, once = chunk.points, ~twins(chunk.points)
+    points = chunk.points
+    once = ~twins(chunk.points)
     cuts = np.searchsorted(points.packet, np.arange(0, len(chunk.fields) + _PACKETS, _PACKETS)).tolist()
     for number, (begin, end) in enumerate(pairwise(cuts)):
         part = begin + np.flatnonzero(once[begin:end])
         has_pose = way.has(chunk_t_ns[part])
         kept = part[has_pose]
-        t_ns, sensor_m = chunk_t_ns[kept], points.xyz_m[kept]
+        t_ns = chunk_t_ns[kept]
+        sensor_m = points.xyz_m[kept]
         turn, place_m = way.poses_at(t_ns)
         block = {
             "t_ns": t_ns,
@@ -212,7 +229,8 @@ def _of_truth(folder: Path, unit: int) -> tuple[Path, tuple[float, float, float]
     expected = "a folder that `record --truth` has written, or a TUM file"
     tree = read_json(rig, expected)
     try:
-        units, world = tree["units"], tree["world"]
+        units = tree["units"]
+        world = tree["world"]
         origin = world["latitude_deg"], world["longitude_deg"], world["height_m"]
         known = [(folder / one["trajectory"], f"{one['address']}:{one['data_port']}") for one in units]
     except (KeyError, TypeError):

@@ -26,7 +26,8 @@ _INTENSITY = 256  # 65 536 over the 256 steps of the reflectivity (LAS 1.4 - R15
 _FIELDS = frozenset({*"xyz", "time", "intensity", "return_number", "is_last", "label"})
 """Properties that have a field in the format."""
 _NO_DATE = datetime(1970, 1, 1, tzinfo=UTC)
-_EQUATOR_M, _FLATTENING = 6_378_137.0, 1 / 298.257223563  # ellipsoid of WGS 84
+_EQUATOR_M = 6_378_137.0  # ellipsoid of WGS 84
+_FLATTENING = 1 / 298.257223563
 
 
 def _ns(year: int, month: int, day: int) -> int:
@@ -45,14 +46,18 @@ class LasFile(PointWriter):
     """Writer of LAS; MissingExtraError if laspy, or lazrs for LAZ, is not installed.
 
     GPS time is adjusted standard GPS time. The return number counts the echoes of a pulse from the
-    nearest. The classification is the column `label`, or without it the class of the scheme `asprs`. User data is the
-    column `return_number` of a scene, `is_last` of a capture. Scanner channel and scan angle are 0: a spinning
+    nearest. The classification is the column `label`, or without it the class of the scheme `asprs`. User
+    data is the
+    column `return_number` of a scene, `is_last` of a capture. Scanner channel and scan angle are 0: a
+    spinning
     sensor has one head, and no angle about a line of flight.
     """
 
     compressed: ClassVar[bool] = False
 
-    def __init__(self, file: IO[bytes], columns: Sequence[Column], about: CloudAbout, _stack: ExitStack) -> None:
+    def __init__(
+        self, file: IO[bytes], columns: Sequence[Column], about: CloudAbout, _stack: ExitStack
+    ) -> None:
         try:
             import laspy
 
@@ -60,7 +65,8 @@ class LasFile(PointWriter):
                 import lazrs  # laspy looks for it too late
         except ImportError:
             raise MissingExtraError("laspy[lazrs]", "cloud", "writing LAS and LAZ") from None
-        self._laspy, self._file = laspy, file
+        self._laspy = laspy
+        self._file = file
         self._failures: tuple[type[Exception], ...] = (lazrs.LazrsError,) if self.compressed else ()
         self._about = about
         self._writer: Any = None
@@ -74,7 +80,9 @@ class LasFile(PointWriter):
 
     def write(self, block: Block) -> None:
         """Append points; the first one determines the offset."""
-        values = {name: array for one in self._columns for name, array in one.properties(block[one.name]).items()}
+        values = {
+            name: array for one in self._columns for name, array in one.properties(block[one.name]).items()
+        }
         n = len(values["x"])
         if not n:
             return
@@ -85,7 +93,8 @@ class LasFile(PointWriter):
         for axis in "xyz":
             record[axis] = values[axis].astype(np.float64)
         number, count = echoes_of(block)
-        record["return_number"], record["number_of_returns"] = number, count
+        record["return_number"] = number
+        record["number_of_returns"] = count
         record["intensity"] = values["intensity"].astype(np.uint16) * _INTENSITY
         record["user_data"] = block["return_number" if "return_number" in block else "is_last"]
         record["point_source_id"] = np.full(n, self._about.unit)
@@ -119,13 +128,20 @@ class LasFile(PointWriter):
     def _begin(self, offset_m: F8) -> None:
         laspy = self._laspy
         header = laspy.LasHeader(version="1.4", point_format=6)
-        header.scales, header.offsets = np.full(3, _SCALE_M), offset_m
-        header.creation_date = (self._about.start_utc or _NO_DATE).date()  # not today: bytes must not depend on it
-        header.system_identifier, header.generating_software = "vlp16emu", f"vlp16emu {version('vlp16emu')}"
+        header.scales = np.full(3, _SCALE_M)
+        header.offsets = offset_m
+        header.creation_date = (
+            self._about.start_utc or _NO_DATE
+        ).date()  # not today: bytes must not depend on it
+        header.system_identifier = "vlp16emu"
+        header.generating_software = f"vlp16emu {version('vlp16emu')}"
         header.global_encoding.wkt = True
         header.global_encoding.gps_time_type = laspy.header.GpsTimeType.STANDARD
         header.add_extra_dims(
-            [laspy.ExtraBytesParams(name, np.dtype(kind), text[:31]) for name, (kind, text) in self._extra.items()]
+            [
+                laspy.ExtraBytesParams(name, np.dtype(kind), text[:31])
+                for name, (kind, text) in self._extra.items()
+            ]
         )
         for extra in header.vlrs.get("ExtraBytesVlr")[0].extra_bytes_structs:
             extra.options = 0  # laspy 2.7 takes bounds from the first point of each block: none are written
@@ -164,8 +180,10 @@ def echoes_of(block: Block) -> tuple[U1, U1]:
 def local_wkt(latitude_deg: float, longitude_deg: float, height_m: float) -> str:
     """Return the coordinate system of the world as WKT: transverse Mercator about the origin, and height.
 
-    No well-known text that other programs read describes a plane through the origin. This projection differs from the
-    plane by less than 1 mm at 1 km: its scale fits the origin's height, as surveyors choose it for plots. Heights are
+    No well-known text that other programs read describes a plane through the origin. This projection differs
+    from the
+    plane by less than 1 mm at 1 km: its scale fits the origin's height, as surveyors choose it for plots.
+    Heights are
     above the origin, without the 78 mm of the earth's curvature at 1 km.
     """
     squared = _FLATTENING * (2 - _FLATTENING)

@@ -63,9 +63,12 @@ def write_points(
     stop : ends the file from another thread; it is valid, and there is none before the first block
     options : fields of `PointOptions`
 
-    Raises InputError if there is no such unit or scheme, or the suffix names no format; MissingExtraError if the
-    library for a format is not installed; OutputError if file or folder cannot be written, or are an input of the
-    scene; TrajectoryError if the walk ends before the span; RunError if the disk is full: the file is then incomplete;
+    Raises InputError if there is no such unit or scheme, or the suffix names no format; MissingExtraError if
+    the
+    library for a format is not installed; OutputError if file or folder cannot be written, or are an input of
+    the
+    scene; TrajectoryError if the walk ends before the span; RunError if the disk is full: the file is then
+    incomplete;
     CancelledError, and earlier files stay, if `stop` is set before the first block.
     """
     path = Path(path)
@@ -75,12 +78,16 @@ def write_points(
     stop = stop or Event()
     emulator = emulator.stopped_by(stop)
     scenario = emulator.scenario
-    scheme, truth = (cloud.label_scheme(asked.labels) if asked.labels else None), asked.truth or bool(asked.labels)
+    scheme = cloud.label_scheme(asked.labels) if asked.labels else None
+    truth = asked.truth or bool(asked.labels)
     begin_s, _ = span_s = scenario.span_s(asked.start_s, asked.duration_s)
     blocks = _blocks(emulator.engine, number, span_s, truth=truth, labels=scheme)  # checks the span first
     columns = cloud.SCENE_COLUMNS + cloud.TRUTH_COLUMNS * truth + cloud.LABEL_COLUMNS * bool(scheme)
-    returns, simulated_s = np.zeros(3, np.int64), 0.0
-    file = cloud.point_file(path, columns, _about(scenario, number, scheme), where=str(path), inputs=emulator.files)
+    returns = np.zeros(3, np.int64)
+    simulated_s = 0.0
+    file = cloud.point_file(
+        path, columns, _about(scenario, number, scheme), where=str(path), inputs=emulator.files
+    )
     with file as writer, emulator.truth(asked.truth_to, span_s) as folder:
         with suppress(CancelledError):
             for block, end_ns in blocks:
@@ -94,7 +101,8 @@ def write_points(
                     break
         if stop.is_set() and not simulated_s:
             raise CancelledError  # earlier files stay
-    sensor, wall_s = emulator.parts.units[number], time.perf_counter() - began_s
+    sensor = emulator.parts.units[number]
+    wall_s = time.perf_counter() - began_s
     beams = sensor.head.beams
     return PointCloud(
         file=str(path),
@@ -118,7 +126,8 @@ def write_points(
 
 
 def _about(scenario: Scenario, number: int, scheme: cloud.LabelScheme | None) -> cloud.CloudAbout:
-    comments, gps = cloud.scene_comments(), scenario.gps
+    comments = cloud.scene_comments()
+    gps = scenario.gps
     labels = (f"label: {scheme.name}, {scheme.source}",) if scheme else ()
     origin = gps.latitude_deg, gps.longitude_deg, gps.height_m
     return cloud.CloudAbout((*comments, *labels), scenario.start_utc, origin, number + 1)
@@ -128,7 +137,8 @@ def _blocks(
     engine: Engine, number: int, span_s: tuple[float, float], *, truth: bool, labels: cloud.LabelScheme | None
 ) -> Iterator[tuple[cloud.Block, int]]:
     """Yield the points of each block of a span, and their end time in ns since the first pulse."""
-    start_ns, unit = engine.scenario.start_ns, engine.parts.units[number]
+    start_ns = engine.scenario.start_ns
+    unit = engine.parts.units[number]
     begin_ns, end_ns = (start_ns + seconds_to_ns(s) for s in span_s)
     scenario = engine.scenario
     labelled = labels and cloud.PointLabels(labels, scenario.world.site(scenario.world_seed).height_m)

@@ -34,7 +34,8 @@ from vlp16emu.types import F4, F8, I8, SURFACE, Firings, Labels, Packet, Poses, 
 from vlp16emu.units import HOUR_NS, S_NS, US_NS, seconds_to_ns
 
 _LONGEST_NS = 2 * S_NS
-"""Time after which readings without a whole revolution are left out: the rotor stands. The slowest scanner, of a sensor
+"""Time after which readings without a whole revolution are left out: the rotor stands. The slowest scanner,
+of a sensor
 of one's own, turns once a second."""
 _LABELS = ("semantic", "part", "instance", "species")
 
@@ -62,7 +63,9 @@ class Chunk:
         first, last = np.searchsorted(self.reading, (begin, end))
         points = {name: array[first:last] for name, array in self.arrays.items()}
         readings = slice(begin, end)
-        return type(self)(self.t_ns[readings], self.azimuth_deg[readings], self.reading[first:last] - begin, points)
+        return type(self)(
+            self.t_ns[readings], self.azimuth_deg[readings], self.reading[first:last] - begin, points
+        )
 
 
 def cut_scans(chunks: Iterable[Chunk], pose_at: Callable[[int], F8] | None = None) -> Iterator[Scan]:
@@ -73,7 +76,8 @@ def cut_scans(chunks: Iterable[Chunk], pose_at: Callable[[int], F8] | None = Non
     chunks : chunks in order of time, without gaps
     pose_at : returns `world_T_sensor` (4, 4) at a UTC time in ns; None for a capture
     """
-    held, begun = None, False
+    held = None
+    begun = False
     for chunk in chunks:
         if not len(chunk.t_ns):
             continue
@@ -103,7 +107,8 @@ def _ends_at_zero(azimuth_deg: F8) -> bool:
 
 
 def _scan(chunk: Chunk, pose_at: Callable[[int], F8] | None) -> Scan:
-    arrays, start_ns = dict(chunk.arrays), int(chunk.t_ns[0])
+    arrays = dict(chunk.arrays)
+    start_ns = int(chunk.t_ns[0])
     labels = None
     if "semantic" in arrays:
         labels = Labels(**{name: arrays.pop(name) for name in Labels.__slots__})
@@ -131,8 +136,10 @@ def decode(
     -------
     iterator over the whole revolutions, which reads the file step by step; scans before an error come first
 
-    Raises CaptureError if the file cannot be read, is damaged or has no data packets; PacketError if a packet is no
-    VLP-16 packet; InputError if there is no such frame, clock or unit, or if `unit` is missing and there are several.
+    Raises CaptureError if the file cannot be read, is damaged or has no data packets; PacketError if a packet
+    is no
+    VLP-16 packet; InputError if there is no such frame, clock or unit, or if `unit` is missing and there are
+    several.
     """
     if frame not in tuple(PointFrame):
         raise InputError("frame", f"found {frame}", " or ".join(PointFrame))
@@ -144,7 +151,8 @@ def decode(
 
 def chunk_of(chunk: PacketChunk, labels: Mapping[str, NDArray[Any]]) -> Chunk:
     """Return the points of data packets sorted by azimuth readings; labels are arrays of `Labels`, empty if there are none."""
-    points, blocks = chunk.points, chunk.fields["blocks"]
+    points = chunk.points
+    blocks = chunk.fields["blocks"]
     dual = chunk.fields["return_mode"] == RETURN_MODE_BYTE[ReturnMode.DUAL]
     block = np.arange(BLOCKS_PER_PACKET)
     is_reading = ~dual[:, None] | (block % 2 == 0)  # in dual return two blocks share a reading
@@ -166,7 +174,8 @@ def chunk_of(chunk: PacketChunk, labels: Mapping[str, NDArray[Any]]) -> Chunk:
 def chunk_of_packets(packets: Iterable[Packet]) -> Chunk | None:
     """Return the points of data packets of one sensor as they are sent; None if no packet is whole and without fault.
 
-    Points have labels if the packets carry ground truth. Packets of a prepared run, which do not know their first pulse,
+    Points have labels if the packets carry ground truth. Packets of a prepared run, which do not know their
+    first pulse,
     are dated by their sending.
     """
     whole = [packet for packet in packets if len(packet.payload) == DATA_BYTES]
@@ -203,7 +212,8 @@ def scans_of(engine: Engine, number: int, span_s: tuple[float, float], *, truth:
 
     Raises TrajectoryError if the walk ends before the span.
     """
-    start_ns, unit = engine.scenario.start_ns, engine.parts.units[number]
+    start_ns = engine.scenario.start_ns
+    unit = engine.parts.units[number]
     begin_ns, end_ns = (start_ns + seconds_to_ns(s) for s in span_s)
     returns = engine.returns(*span_s, number, truth=truth)
     chunks = (_chunk(unit, block, begin_ns, end_ns, truth=truth) for block in returns)
@@ -212,7 +222,8 @@ def scans_of(engine: Engine, number: int, span_s: tuple[float, float], *, truth:
 
 def _chunk(unit: Unit, returns: Returns, begin_ns: int, end_ns: int, *, truth: bool) -> Chunk:
     """Return the points of a block whose azimuth is read within a span, each echo once, the last echo first."""
-    firings, step = returns.firings, SEQUENCES_PER_BLOCK
+    firings = returns.firings
+    step = SEQUENCES_PER_BLOCK
     reading_ns = firings.t_ns[::step, 0]
     taken = (reading_ns >= begin_ns) & (reading_ns < end_ns)
     if returns.is_sent is not None:
@@ -225,7 +236,14 @@ def _chunk(unit: Unit, returns: Returns, begin_ns: int, end_ns: int, *, truth: b
     is_last = points["return_number"] == 1
     is_last |= (points["return_number"] == 0) & (distance_m[:, 0] == distance_m[:, 1]) & is_dual
     order = np.lexsort((~is_last, points["laser"], sequence))
-    names = ("t_ns", "distance_m", "azimuth_deg", "ring", "reflectivity", *((*_LABELS, "range_m") if truth else ()))
+    names = (
+        "t_ns",
+        "distance_m",
+        "azimuth_deg",
+        "ring",
+        "reflectivity",
+        *((*_LABELS, "range_m") if truth else ()),
+    )
     arrays = {name: points[name] for name in names}
     arrays |= {"xyz_m": points["sensor_m"].astype(np.float32), "is_last": is_last}
     return Chunk(
@@ -240,10 +258,13 @@ def points_of(
     unit: Unit, returns: Returns, inside: NDArray[np.bool_], *, truth: bool
 ) -> tuple[dict[str, NDArray[Any]], I8]:
     """Return the points of pulses (k, L) that are `inside`, and the row (n,) of the firing sequence of each."""
-    firings, beams, t_ns = returns.firings, unit.head.beams, returns.firings.t_ns
+    firings = returns.firings
+    beams = unit.head.beams
+    t_ns = returns.firings.t_ns
     sent = _reported(returns.distance_m, returns.mode) & inside[..., None]
     sequence, laser, number = np.nonzero(sent)
-    distance_m, pulse_ns = returns.distance_m[sent], t_ns[sequence, laser]
+    distance_m = returns.distance_m[sent]
+    pulse_ns = t_ns[sequence, laser]
     poses = unit.motion.poses_at(pulse_ns)
     tangents = None
     if unit.beam.section.model == "offset":
@@ -280,26 +301,40 @@ def place(
     sequence, laser : (n,) indices of the pulses in `firings`
     distance_m : (n,)
     poses : poses of the body at the pulses, n or one for all
-    tangents : (n, 2) offsets of points from the pulse axis over distance, to greater azimuths and upwards; None for none
+    tangents : (n, 2) offsets of points from the pulse axis over distance, to greater azimuths and upwards;
+        None for none
 
     Returns
     -------
-    `azimuth_deg` (n,), encoder reading of the firing sequence plus the rotor's turn until the pulse, [0, 360);
-    `elevation_deg` (n,) of the beam table; `sensor_m` (n, 3) in the sensor's frame at the instant of the pulse; `world_m` (n, 3)
+    `azimuth_deg` (n,), encoder reading of the firing sequence plus the rotor's turn until the pulse, [0,
+    360);
+    `elevation_deg` (n,) of the beam table; `sensor_m` (n, 3) in the sensor's frame at the instant of the
+    pulse; `world_m` (n, 3)
     """
     turned_deg = firings.azimuth_deg[sequence, laser] - firings.azimuth_deg[sequence, 0]
-    azimuth_deg, elevation_deg = (firings.reading_deg[sequence] + turned_deg) % 360.0, beams.elevation_deg[laser]
+    azimuth_deg = (firings.reading_deg[sequence] + turned_deg) % 360.0
+    elevation_deg = beams.elevation_deg[laser]
     range_m = distance_m.astype(np.float64)
     sensor_m = in_sensor(azimuth_deg, elevation_deg, beams.vertical_offset_m[laser], range_m)
     if tangents is not None:  # off the axis of the pulse, at the same range
-        (a, b), azimuth_rad, elevation_rad = tangents.T, np.radians(azimuth_deg), np.radians(elevation_deg)
-        cosine, sine, level, up = cos(azimuth_rad), sin(azimuth_rad), cos(elevation_rad), sin(elevation_rad)
+        (a, b) = tangents.T
+        azimuth_rad = np.radians(azimuth_deg)
+        elevation_rad = np.radians(elevation_deg)
+        cosine = cos(azimuth_rad)
+        sine = sin(azimuth_rad)
+        level = cos(elevation_rad)
+        up = sin(elevation_rad)
         shorter = 1.0 - np.sqrt(1.0 - a * a - b * b)
         sensor_m[:, 0] -= range_m * (shorter * level * cosine + a * sine + b * up * cosine)
         sensor_m[:, 1] += range_m * (shorter * level * sine - a * cosine + b * up * sine)
         sensor_m[:, 2] += range_m * (b * level - shorter * up)
     world_m = matvec(poses.world_R_body, sensor_m) + poses.world_p_body_m
-    return {"azimuth_deg": azimuth_deg, "elevation_deg": elevation_deg, "sensor_m": sensor_m, "world_m": world_m}
+    return {
+        "azimuth_deg": azimuth_deg,
+        "elevation_deg": elevation_deg,
+        "sensor_m": sensor_m,
+        "world_m": world_m,
+    }
 
 
 def _reported(distance_m: F4, mode: ReturnMode) -> NDArray[np.bool_]:

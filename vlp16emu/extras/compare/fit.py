@@ -21,28 +21,39 @@ from vlp16emu.extras.compare.table import REAL
 from vlp16emu.returns import Noise
 from vlp16emu.sensor.settings import LEAST_RPM, MOST_RPM, RPM_STEP, Sensor
 
-_EVEN_CDEG2, _PER_RATE_CDEG2 = 0.111, 3.55
+_EVEN_CDEG2 = 0.111
+_PER_RATE_CDEG2 = 3.55
 _LEVEL = 80.0  # middle of the reflectivities whose neighbours are compared
-_EQUAL_STEPS, _COARSEST, _FROM, _TOP = 2.9, 5.0, 30.0, 90.0
-"""Step of bright codes over the product of their scatter and the share of equal neighbours, from our own packets;
+_EQUAL_STEPS = 2.9
+_COARSEST = 5.0
+_FROM = 30.0
+_TOP = 90.0
+"""Step of bright codes over the product of their scatter and the share of equal neighbours, from our own
+packets;
 greatest step; reflectivities at which the step is 1 and at which the key gives it."""
-_ELSE_MM = 2.6  # white error from the detector and the 2 mm of a code, beside the setting; from our own packets
+_ELSE_MM = (
+    2.6  # white error from the detector and the 2 mm of a code, beside the setting; from our own packets
+)
 _LEAST_SILENT = 50
 _MOST_LOST = 2.0
 _HALF_DEG_PER_US = 0.0018  # half of the turn of a rotor at 600 rpm in a microsecond
 _MOST_OFF_RPM = 3.0
-"""Settable speeds are multiples (63-9243 Rev D, section 8.3, p. 50), held within 3 rpm (manuals of sibling models)."""
+"""Settable speeds are multiples (63-9243 Rev D, section 8.3, p. 50), held within 3 rpm (manuals of sibling
+models)."""
 
 
 def fitted(sequences: Sequences) -> dict[str, dict[str, object]]:
     """Return the `[noise]` and `[sensor]` keys of the unit that made a capture, within the limits of a scene.
 
-    For quantities that a unit draws with its seed, such as the gain of each laser and the rates of lost records, the
-    keys are spreads. Biases of the lasers are not included: they need a target at a known place. InputError if a value
+    For quantities that a unit draws with its seed, such as the gain of each laser and the rates of lost
+    records, the
+    keys are spreads. Biases of the lasers are not included: they need a target at a known place. InputError
+    if a value
     is beyond the limits of a unit.
     """
     found = statistics_of(sequences)
-    noise, sensor = _noise(sequences, found), _rotor(sequences, found)
+    noise = _noise(sequences, found)
+    sensor = _rotor(sequences, found)
     for section, table in ((Noise, noise), (Sensor, sensor)):
         try:
             section.model_validate(table)
@@ -69,7 +80,9 @@ def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
         out["odd_codes_spread"] = round(found["residue.odd_spread"], 3)
     if "reflectivity.gain_spread" in found:
         out["gain_spread"] = round(min(found["reflectivity.gain_spread"], 0.3), 3)
-    middles = {name: math.sqrt(REAL[name].low * REAL[name].high) for name in found if name.startswith("lost.")}
+    middles = {
+        name: math.sqrt(REAL[name].low * REAL[name].high) for name in found if name.startswith("lost.")
+    }
     if middles:
         shares = [found[name] / of for name, of in middles.items()]
         out["records_lost"] = round(min(float(np.median(shares)), _MOST_LOST), 2)
@@ -86,9 +99,12 @@ def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
 def _rotor(sequences: Sequences, found: Statistics) -> dict[str, object]:
     turning = turning_of(sequences)
     set_rpm = min(max(RPM_STEP * round(sequences.rpm / RPM_STEP), LEAST_RPM), MOST_RPM)
-    # Local variance of encoder readings without rate error, and the variance that the error adds: from our own packets at 540 to 660 rpm.
-    excess, near_600 = max(local(turning.rest_cdeg).var() - _EVEN_CDEG2, 0.0), abs(set_rpm - 600) <= RPM_STEP
-    once, twice = turning.once_cdeg, turning.twice_cdeg
+    # Local variance of encoder readings without rate error, and the variance that the error adds: from our
+    # own packets at 540 to 660 rpm.
+    excess = max(local(turning.rest_cdeg).var() - _EVEN_CDEG2, 0.0)
+    near_600 = abs(set_rpm - 600) <= RPM_STEP
+    once = turning.once_cdeg
+    twice = turning.twice_cdeg
     off_rpm = (sequences.rpm - set_rpm) * 600.0 / set_rpm
     if abs(off_rpm) > _MOST_OFF_RPM:
         expected = f"a multiple of {RPM_STEP} rpm within {_MOST_OFF_RPM:g} rpm at 600"
@@ -102,7 +118,11 @@ def _rotor(sequences: Sequences, found: Statistics) -> dict[str, object]:
         "eccentricity_phase_deg": round(math.degrees(math.atan2(-once.real, once.imag)) % 360.0, 1) % 360.0,
         "twice_per_turn_deg": round(abs(twice) / 100, 4),
         "hum_deg": round(max(found["rotation.tick_us"], 0.0) * _HALF_DEG_PER_US, 5),
-        **({"encoder_rate_error": round(min(math.sqrt(excess / _PER_RATE_CDEG2), 0.5), 3)} if near_600 else {}),
+        **(
+            {"encoder_rate_error": round(min(math.sqrt(excess / _PER_RATE_CDEG2), 0.5), 3)}
+            if near_600
+            else {}
+        ),
         "speed_error_rpm": round(off_rpm, 3),
         **({"clock_error_ppm": round(found["clock.error_ppm"], 2)} if "clock.error_ppm" in found else {}),
     }

@@ -52,15 +52,17 @@ def _arrivals_us(sequences: Sequences) -> F8:
     return np.asarray((np.diff(sequences.stamp_ns) - np.diff(sequences.clock_ns)) / US_NS)
 
 
-_QUANTITIES: Mapping[str, tuple[str, Callable[[Sequences], F8], tuple[float, float, float]]] = MappingProxyType(
-    {
-        "range noise": ("mm on smooth surfaces", _white_mm, (-30.0, 30.0, 1.5)),
-        "azimuth step": ("0.01 deg between blocks", _steps_cdeg, (-9.5, 10.5, 1.0)),
-        "reflectivity": ("code of returns", _returned, (-0.5, 110.5, 1.0)),
-        "no-returns": ("code of records without a return", _silent, (-0.5, 110.5, 1.0)),
-        "range": ("m, of returns", _ranges_m, (0.0, 100.0, 2.0)),
-        "packet arrival": ("us later than the packet's period", _arrivals_us, (-300.0, 300.0, 10.0)),
-    }
+_QUANTITIES: Mapping[str, tuple[str, Callable[[Sequences], F8], tuple[float, float, float]]] = (
+    MappingProxyType(
+        {
+            "range noise": ("mm on smooth surfaces", _white_mm, (-30.0, 30.0, 1.5)),
+            "azimuth step": ("0.01 deg between blocks", _steps_cdeg, (-9.5, 10.5, 1.0)),
+            "reflectivity": ("code of returns", _returned, (-0.5, 110.5, 1.0)),
+            "no-returns": ("code of records without a return", _silent, (-0.5, 110.5, 1.0)),
+            "range": ("m, of returns", _ranges_m, (0.0, 100.0, 2.0)),
+            "packet arrival": ("us later than the packet's period", _arrivals_us, (-300.0, 300.0, 10.0)),
+        }
+    )
 )
 """Unit, values, and the ends and width of the bins by name."""
 

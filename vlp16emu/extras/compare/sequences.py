@@ -54,11 +54,14 @@ class Sequences:
 def read_sequences(path: Path) -> Sequences:
     """Read at most a minute of a capture, with any product byte.
 
-    Raises CaptureError if it is no capture, has less than a revolution or two return modes, or its rotor speed is not
+    Raises CaptureError if it is no capture, has less than a revolution or two return modes, or its rotor
+    speed is not
     possible for a VLP-16.
     """
     with Capture(path) as capture:
-        packets = list(islice((one for one in capture if len(one.payload) == layout.DATA_BYTES), _MOST_PACKETS))
+        packets = list(
+            islice((one for one in capture if len(one.payload) == layout.DATA_BYTES), _MOST_PACKETS)
+        )
     if len(packets) < _LEAST_PACKETS:
         raise CaptureError(str(path), f"{len(packets)} data packets", f"{_LEAST_PACKETS} at least")
     fields = np.frombuffer(b"".join(packet.payload for packet in packets), layout.DATA_PAYLOAD)
@@ -78,12 +81,17 @@ def _numbered(path: Path, fields: NDArray[np.void], stamp_ns: I8) -> Sequences:
     since_ns = np.cumsum(np.diff(clock_ns, prepend=clock_ns[:1]) % HOUR_NS)
     packet = np.rint(since_ns / (per_packet * layout.BLOCK_PERIOD_NS)).astype(np.int64)
     if (np.diff(packet) < 1).any():
-        raise CaptureError(str(path), "time stamps that stand still or fall", "packets of one sensor in order")
+        raise CaptureError(
+            str(path), "time stamps that stand still or fall", "packets of one sensor in order"
+        )
     block = (packet[:, None] * per_packet + np.arange(per_packet)).ravel()
     number = (block[:, None] * layout.SEQUENCES_PER_BLOCK + np.arange(layout.SEQUENCES_PER_BLOCK)).ravel()
-    azimuth_cdeg, apart = blocks["azimuth_cdeg"].ravel().astype(np.int64), np.diff(block)
+    azimuth_cdeg = blocks["azimuth_cdeg"].ravel().astype(np.int64)
+    apart = np.diff(block)
     step_cdeg = np.diff(azimuth_cdeg) % layout.AZIMUTH_CODES
-    off_cdeg = np.median(step_cdeg[apart == 1]) * apart - step_cdeg  # in a gap the rotor turns at its usual speed
+    off_cdeg = (
+        np.median(step_cdeg[apart == 1]) * apart - step_cdeg
+    )  # in a gap the rotor turns at its usual speed
     step_cdeg += np.rint(off_cdeg / layout.AZIMUTH_CODES).astype(np.int64) * layout.AZIMUTH_CODES
     distance_lsb, reflectivity = _of_lasers(blocks)
     return Sequences(
@@ -100,6 +108,7 @@ def _numbered(path: Path, fields: NDArray[np.void], stamp_ns: I8) -> Sequences:
 
 
 def _of_lasers(blocks: NDArray[np.void]) -> tuple[I8, I8]:
-    names, records = ("distance_lsb", "reflectivity"), blocks["records"]
+    names = ("distance_lsb", "reflectivity")
+    records = blocks["records"]
     distance, code = (records[name].reshape(-1, layout.LASERS).astype(np.int64) for name in names)
     return distance, code

@@ -1,6 +1,7 @@
 """Statistics of a unit, from its packets alone; most depend little on the scene around it.
 
-Pulses on smooth surfaces show noise and beat of ranges, noise and texture of reflectivity, and the gain of the lasers.
+Pulses on smooth surfaces show noise and beat of ranges, noise and texture of reflectivity, and the gain of
+the lasers.
 """
 
 import math
@@ -22,14 +23,21 @@ _Q = np.eye(_PULSES) - _POWERS @ np.linalg.pinv(_POWERS)  # (15, 15) removes the
 _FREE = _PULSES - 4
 _SLOTS = 5
 _MIDDLE_LEVEL = 20.0
-_LEAST, _LEAST_STRETCHES = 500, 30
+_LEAST = 500
+_LEAST_STRETCHES = 30
 """Least number of pairs of neighbours or codes of a laser, and of stretches, for a statistic."""
 _MOST_COUNTS = 15
-_COMB_CODES, _COMB_RANGES_LSB, _LEAST_COMB = (50, 100), 250 * 1.4 ** np.arange(14), 200
+_COMB_CODES = (50, 100)
+_COMB_RANGES_LSB = 250 * 1.4 ** np.arange(14)
+_LEAST_COMB = 200
 """Codes, edges of the range classes from half a metre to 40 m, and the least number of codes in a class."""
-_SCATTERED, _NOT_CUT = 0.4, 90
-"""Scatter in counts above which reflectivity is more than its rounding, and level up to which it is not clipped at 100."""
-_GAIN_CODES, _SECTOR_CDEG, _LEAST_GAIN = (10, 90), 4500, 100
+_SCATTERED = 0.4
+_NOT_CUT = 90
+"""Scatter in counts above which reflectivity is more than its rounding, and level up to which it is not
+clipped at 100."""
+_GAIN_CODES = (10, 90)
+_SECTOR_CDEG = 4500
+_LEAST_GAIN = 100
 _UPWARDS = np.r_[0:16:2, 1:16:2]  # lasers by elevation (63-9243 Rev D, table 9-1)
 
 Statistics = dict[str, float]
@@ -40,7 +48,9 @@ class Stretches:
     """s stretches of 15 pulses of one laser on a smooth surface."""
 
     residual_mm: F8  # (s, 15) ranges minus the cubic
-    first_slot: I8  # (s,) slot of the beat, 0 to 4, of the first pulse; it falls by one from each pulse to the next
+    first_slot: (
+        I8  # (s,) slot of the beat, 0 to 4, of the first pulse; it falls by one from each pulse to the next
+    )
     codes: I8  # (s, 15) reflectivities
 
     @property
@@ -56,7 +66,8 @@ class Stretches:
     @property
     def beat_mm(self) -> F8:
         """Error of range (5,) by slot, with a mean of zero: least squares over all stretches."""
-        square, product = np.zeros((_SLOTS, _SLOTS)), np.zeros(_SLOTS)
+        square = np.zeros((_SLOTS, _SLOTS))
+        product = np.zeros(_SLOTS)
         for first in range(_SLOTS):
             own = self.residual_mm[self.first_slot == first]
             square += len(own) * _slot_residuals(first).T @ _slot_residuals(first)
@@ -78,14 +89,17 @@ def _slot_residuals(first: int) -> F8:
 def stretches_of(sequences: Sequences) -> Stretches | None:
     """Return the stretches of a capture; None if it has too few smooth surfaces."""
     count = len(sequences.number) // _PULSES
-    number, lasers = sequences.number[: count * _PULSES].reshape(count, _PULSES), sequences.distance_lsb.shape[1]
+    number = sequences.number[: count * _PULSES].reshape(count, _PULSES)
+    lasers = sequences.distance_lsb.shape[1]
     distance, codes = (
         of[: count * _PULSES].reshape(count, _PULSES, lasers).transpose(0, 2, 1)
         for of in (sequences.distance_lsb, sequences.reflectivity)
     )
     residual_mm = 2.0 * distance @ _Q
     is_gapless = number[:, -1] - number[:, 0] == _PULSES - 1
-    is_smooth = (distance > 0).all(axis=2) & ((residual_mm**2).mean(axis=2) < _SMOOTHEST_MM**2) & is_gapless[:, None]
+    is_smooth = (
+        (distance > 0).all(axis=2) & ((residual_mm**2).mean(axis=2) < _SMOOTHEST_MM**2) & is_gapless[:, None]
+    )
     slot = (24 * number[:, :1] + np.arange(lasers)) % _SLOTS
     found = Stretches(residual_mm[is_smooth], slot[is_smooth], codes[is_smooth])
     return found if len(found.first_slot) >= _LEAST_STRETCHES else None
@@ -98,14 +112,18 @@ def beat_of(stretches: Stretches) -> NDArray[np.complex128]:
 
 def range_noise(stretches: Stretches) -> Statistics:
     """Beat, white noise at a reflectivity of 20 (`range_sigma_m`), its kurtosis, and its correlation with reflectivity."""
-    white_mm, level, codes = stretches.white_mm, stretches.level, stretches.code_residual
+    white_mm = stretches.white_mm
+    level = stretches.level
+    codes = stretches.code_residual
     at_middle_mm = white_mm * (level.clip(1, 100) / _MIDDLE_LEVEL)[:, None] ** 0.25
     scattered = ((codes**2).sum(axis=1) > _FREE * _SCATTERED**2) & (level < _NOT_CUT)
     return {
         "range.beat_mm": float(abs(beat_of(stretches)[0])),
         "range.white_at_20_mm": math.sqrt((at_middle_mm**2).sum() / (_FREE * len(level))),
         "range.kurtosis": float((white_mm**4 / (white_mm**2).mean(axis=1, keepdims=True) ** 2).mean()) - 3.0,
-        "range.with_reflectivity": float(np.corrcoef(white_mm[scattered].ravel(), codes[scattered].ravel())[0, 1])
+        "range.with_reflectivity": float(
+            np.corrcoef(white_mm[scattered].ravel(), codes[scattered].ravel())[0, 1]
+        )
         if scattered.sum() >= _LEAST_STRETCHES
         else math.nan,
     }
@@ -113,12 +131,17 @@ def range_noise(stretches: Stretches) -> Statistics:
 
 def reflectivity_noise(stretches: Stretches) -> Statistics:
     """Noise of neighbours, and the scatter within stretches as a share of their level: texture and noise."""
-    out, level = {}, stretches.level
+    out = {}
+    level = stretches.level
     for name, low, high in (("1_4", 1, 4), ("60_99", 60, 99)):
-        change = np.diff(stretches.codes, axis=1)[(stretches.codes >= low)[:, :-1] & (stretches.codes <= high)[:, :-1]]
+        change = np.diff(stretches.codes, axis=1)[
+            (stretches.codes >= low)[:, :-1] & (stretches.codes <= high)[:, :-1]
+        ]
         if len(change) >= _LEAST:
             out[f"reflectivity.equal_{name}"] = float((change == 0).mean())
-            out[f"reflectivity.scatter_{name}"] = float(change[np.abs(change) <= _MOST_COUNTS].std()) / math.sqrt(2.0)
+            out[f"reflectivity.scatter_{name}"] = float(
+                change[np.abs(change) <= _MOST_COUNTS].std()
+            ) / math.sqrt(2.0)
     share = np.sqrt((stretches.code_residual**2).sum(axis=1) / _FREE) / level.clip(1)
     if ((dark := (level >= 4) & (level <= 15)).sum()) >= _LEAST_STRETCHES:
         out["reflectivity.texture_4_15"] = float(np.median(share[dark]))
@@ -131,10 +154,12 @@ def reflectivity_noise(stretches: Stretches) -> Statistics:
 def codes(sequences: Sequences) -> Statistics:
     """Return the share of codes at the top of the diffuse scale, and the ruggedness of the histograms of bright codes.
 
-    Ruggedness is the second difference over counts, for each laser in each class of range. A class spans 40 % of range,
+    Ruggedness is the second difference over counts, for each laser in each class of range. A class spans 40 %
+    of range,
     in which steps of codes change little.
     """
-    seen, r = sequences.distance_lsb > 0, sequences.reflectivity
+    seen = sequences.distance_lsb > 0
+    r = sequences.reflectivity
     far = np.searchsorted(_COMB_RANGES_LSB, sequences.distance_lsb)
     of = far * far.shape[1] + np.arange(far.shape[1])
     low, high = _COMB_CODES
@@ -153,7 +178,8 @@ def gains(sequences: Sequences) -> Statistics:
 
     Only gains that both halves of the alternate sectors of 45 deg show count, so the scene does not.
     """
-    d, r = sequences.distance_lsb[:, _UPWARDS], sequences.reflectivity[:, _UPWARDS]
+    d = sequences.distance_lsb[:, _UPWARDS]
+    r = sequences.reflectivity[:, _UPWARDS]
     mid, low, high = d[:, 1:-1], *_GAIN_CODES
     usable = (d > 0) & (r >= low) & (r < high)
     same = usable[:, :-2] & usable[:, 1:-1] & usable[:, 2:]
@@ -164,7 +190,8 @@ def gains(sequences: Sequences) -> Statistics:
     same &= np.abs(ratio) < 0.5
     per_block = len(d) // len(sequences.azimuth_cdeg)
     half = np.repeat(sequences.azimuth_cdeg // _SECTOR_CDEG % 2, per_block)[:, None]
-    counts, means = [], []
+    counts = []
+    means = []
     for which in (0, 1):
         own = same & (half == which)
         counts.append(own.sum(axis=0))
@@ -177,15 +204,23 @@ def gains(sequences: Sequences) -> Statistics:
     return {"reflectivity.gain_spread": math.sqrt(max(common, 0.0) / 1.5)}
 
 
-_LEAST_EDGES, _LEAST_PACKETS = 15, 250  # least number of records at edges and of packets for a statistic
-_FLAT_LSB, _EQUAL_LSB, _STEPS_LSB = 20, 15, (150, 700)
+# least number of records at edges and of packets for a statistic
+_LEAST_EDGES = 15
+_LEAST_PACKETS = 250
+_FLAT_LSB = 20
+_EQUAL_LSB = 15
+_STEPS_LSB = (150, 700)
 """Greatest change of range beside a record, and across it, on one surface; least near and far steps."""
 _CODE_STEP = 20
 _RAISED = 1.5  # code of a no-return over the commonest of its laser at which it is raised
-_DARK, _BRIGHT = (0, 5), (40, 100)  # codes of returns beside which raised no-returns are counted
-_TICK_US, _PHASES = 1.2, 48
+# codes of returns beside which raised no-returns are counted
+_DARK = (0, 5)
+_BRIGHT = (40, 100)
+_TICK_US = 1.2
+_PHASES = 48
 """Period of the clock at whose ticks the encoder is read, measured on four units; phases that are tried."""
-_LEAST_STEP_CDEG, _AT_RPM = 38, (590.0, 610.0)  # least step between two blocks on real units at 600 rpm
+_LEAST_STEP_CDEG = 38  # least step between two blocks on real units at 600 rpm
+_AT_RPM = (590.0, 610.0)
 
 
 def statistics_of(sequences: Sequences) -> Statistics:
@@ -200,14 +235,17 @@ def statistics_of(sequences: Sequences) -> Statistics:
 def lost_records(sequences: Sequences) -> Statistics:
     """Return the share of records without a return between two pairs of returns of one laser, by the change across them.
 
-    Changes: none of range; steps of 0.3 to 1.4 m, and larger; 20 codes of reflectivity and more on one surface.
+    Changes: none of range; steps of 0.3 to 1.4 m, and larger; 20 codes of reflectivity and more on one
+    surface.
     """
-    d, r = sequences.distance_lsb, sequences.reflectivity
+    d = sequences.distance_lsb
+    r = sequences.reflectivity
     before, a, middle, c, after = (d[i : len(d) - 4 + i] for i in range(5))
     in_row = (sequences.number[4:] - sequences.number[:-4] == 4)[:, None]
     is_edge = in_row & (np.minimum(np.minimum(before, a), np.minimum(c, after)) > 0)
     is_edge &= (np.abs(a - before) < _FLAT_LSB) & (np.abs(c - after) < _FLAT_LSB)
-    step_lsb, (near, far) = np.abs(c - a), _STEPS_LSB
+    step_lsb = np.abs(c - a)
+    (near, far) = _STEPS_LSB
     same = is_edge & (step_lsb < _EQUAL_LSB)
     places = {
         "lost.on_a_surface": same,
@@ -220,7 +258,8 @@ def lost_records(sequences: Sequences) -> Statistics:
 
 def no_returns(sequences: Sequences) -> Statistics:
     """Return statistics of the codes of records without a return: their levels, and shares raised above their laser's level."""
-    silent, r = sequences.distance_lsb == 0, sequences.reflectivity
+    silent = sequences.distance_lsb == 0
+    r = sequences.reflectivity
     both = silent[1:] & silent[:-1]
     if both.sum() < _LEAST:
         return {}
@@ -242,8 +281,11 @@ def _raised_codes(silent: NDArray[np.bool_], r: I8) -> Statistics:
     """Return the share of raised codes beside bright returns minus the share beside dark ones, and the share of raised runs of one record."""
     mode = commonest(silent, r)
     raised = silent & (r > _RAISED * mode) & (mode > 0)
-    neighbour = np.maximum(*(np.where(silent[side], -1, r[side]) for side in (slice(None, -2), slice(2, None))))
-    beside, shares = silent[1:-1] & (neighbour >= 0), []
+    neighbour = np.maximum(
+        *(np.where(silent[side], -1, r[side]) for side in (slice(None, -2), slice(2, None)))
+    )
+    beside = silent[1:-1] & (neighbour >= 0)
+    shares = []
     for low, high in (_DARK, _BRIGHT):
         at = silent[1:-1] & (neighbour >= low) & (neighbour < high) & (mode > 0)
         shares.append(raised[1:-1][at].mean() if at.sum() >= _LEAST_EDGES else np.nan)
@@ -259,7 +301,9 @@ def dual_returns(sequences: Sequences) -> Statistics:
     """Return the share of pairs with one return whose other block has none, and of unequal codes in pairs without a return."""
     if sequences.last is None:
         return {}
-    (d_last, r_last), d, r = sequences.last, sequences.distance_lsb, sequences.reflectivity
+    (d_last, r_last) = sequences.last
+    d = sequences.distance_lsb
+    r = sequences.reflectivity
     none = (d == 0) & (d_last == 0)
     unequal = (r != r_last)[none].mean() if none.any() else np.nan
     return {"dual.one_without": ((d == 0) ^ (d_last == 0)).mean(), "dual.unequal_no_returns": unequal}
@@ -275,7 +319,8 @@ class Turning(NamedTuple):
 
 def turning_of(sequences: Sequences) -> Turning:
     """Return the speed and the errors that repeat with each revolution."""
-    azimuth, block = sequences.azimuth_cdeg, sequences.block
+    azimuth = sequences.azimuth_cdeg
+    block = sequences.block
     span = block / block[-1]
     turn = 2.0 * np.pi * azimuth / AZIMUTH_CODES
     waves = [wave(k * turn) for k in (1, 2) for wave in (np.cos, np.sin)]
@@ -294,16 +339,19 @@ def tick_of(sequences: Sequences, rest_cdeg: F8) -> float:
 
     It explains most of the residuals of the azimuth, by least squares for each of its phases.
     """
-    since_us, packet = (sequences.clock_ns - sequences.clock_ns[0]) / US_NS, sequences.packet
+    since_us = (sequences.clock_ns - sequences.clock_ns[0]) / US_NS
+    packet = sequences.packet
     per_packet_us, first_us = np.polyfit(packet, since_us, 1)
     # Stamps are truncated to whole microseconds: half a microsecond is missing in the mean.
     per_block_us = per_packet_us * len(packet) / len(sequences.block)
     clock_us = sequences.clock_ns[0] / US_NS + first_us + 0.5 + sequences.block * per_block_us
-    rest, speed_cdeg_us = local(rest_cdeg), sequences.rpm * AZIMUTH_CODES / 60e6
+    rest = local(rest_cdeg)
+    speed_cdeg_us = sequences.rpm * AZIMUTH_CODES / 60e6
     best = 0.0, 0.0
     for at_us in np.arange(_PHASES) * (_TICK_US / _PHASES):
         wave = local(-(((clock_us - at_us) / _TICK_US) % 1.0))
-        product, square = wave @ rest, wave @ wave
+        product = wave @ rest
+        square = wave @ wave
         if (explained := product**2 / square) > best[0]:
             best = explained, float(product / square / speed_cdeg_us)
     return best[1]
@@ -311,8 +359,10 @@ def tick_of(sequences: Sequences, rest_cdeg: F8) -> float:
 
 def rotation(sequences: Sequences) -> Statistics:
     """Return speed, errors that repeat with each revolution, the tick, and the noise of readings."""
-    azimuth, block = sequences.azimuth_cdeg, sequences.block
-    rpm, (once, twice, rest) = sequences.rpm, turning_of(sequences)
+    azimuth = sequences.azimuth_cdeg
+    block = sequences.block
+    rpm = sequences.rpm
+    (once, twice, rest) = turning_of(sequences)
     step = np.diff(azimuth)[np.diff(block) == 1]
     part = step.mean() % 1.0
     out = {

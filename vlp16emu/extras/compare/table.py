@@ -36,10 +36,13 @@ class Known(NamedTuple):
 
 
 _TABLE = files(__package__).joinpath("real_units.toml").read_text(encoding="utf-8")
-REAL: Mapping[str, Known] = MappingProxyType({name: Known(*row) for name, row in tomllib.loads(_TABLE).items()})
+REAL: Mapping[str, Known] = MappingProxyType(
+    {name: Known(*row) for name, row in tomllib.loads(_TABLE).items()}
+)
 
 _LEAST_SPREAD = 0.25
-"""Least spread as a share of the greatest value: if four units agree more closely, a fifth may still differ."""
+"""Least spread as a share of the greatest value: if four units agree more closely, a fifth may still
+differ."""
 
 
 class Compared(NamedTuple):
@@ -59,8 +62,11 @@ def compared(first: Sequences, second: Sequences) -> list[Compared]:
     one, other = statistics_of(first), statistics_of(second)
     rows = []
     for name in (name for name in one if name in other and name in REAL):
-        known, values = REAL[name], (one[name], other[name])
-        distance = abs(values[0] - values[1]) / max(known.high - known.low, _LEAST_SPREAD * abs(known.high), 1e-9)
+        known = REAL[name]
+        values = (one[name], other[name])
+        distance = abs(values[0] - values[1]) / max(
+            known.high - known.low, _LEAST_SPREAD * abs(known.high), 1e-9
+        )
         unlike = not known.is_like(values[0]), not known.is_like(values[1])
         rows.append(Compared(name, known.text, *values, distance, distance > 1.0, unlike))
     return rows

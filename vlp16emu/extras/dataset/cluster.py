@@ -37,7 +37,8 @@ _PIECE_BYTES = 8_000_000  # of a file that is fetched; larger pieces are not fas
 _MARK = "mark"
 
 _Made = tuple[str | None, Path, Entry]
-"""Address of the worker that has the folder, None for one inside the dataset; the folder; entry of the walk."""
+"""Address of the worker that has the folder, None for one inside the dataset; the folder; entry of the
+walk."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +160,8 @@ class Cluster:
 def connect(scheduler: str) -> Iterator[Cluster]:
     """Connect to a Dask scheduler, given by its address or scheduler file.
 
-    Raises MissingExtraError without Dask; InputError if no scheduler answers, it has no workers, or one of them
+    Raises MissingExtraError without Dask; InputError if no scheduler answers, it has no workers, or one of
+    them
     has no vlp16emu or Python of this version.
     """
     try:

@@ -13,7 +13,13 @@ from typing import Any
 
 from vlp16emu.errors import InputError
 from vlp16emu.extras.dataset.cluster import connect
-from vlp16emu.extras.dataset.manifest import MANIFEST, check_manifest, complete_entry, take_place, write_manifest
+from vlp16emu.extras.dataset.manifest import (
+    MANIFEST,
+    check_manifest,
+    complete_entry,
+    take_place,
+    write_manifest,
+)
 from vlp16emu.extras.dataset.processes import make_here
 from vlp16emu.extras.dataset.spec import DatasetWalk
 from vlp16emu.extras.dataset.walk import Made, forget_worlds

@@ -17,12 +17,16 @@ from vlp16emu.units import S_NS
 GRAVITY_M_S2 = 9.80665  # standard gravity, downwards (3rd CGPM, 1901)
 _CHUNK = 4096  # samples of a random walk that are drawn together
 _HORIZON = 1 << 32  # length of the random walk in chunks: centuries
-_GYRO_WARM_UP_RAD_S, _ACCEL_WARM_UP_M_S2, _WARM_UP_S = 2.6e-3, 0.02, 200.0
-"""Change of the biases by 10 K of warming up, one sigma: 0.015 deg/s and 0.2 mg per K (Bosch BST-BMI088-DS001, tables 4
+_GYRO_WARM_UP_RAD_S = 2.6e-3
+_ACCEL_WARM_UP_M_S2 = 0.02
+_WARM_UP_S = 200.0
+"""Change of the biases by 10 K of warming up, one sigma: 0.015 deg/s and 0.2 mg per K (Bosch
+BST-BMI088-DS001, tables 4
 and 5); and the time after which 63 % of it is done: it takes 5 to 10 minutes (Xsens, Bias repeatability of
 gyroscopes)."""
 _AXIS_ERROR = 0.005
-"""Error of sensitivity and of alignment of an axis, one sigma: half of the tolerance of 1 % each (Bosch BNO055; assumption)."""
+"""Error of sensitivity and of alignment of an axis, one sigma: half of the tolerance of 1 % each (Bosch
+BNO055; assumption)."""
 _HEADING = 6  # lane of the heading's random walk; the six axes have lanes 0 to 5
 
 
@@ -36,7 +40,8 @@ class Inertial:
     true_angular_rate_rad_s: F8  # (n, 3) without errors, like the next field
     true_specific_force_m_s2: F8
     gyro_bias_rad_s: F8
-    """(n, 3) bias at switch-on and its random walk since, like the next field; the rest of an error is white noise."""
+    """(n, 3) bias at switch-on and its random walk since, like the next field; the rest of an error is white
+    noise."""
     accel_bias_m_s2: F8
     world_R_imu: F8 | None = None
     """(n, 3, 3) attitude that the unit reports, with its drift; None without `attitude`."""
@@ -47,7 +52,10 @@ class ImuSampler:
     """A strapdown unit that samples at its rate from `start_ns` on; `motion` is the motion of the unit itself."""
 
     def __init__(self, motion: Motion, imu: Imu, *, start_ns: int, seed: int) -> None:
-        self._motion, self._imu, self._start_ns, self._seed = motion, imu, start_ns, seed
+        self._motion = motion
+        self._imu = imu
+        self._start_ns = start_ns
+        self._seed = seed
         drawn = (normal(seed, Purpose.IMU_MODEL, 0, 9, lane).reshape(3, 3) for lane in range(2))
         # Sensitivity and alignment (3, 3) of the gyroscopes and of the accelerometers.
         self._responses = [np.eye(3) + _AXIS_ERROR * each for each in drawn]
@@ -57,7 +65,8 @@ class ImuSampler:
 
     def late_ns(self, first: int, count: int) -> I8:
         """Return the delay (count,) of the time stamps of samples first .. first + count - 1."""
-        (least_s, greatest_s), late_s = self._imu.delay_s, np.zeros(count)
+        (least_s, greatest_s) = self._imu.delay_s
+        late_s = np.zeros(count)
         if greatest_s:
             late_s += least_s + (greatest_s - least_s) * uniform(self._seed, Purpose.IMU_STAMP, 0, 1, 0)[0]
         if self._imu.jitter_s:
@@ -70,10 +79,13 @@ class ImuSampler:
         truth = self._motion.kinematics_at(t_ns)
         up = truth.world_a_body_m_s2 + np.array([0.0, 0.0, GRAVITY_M_S2])
         force = matvec(truth.world_R_body.swapaxes(1, 2), up)
-        e, w = self._imu, truth.body_w_rad_s
+        e = self._imu
+        w = truth.body_w_rad_s
         accel = e.accel_bias_m_s2, e.accel_noise_m_s2_sqrt_hz, e.accel_walk_m_s3_sqrt_hz
         w_errors, w_bias = self._sample_errors(self._gyro, first, count, 0)
-        force_errors, force_bias = self._sample_errors((*accel, _ACCEL_WARM_UP_M_S2 * e.is_rough), first, count, 3)
+        force_errors, force_bias = self._sample_errors(
+            (*accel, _ACCEL_WARM_UP_M_S2 * e.is_rough), first, count, 3
+        )
         attitude = self._attitude(truth.world_R_body, force_bias, first) if e.attitude else None
         seen_w, seen_force = map(matvec, self._responses, (w, force)) if e.is_rough else (w, force)
         late_ns = self.late_ns(first, count)
@@ -84,19 +96,25 @@ class ImuSampler:
     def _attitude(self, world_R_imu: F8, force_bias: F8, first: int) -> F8:
         """Return the reported attitude (n, 3, 3) of samples from `first` on.
 
-        It is levelled by gravity, so the accelerometers' bias relative to 1 g tilts it. Its heading drifts with the
+        It is levelled by gravity, so the accelerometers' bias relative to 1 g tilts it. Its heading drifts
+        with the
         integral of the gyroscopes' bias, and with the random walk of their integrated white noise.
         """
         up = matvec(world_R_imu, force_bias) + np.array([0.0, 0.0, GRAVITY_M_S2])
         up /= norm(up)[:, None]
         tilt = np.zeros((len(up), 3, 3))  # the shortest turn of `up` to the vertical, by Rodrigues' formula
-        tilt[:, 2, 0], tilt[:, 2, 1], tilt[:, 0, 2], tilt[:, 1, 2] = up[:, 0], up[:, 1], -up[:, 0], -up[:, 1]
+        tilt[:, 2, 0] = up[:, 0]
+        tilt[:, 2, 1] = up[:, 1]
+        tilt[:, 0, 2] = -up[:, 0]
+        tilt[:, 1, 2] = -up[:, 1]
         turn = np.eye(3) + tilt + matmul(tilt, tilt) / (1.0 + up[:, 2])[:, None, None]
         chunks = range(first // _CHUNK, (first + len(up) - 1) // _CHUNK + 1)
         parts = [sum(map(self._turn, range(chunk))) + self._turned(chunk)[:-1] for chunk in chunks]
         drift_rad = np.concatenate(parts)[first - chunks.start * _CHUNK :][: len(up)]
         if noise := self._imu.gyro_noise_rad_s_sqrt_hz:
-            drift_rad += noise / math.sqrt(self._imu.rate_hz) * _random_walk(self._seed, first, len(up), _HEADING)
+            drift_rad += (
+                noise / math.sqrt(self._imu.rate_hz) * _random_walk(self._seed, first, len(up), _HEADING)
+            )
         return matmul(matmul(rotations(drift_rad, 0.0, 0.0), turn), world_R_imu)
 
     def _turned(self, chunk: int) -> F8:
@@ -110,8 +128,11 @@ class ImuSampler:
     ) -> tuple[F8, F8]:
         """Return the errors (count, 3) of three axes, white noise and bias, and the bias alone. Errors of size zero are not drawn."""
         bias, noise, walk, warm_up = sizes
-        warmed = 1.0 - exp(-np.arange(first, first + count) / (self._imu.rate_hz * _WARM_UP_S)) if warm_up else 0.0
-        out, slow = np.zeros((count, 3)), np.zeros((count, 3))
+        warmed = (
+            1.0 - exp(-np.arange(first, first + count) / (self._imu.rate_hz * _WARM_UP_S)) if warm_up else 0.0
+        )
+        out = np.zeros((count, 3))
+        slow = np.zeros((count, 3))
         for axis in range(3):
             lane = first_axis + axis
             if bias:
@@ -134,7 +155,8 @@ class ImuSampler:
 def _random_walk(seed: int, first: int, count: int, lane: int) -> F8:
     """Return the cumulative sum (count,) of standard normal numbers at samples first .. first + count - 1, 0 at sample 0.
 
-    Ends of chunks come from halving intervals (Levy's construction of Brownian motion), the samples between from a
+    Ends of chunks come from halving intervals (Levy's construction of Brownian motion), the samples between
+    from a
     Brownian bridge: the sum costs the same after any time.
     """
     chunks = range(first // _CHUNK, (first + count - 1) // _CHUNK + 1)
@@ -145,7 +167,8 @@ def _random_walk(seed: int, first: int, count: int, lane: int) -> F8:
 
 def _random_walk_chunk(seed: int, chunk: int, lane: int) -> F8:
     # Lanes: two for each axis, one for the ends of chunks and one within.
-    purpose, scale = int(Purpose.IMU_WALK), math.sqrt(_CHUNK)
+    purpose = int(Purpose.IMU_WALK)
+    scale = math.sqrt(_CHUNK)
     start, end = (scale * _brownian(seed, purpose, index, 2 * lane) for index in (chunk, chunk + 1))
     steps = np.cumsum(normal(seed, Purpose.IMU_WALK, chunk * _CHUNK, _CHUNK, 2 * lane + 1))
     free = np.concatenate([[0.0], steps[:-1]])
@@ -162,7 +185,9 @@ def _brownian(seed: int, purpose: int, index: int, lane: int) -> float:
         half = 0.5 * math.sqrt(high - low)
         at_middle = 0.5 * (before + after) + half * normal_pair(seed, purpose, middle, lane)[0]
         if index >= middle:
-            low, before = middle, at_middle
+            low = middle
+            before = at_middle
         else:
-            high, after = middle, at_middle
+            high = middle
+            after = at_middle
     return before

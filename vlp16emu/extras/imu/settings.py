@@ -27,8 +27,10 @@ class Imu(Preset):
 
     presets: ClassVar[Mapping[str, Mapping[str, object]]] = {
         "ideal": {},
-        # Noise of Bosch's BMG160 and BMA280, 0.014 deg/s and 120 ug per sqrt(Hz), and a tenth of their offsets of
-        # 1 deg/s and 50 mg (Bosch CISS manual, section 4.11.1); that a tenth is left by calibration is an assumption.
+        # Noise of Bosch's BMG160 and BMA280, 0.014 deg/s and 120 ug per sqrt(Hz), and a tenth of their
+        # offsets of
+        # 1 deg/s and 50 mg (Bosch CISS manual, section 4.11.1); that a tenth is left by calibration is an
+        # assumption.
         # Random walks as measured on a tracker with such parts (libsurvive wiki, IMU variance measurements).
         "consumer": _CONSUMER,
         # Gyroscopes of Sensonor's STIM210, 0.10 deg/sqrt(h) and 10 deg/h over temperature (maker's FAQ);
@@ -41,21 +43,26 @@ class Imu(Preset):
             "accel_noise_m_s2_sqrt_hz": 1.0e-3,
             "accel_walk_m_s3_sqrt_hz": 1.0e-5,
         },
-        # A typical robot's unit, read over USB. Noise of Bosch's BMI088, 0.014 deg/s and 160 ug per sqrt(Hz) (BST-BMI088-DS001,
+        # A typical robot's unit, read over USB. Noise of Bosch's BMI088, 0.014 deg/s and 160 ug per sqrt(Hz)
+        # (BST-BMI088-DS001,
         # tables 4 and 5). Reads of a USB serial line come in steps of 4 ms (ROS wiki,
         # camera_calibration/calibration_notes/Timing), and 2 to 4 ms after the sample (assumption).
-        "field": _CONSUMER | {"accel_noise_m_s2_sqrt_hz": 1.6e-3, "delay_s": (0.002, 0.004), "jitter_s": 0.004},
+        "field": _CONSUMER
+        | {"accel_noise_m_s2_sqrt_hz": 1.6e-3, "delay_s": (0.002, 0.004), "jitter_s": 0.004},
     }
 
     preset: Literal["ideal", "consumer", "tactical", "field"] = "ideal"
-    """Sets the keys that are not given beside it; the defaults are `ideal`. `field` has biases that change during warm-up by
-    0.15 deg/s and 0.02 m/s2 (one sigma, 63 % of it in 200 s), and errors of sensitivity and alignment of 0.005 per axis."""
+    """Sets the keys that are not given beside it; the defaults are `ideal`. `field` has biases that change
+    during warm-up by
+    0.15 deg/s and 0.02 m/s2 (one sigma, 63 % of it in 200 s), and errors of sensitivity and alignment of
+    0.005 per axis."""
     rate_hz: Annotated[int, Field(ge=1, le=10_000)] = 200
     """Samples per second."""
     mount: Mount = Mount()
     """Mount on the pack, not on a spinning stage."""
     attitude: bool = False
-    """True if the unit also reports its attitude, as programs for nine axes need it: levelled by gravity, with the bias
+    """True if the unit also reports its attitude, as programs for nine axes need it: levelled by gravity,
+    with the bias
     of the accelerometers, and with a heading that drifts with the bias of the gyroscopes."""
     gyro_bias_rad_s: _Error = 0.0
     """At switch-on, one sigma."""
@@ -70,7 +77,8 @@ class Imu(Preset):
     accel_walk_m_s3_sqrt_hz: _Error = 0.0
     """Random walk of the bias."""
     delay_s: Annotated[tuple[NonNegative, NonNegative], Field(strict=False)] = (0.0, 0.0)
-    """Least and greatest delay of time stamps behind the samples; the delay of a run is drawn between them."""
+    """Least and greatest delay of time stamps behind the samples; the delay of a run is drawn between
+    them."""
     jitter_s: NonNegative = 0.0
     """Greatest additional delay, drawn for each sample; below the time between two samples."""
 

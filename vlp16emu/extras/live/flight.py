@@ -45,9 +45,12 @@ class PoseReceiver:
     Raises InputError if `where` is no address and port; OutputError if the port cannot be opened.
     """
 
-    def __init__(self, where: str, put: Callable[[Sequence[float], Sequence[float], int | None], object]) -> None:
+    def __init__(
+        self, where: str, put: Callable[[Sequence[float], Sequence[float], int | None], object]
+    ) -> None:
         place = host_and_port(where, "--pose-in", _EXPECTED, "udp://")
-        self._put, self._over = put, threading.Event()
+        self._put = put
+        self._over = threading.Event()
         self.malformed = 0  # datagrams that are not pose packets
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -104,9 +107,12 @@ class LiveReport:
     out_of_order: int  # not later than the pose before
     longest_gap_s: float  # between arrivals
     lost: tuple[PosesLost, ...]  # times without a pose for more than a second
-    left_out_s: float  # time of the run, summed over units, whose pulses were not cast because the engine was late
+    left_out_s: (
+        float  # time of the run, summed over units, whose pulses were not cast because the engine was late
+    )
     latency_median_us: float
-    """Time from the arrival of a pose to the first data packet that was computed with it, like the next fields."""
+    """Time from the arrival of a pose to the first data packet that was computed with it, like the next
+    fields."""
     latency_p95_us: float
     latency_p99_us: float
     latency_max_us: float
@@ -122,17 +128,22 @@ class Flight(PacketSink):
     poses : options of the pose port; `where` as for `PoseReceiver`
     clock_ns : monotonic clock
 
-    Raises InputError if the scene is not live; OutputError if the table cannot be written, or would be written over a
+    Raises InputError if the scene is not live; OutputError if the table cannot be written, or would be
+    written over a
     file that is read; and the errors of `PoseReceiver`.
     """
 
-    look_ahead = 8  # packets of a unit that are computed before the first leaves: two steps, or one of dual return
+    look_ahead = (
+        8  # packets of a unit that are computed before the first leaves: two steps, or one of dual return
+    )
 
     def __init__(
         self, emulator: Emulator, poses: PosesIn | None, *, clock_ns: Callable[[], int] = time.monotonic_ns
     ) -> None:
-        engine, poses = emulator.engine, poses or PosesIn()
-        motion, windows = engine.parts.carrier, engine.windows
+        engine = emulator.engine
+        poses = poses or PosesIn()
+        motion = engine.parts.carrier
+        windows = engine.windows
         if not isinstance(motion, LiveMotion):
             option = "--flown" if poses.where is None else "--pose-in"
             found = f'found motion.kind = "{engine.scenario.motion.kind}"'
@@ -140,12 +151,17 @@ class Flight(PacketSink):
         assert isinstance(windows, LiveWindows)
         if poses.flown is not None:
             spare(emulator.files, poses.flown)
-        self._engine, self._motion, self._windows, self._news = engine, motion, windows, poses.news
-        self._clock_ns, self._latency = clock_ns, LatenessHistogram()
+        self._engine = engine
+        self._motion = motion
+        self._windows = windows
+        self._news = poses.news
+        self._clock_ns = clock_ns
+        self._latency = LatenessHistogram()
         self._sink: PacketSink
         self._pacer: Pacer
         self._lost_ns: int | None = None
-        self._written, self._write_at_ns = 0, 0
+        self._written = 0
+        self._write_at_ns = 0
         self._flown = poses.flown
         with ExitStack() as stack:
             self._file = stack.enter_context(OutputFile(poses.flown)) if poses.flown else None
@@ -165,7 +181,8 @@ class Flight(PacketSink):
     def prepare(self, stop: Event, pacer: Pacer) -> Late:
         """Wait for the first pose or `stop`, open the world around the pose, and compute the first packets once.
 
-        Late packets are dropped, as later poses would wait for them. Raises `InputError` if the speed is not 1.
+        Late packets are dropped, as later poses would wait for them. Raises `InputError` if the speed is not
+        1.
         """
         if pacer.speed != 1.0:
             raise InputError("--speed", f"found {pacer.speed:g}", "1 in a live scene")
@@ -185,15 +202,18 @@ class Flight(PacketSink):
     def begun(self, sink: PacketSink, pacer: Pacer, *, now: bool) -> Self:
         """Start the clock: the first pulse is fired in a moment, and packets leave by the same clock, through this to `sink`.
 
-        With `now` it is fired where the clock of the system has the fraction of a second that the scene begins with.
+        With `now` it is fired where the clock of the system has the fraction of a second that the scene
+        begins with.
         """
         if self._motion.poses.last is not None:
-            start_ns, in_ns = self._engine.scenario.start_ns, _START_NS
+            start_ns = self._engine.scenario.start_ns
+            in_ns = _START_NS
             if now:
                 in_ns += (start_ns - time.time_ns() - in_ns) % S_NS
             self._motion.begin(self._clock_ns() + in_ns)
             pacer.begin(start_ns, -in_ns)
-        self._sink, self._pacer = sink, pacer
+        self._sink = sink
+        self._pacer = pacer
         return self
 
     def going_on(self, go_on_from: Callable[[int], None]) -> Callable[[int], None]:
@@ -203,16 +223,19 @@ class Flight(PacketSink):
     def send(self, packet: Packet) -> None:
         """Send one packet and record its latency; errors of the sink."""
         self._sink.send(packet)
-        now_ns, uses = self._clock_ns(), self._motion.first_uses
+        now_ns = self._clock_ns()
+        uses = self._motion.first_uses
         if packet.fired_ns is not None:
             while uses and uses[0][0] <= packet.fired_ns:
                 self._latency.add(now_ns - uses.popleft()[1])
         if (last := self._motion.poses.last) is not None:
             if self._lost_ns is None and now_ns - last.arrived_ns > LOST_NS:
-                self._lost_ns, since_s = last.arrived_ns, self._motion.since_s(last.arrived_ns)
+                self._lost_ns = last.arrived_ns
+                since_s = self._motion.since_s(last.arrived_ns)
                 self._news(f"poses lost: none since {since_s:.1f} s; the body comes to rest")
             elif self._lost_ns is not None and last.arrived_ns > self._lost_ns:
-                gap_s, self._lost_ns = (last.arrived_ns - self._lost_ns) / S_NS, None
+                gap_s = (last.arrived_ns - self._lost_ns) / S_NS
+                self._lost_ns = None
                 self._news(f"poses are back after {gap_s:.1f} s")
         if self._file and now_ns >= self._write_at_ns:
             self._write_at_ns = now_ns + _ROWS_NS
@@ -224,8 +247,11 @@ class Flight(PacketSink):
         """Sum up, and fly on until a time since the first pulse, so that a run that is repeated gets there too."""
         if self._motion.knots:
             self._motion.poses_at(np.array([self._engine.scenario.start_ns + seconds_to_ns(until_s)]))
-        poses, late, since_s = self._motion.poses, self._latency.summary, self._motion.since_s
-        gaps_ns, longest_ns = list(poses.gaps_ns), poses.longest_gap_ns
+        poses = self._motion.poses
+        late = self._latency.summary
+        since_s = self._motion.since_s
+        gaps_ns = list(poses.gaps_ns)
+        longest_ns = poses.longest_gap_ns
         if self._lost_ns is not None:
             gaps_ns.append((self._lost_ns, self._clock_ns()))
             longest_ns = max(longest_ns, gaps_ns[-1][1] - self._lost_ns)

@@ -1,7 +1,9 @@
 """The table of knots of a live run, which gives the same motion bit for bit, and the windows that were in use.
 
-The bytes of a pulse depend on the window that it is cast in, through rounding and the place where the medium begins. A
-live run does not know its path, so its windows belong to boxes of the world: they change only at the start of ordinary
+The bytes of a pulse depend on the window that it is cast in, through rounding and the place where the medium
+begins. A
+live run does not know its path, so its windows belong to boxes of the world: they change only at the start of
+ordinary
 blocks, a window depends on the name of its box alone, and the table of knots has these names.
 """
 
@@ -68,7 +70,9 @@ def read_flown(path: Path) -> tuple[F8, dict[int, Cell]]:
             try:
                 x, y, z = map(int, text.split())
             except ValueError:
-                raise TrajectoryError(table.where(i, "cell"), f"found {text!r}", "three whole numbers") from None
+                raise TrajectoryError(
+                    table.where(i, "cell"), f"found {text!r}", "three whole numbers"
+                ) from None
             cells[i] = x, y, z
     return states, cells
 
@@ -90,17 +94,24 @@ class FlownMotion(Knots):
         return CellWindows(parts, start_ns, batching, threads, cells)
 
 
-_WIDE_M, _HIGH_M = 16.0, 32.0  # size of a box on the map, and its height
-_ASIDE_M = 8.0  # margin around its box in which a window is valid: at 3 m/s there are 2 s to open the next one
+_WIDE_M = 16.0  # size of a box on the map, and its height
+_HIGH_M = 32.0
+_ASIDE_M = (
+    8.0  # margin around its box in which a window is valid: at 3 m/s there are 2 s to open the next one
+)
 _APART_M = 2.0
-"""Distance between the lines that a window is opened along: each place is within the 1 m that the medium allows for."""
-_SPARE_M, _SPARE_S = 2.0, 0.15  # margin left when the run waits for the next window: a block lasts 0.1 s
+"""Distance between the lines that a window is opened along: each place is within the 1 m that the medium
+allows for."""
+# margin left when the run waits for the next window: a block lasts 0.1 s
+_SPARE_M = 2.0
+_SPARE_S = 0.15
 _EXPECTED_S = 1.0  # look-ahead to the place whose window is opened
 
 _LATE_BLOCKS = 6
 """Steps of delay, 32 ms, from which all late steps are left out: receivers need recent packets."""
 _NICE = 10
-"""Niceness of threads that open windows of a live run above the casting threads, which then get nine tenths of a core."""
+"""Niceness of threads that open windows of a live run above the casting threads, which then get nine tenths
+of a core."""
 
 _Name = tuple[Cell, int]  # box, and segment of time if trees sway
 
@@ -137,7 +148,9 @@ class CellWindows(Windows[Geometry]):
             return built.open(window_of(parts, start_ns, batching, segment, track_of(cell, arm_m)))
 
         super().__init__(open_cell, batching, moves=True, threads=threads)
-        self.cells, self._sways, self._segment = cells, parts.wind is not None, batching.segment
+        self.cells = cells
+        self._sways = parts.wind is not None
+        self._segment = batching.segment
 
     def name_of(self, block: int) -> Hashable:
         """Return the name of the window of a block."""
@@ -151,7 +164,9 @@ class CellWindows(Windows[Geometry]):
 class LiveWindows(CellWindows):
     """Windows of a run that is being flown: the next one is opened as the body comes near, and used when it is open."""
 
-    def __init__(self, parts: Parts, start_ns: int, batching: Batching, threads: int, motion: "LiveMotion") -> None:
+    def __init__(
+        self, parts: Parts, start_ns: int, batching: Batching, threads: int, motion: "LiveMotion"
+    ) -> None:
         super().__init__(parts, start_ns, batching, threads, [])
         self._motion = motion
         self.decided = -1  # last ordinary block whose window is decided
@@ -183,7 +198,8 @@ class LiveWindows(CellWindows):
     def begin_again(self) -> None:
         """Forget the windows that were in use, for a run that begins again."""
         self.cells.clear()
-        self.decided, self.left_out = -1, 0
+        self.decided = -1
+        self.left_out = 0
 
     def runs(self, blocks: range, together: int, threads: int) -> Iterator[range]:  # noqa: ARG002  # one at a time with any number of threads
         """Yield blocks one by one, so that packets do not wait for each other, and skip to the present if they are too late."""
@@ -199,7 +215,8 @@ class LiveWindows(CellWindows):
 
     def _decide(self, block: int) -> None:
         state = self._motion.state
-        place_m, velocity_m_s = state[:3], state[7:10]
+        place_m = state[:3]
+        velocity_m_s = state[7:10]
         wanted = cell_of(place_m + _EXPECTED_S * velocity_m_s)
         if not _serves(wanted, place_m, velocity_m_s):
             wanted = cell_of(place_m)

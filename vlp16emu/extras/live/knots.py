@@ -13,14 +13,18 @@ from vlp16emu.units import S_NS
 
 STEP_NS = 5_308_416  # time between knots: 96 firing sequences of a VLP-16, four packets of single return
 STATE = 13
-"""Numbers of a knot: position (3,) and quaternion x, y, z, w (4,) in the world, velocity (3,) in the world, angular
+"""Numbers of a knot: position (3,) and quaternion x, y, z, w (4,) in the world, velocity (3,) in the world,
+angular
 rate (3,) in body axes."""
 
 _MOST = 8192  # knots of a live run that are kept, 43 s; poses older than 12 s are never requested
 _COAST_S = 0.15
-"""Time after a pose for which its velocity is extrapolated, and then the time constant with which the body comes to
+"""Time after a pose for which its velocity is extrapolated, and then the time constant with which the body
+comes to
 rest: poses at 10 Hz are followed smoothly, and a body at 3 m/s stops after 0.9 m."""
-GAP_M, GAP_RAD = 0.1, 0.2  # above these errors the correction is slower, with bounded speed
+# above these errors the correction is slower, with bounded speed
+GAP_M = 0.1
+GAP_RAD = 0.2
 _SMALL = 1e-6  # angle in rad below which series are exact to float64
 
 
@@ -37,7 +41,8 @@ class Knots(Pieces):
         self._first = self._count = 0
         room = max(_MOST, len(states))
         self._knots_ns = np.arange(room, dtype=np.int64) * STEP_NS
-        self._states, self._pieces = np.empty((room, STATE)), np.empty((4, room, 7))
+        self._states = np.empty((room, STATE))
+        self._pieces = np.empty((4, room, 7))
         super().__init__(start_ns, self._knots_ns[:0], self._pieces)
         self.last_state = states[0]  # (13,)
         for state in states:
@@ -59,13 +64,19 @@ class Knots(Pieces):
 
     def append(self, state: F8) -> None:
         """Append a knot (13,), one step after the last one."""
-        if self._count == len(self._states):  # drop the older half, in new arrays: others may be reading these
+        if self._count == len(
+            self._states
+        ):  # drop the older half, in new arrays: others may be reading these
             half = self._count // 2
-            self._first, self._count = self._first + half, self._count - half
+            self._first = self._first + half
+            self._count = self._count - half
             self._knots_ns = self._knots_ns + half * STEP_NS
-            self._states, self._pieces = np.roll(self._states, -half, 0), np.roll(self._pieces, -half, 1)
+            self._states = np.roll(self._states, -half, 0)
+            self._pieces = np.roll(self._pieces, -half, 1)
         if self._count:
-            _fill_piece(self._states[self._count - 1], state, STEP_NS / S_NS, self._pieces[:, self._count - 1])
+            _fill_piece(
+                self._states[self._count - 1], state, STEP_NS / S_NS, self._pieces[:, self._count - 1]
+            )
         self._states[self._count] = self.last_state = state
         self._count += 1
         # One assignment, because other threads read it.
@@ -93,11 +104,14 @@ def _dot(a: F8, b: F8, first: int, stop: int) -> float:
 @array_kernel
 def _pose_and_rates(knot: F8) -> tuple[F8, F8]:
     """Position and quaternion (7,) of a knot, and their change per second."""
-    value, rate, turning = np.empty(7), np.empty(7), np.zeros(4)
+    value = np.empty(7)
+    rate = np.empty(7)
+    turning = np.zeros(4)
     for a in range(7):  # operations on whole arrays compile for seconds
         value[a] = knot[a]
     for a in range(3):
-        rate[a], turning[a] = knot[7 + a], 0.5 * knot[10 + a]
+        rate[a] = knot[7 + a]
+        turning[a] = 0.5 * knot[10 + a]
     change = _product(knot[3:7], turning)
     for a in range(4):
         rate[3 + a] = change[a]
@@ -107,15 +121,18 @@ def _pose_and_rates(knot: F8) -> tuple[F8, F8]:
 @array_kernel
 def _fill_piece(begin: F8, end: F8, step_s: float, out: F8) -> None:
     """Fill powers of the time into a piece (4, 7), highest first, from the knots (13,) at both ends."""
-    (value, rate), (end_value, end_rate) = _pose_and_rates(begin), _pose_and_rates(end)
+    (value, rate) = _pose_and_rates(begin)
+    (end_value, end_rate) = _pose_and_rates(end)
     if _dot(value, end_value, 3, 7) < 0.0:
         for a in range(3, 7):
-            end_value[a], end_rate[a] = -end_value[a], -end_rate[a]
+            end_value[a] = -end_value[a]
+            end_rate[a] = -end_rate[a]
     for a in range(7):
         slope = (end_value[a] - value[a]) / step_s
         out[0, a] = (rate[a] + end_rate[a] - 2.0 * slope) / (step_s * step_s)
         out[1, a] = (3.0 * slope - 2.0 * rate[a] - end_rate[a]) / step_s
-        out[2, a], out[3, a] = rate[a], value[a]
+        out[2, a] = rate[a]
+        out[3, a] = value[a]
 
 
 @array_kernel
@@ -132,13 +149,18 @@ def turn_between(old: F8, new: F8) -> F8:
 @array_kernel
 def _extrapolated(seen: F8, since_s: float) -> F8:
     """Extrapolate a pose (13,) in time: with constant rates at first, then to rest if no other pose follows."""
-    moving_s, share, late_s = since_s, 1.0, since_s - _COAST_S
+    moving_s = since_s
+    share = 1.0
+    late_s = since_s - _COAST_S
     if late_s > 0.0:
         share = exp(-late_s / _COAST_S)
         moving_s = _COAST_S + _COAST_S * (1.0 - share)
-    out, turn, square = np.empty(STATE), np.zeros(4), 0.0
+    out = np.empty(STATE)
+    turn = np.zeros(4)
+    square = 0.0
     for a in range(3):
-        out[a], turn[a] = seen[a] + moving_s * seen[7 + a], moving_s * seen[10 + a]
+        out[a] = seen[a] + moving_s * seen[7 + a]
+        turn[a] = moving_s * seen[10 + a]
         square += turn[a] * turn[a]
     angle = math.sqrt(square)
     turn[3], sine = cos_sin(0.5 * angle)
@@ -157,7 +179,8 @@ def _extrapolated(seen: F8, since_s: float) -> F8:
 def follow(state: F8, seen: F8, since_s: float, step_s: float, smoothing_s: float) -> F8:
     """Return the next knot (13,): predicted from the last pose, and corrected towards it without a jump of pose or rate.
 
-    The error of position and quaternion against the prediction decays as a critically damped oscillator, which is
+    The error of position and quaternion against the prediction decays as a critically damped oscillator,
+    which is
     solved exactly over the step; then the quaternion is scaled to unit length.
 
     Parameters
@@ -172,21 +195,27 @@ def follow(state: F8, seen: F8, since_s: float, step_s: float, smoothing_s: floa
     wanted, wanted_rate = _pose_and_rates(_extrapolated(seen, since_s))
     target, target_rate = _pose_and_rates(_extrapolated(seen, since_s + step_s))
     sign = 1.0 if _dot(value, wanted, 3, 7) >= 0.0 else -1.0
-    error, change = np.empty(7), np.empty(7)
+    error = np.empty(7)
+    change = np.empty(7)
     for a in range(7):
         flip = sign if a > 2 else 1.0
-        error[a], change[a] = flip * value[a] - wanted[a], flip * rate[a] - wanted_rate[a]
-    off_m, off_rad = math.sqrt(_dot(error, error, 0, 3)), 2.0 * math.sqrt(_dot(error, error, 3, 7))
+        error[a] = flip * value[a] - wanted[a]
+        change[a] = flip * rate[a] - wanted_rate[a]
+    off_m = math.sqrt(_dot(error, error, 0, 3))
+    off_rad = 2.0 * math.sqrt(_dot(error, error, 3, 7))
     # e'' + 2 w e' + w^2 e = 0
     for a in range(7):
         per_s = 1.0 / (smoothing_s * max(1.0, off_m / GAP_M if a < 3 else off_rad / GAP_RAD))
-        push, fade = change[a] + per_s * error[a], exp(-per_s * step_s)
+        push = change[a] + per_s * error[a]
+        fade = exp(-per_s * step_s)
         target[a] += (error[a] + push * step_s) * fade
         target_rate[a] += (change[a] - per_s * push * step_s) * fade
     length = math.sqrt(_dot(target, target, 3, 7))
-    out, back = np.empty(STATE), np.empty(4)
+    out = np.empty(STATE)
+    back = np.empty(4)
     for a in range(3):
-        out[a], out[7 + a] = target[a], target_rate[a]
+        out[a] = target[a]
+        out[7 + a] = target_rate[a]
     for a in range(3, 7):
         out[a] = target[a] / length
         back[a - 3] = out[a] if a == 6 else -out[a]

@@ -24,10 +24,15 @@ from vlp16emu.units import S_NS
 LOST_NS = S_NS  # time without a pose after which poses count as lost
 
 _AHEAD_NS = 2_000_000
-"""Time before its first pulse at which a step is computed: some packets need it, and each is due after its last pulse."""
+"""Time before its first pulse at which a step is computed: some packets need it, and each is due after its
+last pulse."""
 _BASE_NS = 20_000_000
-"""Rates are computed from poses at least this far apart, if there are any: noise of 1 mm then gives 0.07 m/s."""
-_LEAST_BASE_NS, _MOST_BASE_NS = 2_000_000, 300_000_000  # poses closer together, or farther apart, give no rates
+"""Rates are computed from poses at least this far apart, if there are any: noise of 1 mm then gives 0.07
+m/s."""
+_LEAST_BASE_NS, _MOST_BASE_NS = (
+    2_000_000,
+    300_000_000,
+)  # poses closer together, or farther apart, give no rates
 _MOST_PULL = 500.0
 """Limits in units of `GAP_M` and `GAP_RAD` per s2 above which a change is a jump: 50 m/s2 and 100 rad/s2."""
 _RESTART_NS = S_NS  # a sender whose stamps go back by more than this has started a new clock
@@ -55,12 +60,14 @@ class PosesLost:
 class PoseInput:
     """Input of poses from any thread; it keeps the last one.
 
-    A sender has a clock of its own. Its offset is estimated from the pose with the least delay so far, which counts as
+    A sender has a clock of its own. Its offset is estimated from the pose with the least delay so far, which
+    counts as
     zero delay. So only additional delays are known, and the least delay is part of the latency.
     """
 
     def __init__(self, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
-        self._clock_ns, self._lock = clock_ns, threading.Lock()
+        self._clock_ns = clock_ns
+        self._lock = threading.Lock()
         self.came = threading.Event()  # set by the first pose
         self._before = deque[tuple[int, F8]]()
         self._jumped = False
@@ -68,7 +75,8 @@ class PoseInput:
         self._offset_at_ns = 0
         self.last: SeenPose | None = None
         self.received = self.refused = self.out_of_order = 0
-        """Counts of poses: accepted, malformed, and with a stamp that is not later than the stamp of the pose before."""
+        """Counts of poses: accepted, malformed, and with a stamp that is not later than the stamp of the pose
+        before."""
         self.longest_gap_ns = 0  # between one arrival and the next, since the run began
         self.gaps_ns: list[tuple[int, int]] = []
         """Arrivals before and after each time without poses for more than a second, since the run began."""
@@ -93,10 +101,12 @@ class PoseInput:
         with self._lock:
             at_ns = now_ns
             if t_ns is not None:  # offset of the sender's clock, from the delay of this pose
-                offset_ns, crept_ns = now_ns - t_ns, (now_ns - self._offset_at_ns) * _CREEP_NS_S // S_NS
+                offset_ns = now_ns - t_ns
+                crept_ns = (now_ns - self._offset_at_ns) * _CREEP_NS_S // S_NS
                 if self._offset_ns is not None and offset_ns <= self._offset_ns + _RESTART_NS:
                     offset_ns = min(offset_ns, self._offset_ns + crept_ns)
-                self._offset_ns, self._offset_at_ns = offset_ns, now_ns
+                self._offset_ns = offset_ns
+                self._offset_at_ns = now_ns
                 at_ns = t_ns + offset_ns
             last = self.last
             if last is not None:
@@ -127,7 +137,8 @@ class PoseInput:
             assert self.last is not None
             state[7:] = self.last.state[7:]
         elif before and (base_ns := at_ns - before[0][0]) >= _LEAST_BASE_NS:
-            old, per_s = before[0][1], S_NS / base_ns
+            old = before[0][1]
+            per_s = S_NS / base_ns
             state[7:10] = (pose[:3] - old[:3]) * per_s
             state[10:] = turn_between(old[3:], pose[3:]) * per_s
         before.append((at_ns, pose))
@@ -137,7 +148,8 @@ class PoseInput:
         """Return True if no body can move from the last pose to a pose (7,) in time: then the step gives no rates."""
         if self.last is None:
             return False
-        last, since_s = self.last.state, (at_ns - self.last.at_ns) / S_NS
+        last = self.last.state
+        since_s = (at_ns - self.last.at_ns) / S_NS
         off_m = norm(pose[:3] - last[:3] - since_s * last[7:10])
         off_rad = norm(turn_between(last[3:7], pose[3:]) - since_s * last[10:])
         most = 1.0 + _MOST_PULL * since_s * since_s
@@ -147,7 +159,8 @@ class PoseInput:
 class LiveMotion:
     """Motion of a body that follows the poses received, computed knot by knot as time goes on.
 
-    Each knot is computed once, at its time, and never changes, so later calls and readers of the table get the same
+    Each knot is computed once, at its time, and never changes, so later calls and readers of the table get
+    the same
     motion. A call for a future time waits for it.
 
     Parameters
@@ -157,7 +170,8 @@ class LiveMotion:
     clock_ns, sleep : monotonic clock, and a function that suspends a thread for some seconds
     """
 
-    moves, run_time_s = True, math.inf
+    moves = True
+    run_time_s = math.inf
 
     def __init__(
         self,
@@ -167,15 +181,19 @@ class LiveMotion:
         clock_ns: Callable[[], int] = time.monotonic_ns,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        self._smoothing_s, self._start_ns = section.smoothing_s, start_ns
-        self._clock_ns, self._sleep, self._lock = clock_ns, sleep, threading.Lock()
+        self._smoothing_s = section.smoothing_s
+        self._start_ns = start_ns
+        self._clock_ns = clock_ns
+        self._sleep = sleep
+        self._lock = threading.Lock()
         self._zero_ns = 0
         self.knots: Knots | None = None  # all knots so far; None before the beginning
         self._used: SeenPose | None = None
         self.poses = PoseInput(clock_ns)
         self.is_open = False  # True if calls wait for poses, as in a stream
         self.first_uses = deque[tuple[int, int]]()
-        """For each pose that was used: UTC of the first pulse that it affects, and its arrival on the monotonic clock."""
+        """For each pose that was used: UTC of the first pulse that it affects, and its arrival on the
+        monotonic clock."""
 
     def begin(self, zero_ns: int) -> None:
         """Begin to move: the first pulse is fired at `zero_ns` on the monotonic clock."""
@@ -186,7 +204,9 @@ class LiveMotion:
 
     def end(self) -> None:
         """Forget the motion, and accept no more poses."""
-        self.is_open, self.knots, self._used = False, None, None
+        self.is_open = False
+        self.knots = None
+        self._used = None
         self.poses = PoseInput(self._clock_ns)
         self.first_uses.clear()
 
@@ -222,7 +242,8 @@ class LiveMotion:
     def poses_at(self, t_ns: I8) -> Poses:
         """Return poses at UTC instants (n,) and wait for future ones; before the beginning the body is at rest.
 
-        Raises `TrajectoryError` if no stream is open, and `CancelledError` if the stream ends before there is a pose.
+        Raises `TrajectoryError` if no stream is open, and `CancelledError` if the stream ends before there is
+        a pose.
         """
         return self._knots_until(int(t_ns.max())).poses_at(t_ns)
 
@@ -244,7 +265,8 @@ class LiveMotion:
             return Knots(self._start_ns, np.stack([rest, still]))
         while True:
             with self._lock:
-                knots, now_ns = self.knots, self._clock_ns()
+                knots = self.knots
+                now_ns = self._clock_ns()
                 while knots.last < 1 or knots.last_ns < t_ns - self._start_ns:
                     early_ns = self._zero_ns + knots.last_ns - _AHEAD_NS - now_ns
                     if early_ns > 0:
@@ -254,7 +276,9 @@ class LiveMotion:
                         self._used = seen
                         self.first_uses.append((self._start_ns + knots.last_ns, seen.arrived_ns))
                     since_s = (self._zero_ns + knots.last_ns - seen.at_ns) / S_NS
-                    knots.append(follow(knots.last_state, seen.state, since_s, STEP_NS / S_NS, self._smoothing_s))
+                    knots.append(
+                        follow(knots.last_state, seen.state, since_s, STEP_NS / S_NS, self._smoothing_s)
+                    )
                 else:
                     return knots
             self._sleep(early_ns / S_NS)
@@ -271,5 +295,7 @@ def _checked(position_m: Sequence[float], quaternion: Sequence[float]) -> F8:
         raise TrajectoryError("pose", f"found a place at {numbers[:3]} m", f"at most {_FARTHEST_M:g} m")
     length = float(norm(np.array(numbers[3:])))
     if abs(length - 1.0) > UNIT_TOLERANCE:
-        raise TrajectoryError("pose", f"a quaternion of length {length:.6g}", f"length 1, to {UNIT_TOLERANCE:g}")
+        raise TrajectoryError(
+            "pose", f"a quaternion of length {length:.6g}", f"length 1, to {UNIT_TOLERANCE:g}"
+        )
     return np.array([*numbers[:3], *(number / length for number in numbers[3:])])

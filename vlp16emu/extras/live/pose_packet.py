@@ -7,7 +7,9 @@ from typing import NamedTuple
 from vlp16emu.errors import PacketError
 
 _LAYOUT = struct.Struct("<4sBBHq7d")
-_MAGIC, _VERSION, _HAS_TIME = b"POSE", 1, 1
+_MAGIC = b"POSE"
+_VERSION = 1
+_HAS_TIME = 1
 _HEAD = _MAGIC + bytes([_VERSION])
 _BEGINNINGS = tuple(_HEAD + bytes([flags, 0, 0]) for flags in (0, _HAS_TIME))
 POSE_BYTES = _LAYOUT.size
@@ -39,6 +41,8 @@ def unpack_pose(payload: bytes) -> PosePacket:
     """
     if not is_pose(payload):
         found = f"found {len(payload)} bytes that begin with {payload[:8].hex(' ')}"
-        raise PacketError("pose packet", found, f"{POSE_BYTES} that begin with {_HEAD.hex(' ')}, 00 or 01, 00 00")
+        raise PacketError(
+            "pose packet", found, f"{POSE_BYTES} that begin with {_HEAD.hex(' ')}, 00 or 01, 00 00"
+        )
     *_, flags, _, t_ns, x, y, z, qx, qy, qz, qw = _LAYOUT.unpack(payload)
     return PosePacket((x, y, z), (qx, qy, qz, qw), t_ns if flags else None)

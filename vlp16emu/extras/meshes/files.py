@@ -1,7 +1,9 @@
 """Meshes that the user brings: OBJ, PLY, GLB and STL through trimesh, checked before they are scanned.
 
-Refused: coordinates that are not finite, faces whose corners do not exist, files without a face, sizes that suggest
-a wrong unit. Dropped and reported: triangles without area. Kept and reported: holes and faces that are turned inside
+Refused: coordinates that are not finite, faces whose corners do not exist, files without a face, sizes that
+suggest
+a wrong unit. Dropped and reported: triangles without area. Kept and reported: holes and faces that are turned
+inside
 out, because rays hit both sides.
 """
 
@@ -25,12 +27,21 @@ _UNIT_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 """Exact by definition (inch and foot: international agreement of 1959)."""
 _KINDS = ".obj", ".ply", ".glb", ".stl"
 _SPLIT = dict.fromkeys(("skip_materials", "split_objects", "split_groups", "maintain_order"), True)
-_AS_WRITTEN: dict[str, Any] = {"process": False, "group_material": False, **_SPLIT}  # no face is joined or moved
-_TALLEST_M, _WIDEST_M, _SMALLEST_M = 500.0, 10_000.0, 0.001
+_AS_WRITTEN: dict[str, Any] = {
+    "process": False,
+    "group_material": False,
+    **_SPLIT,
+}  # no face is joined or moved
+_TALLEST_M = 500.0
+_WIDEST_M = 10_000.0
+_SMALLEST_M = 0.001
 """Greatest height, greatest width and least size of an object in a forest."""
 _FLAT = 1e-7  # height over longest side below which a triangle is a line: the resolution of single precision
-_OBJ_BAD_FACE = re.compile(rb"^f[ \t]+(?:\S++(?:[ \t]+\S++)?[ \t]*\r?$|(?:[^\s0]\S*+[ \t]+)*+0)", re.MULTILINE)
-"""A face of an OBJ file that trimesh would skip: fewer than three corners, or a corner 0 (they count from 1)."""
+_OBJ_BAD_FACE = re.compile(
+    rb"^f[ \t]+(?:\S++(?:[ \t]+\S++)?[ \t]*\r?$|(?:[^\s0]\S*+[ \t]+)*+0)", re.MULTILINE
+)
+"""A face of an OBJ file that trimesh would skip: fewer than three corners, or a corner 0 (they count from
+1)."""
 _OBJ_ODD_LINE = re.compile(rb"^(?:[ \t]+[vf]|[vf][^\r\n#\t]*[#\t])[^\r\n]*", re.MULTILINE)
 """A vertex or face with a tab, a comment or leading blanks, which trimesh would skip or refuse."""
 
@@ -77,7 +88,8 @@ def load_mesh(path: Path, *, unit: LengthUnit, up: UpAxis) -> UserMesh:
 
 def _parts(path: Path) -> list[tuple[str, tuple[F8, Faces]]]:
     """Return name, vertices and faces of all parts in the file's frame, sorted by name."""
-    scene, found = _scene(path), []
+    scene = _scene(path)
+    found = []
     unnamed = list(scene.geometry) in (["geometry"], ["geometry_0"])  # trimesh's names for unnamed geometry
     for node in sorted(scene.graph.nodes_geometry):
         name = path.stem if unnamed else node
@@ -106,7 +118,8 @@ def _scene(path: Path) -> Any:
     if kind == ".obj" and (bad := _OBJ_BAD_FACE.search(content)):
         line = content.count(b"\n", 0, bad.start()) + 1
         face = content[bad.start() :].partition(b"\n")[0].decode(errors="replace").strip()
-        found, expected = f"found the face {face!r}", "three corners or more, counted from 1"
+        found = f"found the face {face!r}"
+        expected = "three corners or more, counted from 1"
         raise GeometryError(f"{path}, line {line}", found, expected)
     import trimesh
 
@@ -119,7 +132,9 @@ def _scene(path: Path) -> Any:
 def _checked_vertices(where: str, vertices: F8, faces: Faces, file_T_part: F8) -> F8:
     """Return vertices in the file's frame, after a check of both arrays."""
     if vertices.ndim != 2 or vertices.shape[1] != 3:
-        raise GeometryError(where, f"found vertices of {vertices.shape[-1]} numbers", "three coordinates each")
+        raise GeometryError(
+            where, f"found vertices of {vertices.shape[-1]} numbers", "three coordinates each"
+        )
     stray = (faces < 0) | (faces >= len(vertices))
     if stray.any():
         face, corner = np.argwhere(stray)[0]
@@ -131,7 +146,9 @@ def _checked_vertices(where: str, vertices: F8, faces: Faces, file_T_part: F8) -
     if broken.any():
         vertex = int(broken.argmax())
         raise GeometryError(
-            where, f"found {vertices[vertex].tolist()} as vertex {vertex}, counted from 0", "finite coordinates"
+            where,
+            f"found {vertices[vertex].tolist()} as vertex {vertex}, counted from 0",
+            "finite coordinates",
         )
     return matvec(file_T_part[:3, :3], vertices) + file_T_part[:3, 3]
 
@@ -161,7 +178,9 @@ def _check_size(path: Path, extent_m: F8, unit: LengthUnit) -> None:
     own = extent_m.max() / _UNIT_M[unit]
     likely = [other for other, factor in _UNIT_M.items() if 0.1 <= own * factor <= 100 and other != unit]
     hint = f" (perhaps its unit is {' or '.join(likely)})" if likely else ""
-    expected = f"at most {_TALLEST_M:g} m tall and {_WIDEST_M:g} m wide, at least {_SMALLEST_M * 1000:g} mm{hint}"
+    expected = (
+        f"at most {_TALLEST_M:g} m tall and {_WIDEST_M:g} m wide, at least {_SMALLEST_M * 1000:g} mm{hint}"
+    )
     raise GeometryError(str(path), f"measures {size} m with unit = {unit!r}", expected)
 
 

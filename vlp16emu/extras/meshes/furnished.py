@@ -70,7 +70,8 @@ class BareWorld(World, Protocol):
 class Furnished:
     """A world with the user's meshes in it; a `World`.
 
-    Raises GeometryError for more objects than there are instance numbers, and for a part that a mesh does not have.
+    Raises GeometryError for more objects than there are instance numbers, and for a part that a mesh does not
+    have.
 
     Parameters
     ----------
@@ -79,18 +80,27 @@ class Furnished:
     reach_m : how far the sensor sees
     """
 
-    def __init__(self, world: BareWorld, *, meshes: Sequence[tuple[MeshFile, UserMesh]], reach_m: float) -> None:
+    def __init__(
+        self, world: BareWorld, *, meshes: Sequence[tuple[MeshFile, UserMesh]], reach_m: float
+    ) -> None:
         self.bare = world  # the world without the user's things
-        self.height_m, self.near_m, self.seed = world.height_m, world.near_m, world.seed
+        self.height_m = world.height_m
+        self.near_m = world.near_m
+        self.seed = world.seed
         for name in ("name", "far_tile"):  # a hall has no far tiles
             if hasattr(world, name):
                 setattr(self, name, getattr(world, name))
         self._reach_m = reach_m
         self.names = dict[int, str]()  # names of the user's objects by instance
-        self._mesh_of, self._keys = dict[MeshKey, UserMesh](), list[MeshKey]()
-        materials, placed, radius_m, self._rows = list(world.materials), [], [], []
+        self._mesh_of = dict[MeshKey, UserMesh]()
+        self._keys = list[MeshKey]()
+        materials = list(world.materials)
+        placed = []
+        radius_m = []
+        self._rows = []
         for section, mesh in meshes:
-            key, surfaces = MeshKey(len(self._mesh_of), mesh.path), surfaces_of(section, mesh)
+            key = MeshKey(len(self._mesh_of), mesh.path)
+            surfaces = surfaces_of(section, mesh)
             self._mesh_of[key] = mesh
             labels = [f"{mesh.path.name} {name}" for name, _ in mesh.parts]
             things = [mesh.path.name] if section.one_thing else labels
@@ -98,7 +108,8 @@ class Furnished:
             if count > 2**32 - FIRST_FREE_INSTANCE:
                 raise GeometryError("meshes", f"found {count} things", "at most 65536")
             for place in section.places:
-                first, rows = FIRST_FREE_INSTANCE + len(self.names), surfaces.copy()
+                first = FIRST_FREE_INSTANCE + len(self.names)
+                rows = surfaces.copy()
                 rows["material"] = len(materials) + np.arange(len(rows))
                 rows["instance"] = first + np.arange(len(things))  # one number for each part, or one for all
                 where = f"at ({place.x_m:g}, {place.y_m:g}) m"
@@ -109,11 +120,16 @@ class Furnished:
                 radius_m.append(place.scale * mesh.radius_m)
             materials += labels
         self.materials = tuple(materials)
-        self._world_T_mesh, self._radius_m = np.reshape(placed, (-1, 3, 4)), np.array(radius_m)
+        self._world_T_mesh = np.reshape(placed, (-1, 3, 4))
+        self._radius_m = np.array(radius_m)
 
     def check(self, path_xy_m: F8) -> None:
         """Warn of each mesh that is out of sight along the whole path (n, 2)."""
-        gap_m = distance_m(self._world_T_mesh[:, :2, 3], path_xy_m) - self._radius_m if self._keys else np.zeros(0)
+        gap_m = (
+            distance_m(self._world_T_mesh[:, :2, 3], path_xy_m) - self._radius_m
+            if self._keys
+            else np.zeros(0)
+        )
         for key in self._mesh_of:
             nearest_m = min(gap for gap, own in zip(gap_m.tolist(), self._keys, strict=True) if own == key)
             if nearest_m > self._reach_m:
@@ -135,9 +151,9 @@ class Furnished:
         return replace(
             window,
             shapes=(*window.shapes, *keys),
-            shape=np.append(window.shape, [len(window.shapes) + keys.index(self._keys[i]) for i in near]).astype(
-                np.int32
-            ),
+            shape=np.append(
+                window.shape, [len(window.shapes) + keys.index(self._keys[i]) for i in near]
+            ).astype(np.int32),
             world_T_shape=np.concatenate([window.world_T_shape, self._world_T_mesh[near]]),
             first_surface=np.append(window.first_surface, first).astype(np.uint32),
             surfaces=np.concatenate([window.surfaces, *(self._rows[i] for i in near)]),
@@ -160,7 +176,8 @@ def _placed(place: MeshPlace, mesh: UserMesh, height_m: HeightField) -> F8:
     if z_m is None:
         z_m = place.above_ground_m + float(height_m(np.array([place.x_m]), np.array([place.y_m]))[0])
     yaw = math.radians(place.yaw_deg)
-    c, s = place.scale * cos(yaw), place.scale * sin(yaw)
+    c = place.scale * cos(yaw)
+    s = place.scale * sin(yaw)
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, place.scale]])
     origin = np.array([place.x_m, place.y_m, z_m])
     return np.column_stack([turn, origin + matvec(turn, mesh.centre_m)])

@@ -8,7 +8,9 @@ from vlp16emu.settings import Angle, Place, Section
 from vlp16emu.world.settings import Finish, MeshSource, PartFinish
 
 SemanticName = Literal["ground", "tree", "shrub", "stone", "deadwood", "grass", "other"]
-PartName = Literal["none", "stem", "branch_first_order", "branch_higher_order", "leaf", "root_flare", "dead_branch"]
+PartName = Literal[
+    "none", "stem", "branch_first_order", "branch_higher_order", "leaf", "root_flare", "dead_branch"
+]
 
 
 class MeshPart(PartFinish):

@@ -5,7 +5,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vlp16emu.extras.plot.sheet import BLUE, GREEN, INK, ORANGE, PURPLE, SKY, SOFT, VERMILION, Report, plain_logarithm
+from vlp16emu.extras.plot.sheet import (
+    BLUE,
+    GREEN,
+    INK,
+    ORANGE,
+    PURPLE,
+    SKY,
+    SOFT,
+    VERMILION,
+    Report,
+    plain_logarithm,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,7 +41,8 @@ _DODGE = 0.13  # offset between statistics of one world, in worlds
 
 def draw(figure: "Figure", report: Report) -> None:
     """Draw errors of the beam with intervals of error and run time, and below them the worlds of a forest."""
-    rows, worlds = report["rows"], report["foliage"]
+    rows = report["rows"]
+    worlds = report["foliage"]
     figure.set_size_inches(14, 11.5 if worlds else 6.8)
     errors = rows[0]["errors"]
     title = f"{report['scene']}, seed {report['seed']}: error against run time"
@@ -65,7 +77,13 @@ def _draw_errors(axes: "Axes", rows: Sequence[Report], name: str) -> None:
         error_mm = 1e3 * np.array([row["errors"][name] for row in own])
         ends_mm = 1e3 * np.array([row["intervals"][name] or (np.nan, np.nan) for row in own], float)
         reach_mm = np.abs(ends_mm.T - error_mm)
-        look: dict[str, Any] = {"color": colour, "marker": marker, "linestyle": line, "capsize": 3, "elinewidth": 1}
+        look: dict[str, Any] = {
+            "color": colour,
+            "marker": marker,
+            "linestyle": line,
+            "capsize": 3,
+            "elinewidth": 1,
+        }
         bars = axes.errorbar(us, error_mm, yerr=reach_mm, xerr=np.minimum(half_us, 0.9 * us), **look)
         bars.set_label(label or "_")
         bars.lines[0].set_gid(f"{name}-{model}")
@@ -73,7 +91,9 @@ def _draw_errors(axes: "Axes", rows: Sequence[Report], name: str) -> None:
         words = [row["name"].rpartition("=")[2] for row in same[:: max(len(same) - 1, 1)]]
         text = f"{' to '.join(reversed(words))}{' m' if model == 'adaptive' else ''}"
         beneath = model in ("none", "adaptive")
-        _write(axes, text, (same[-1]["us_per_pulse"], 1e3 * error_m), beneath=beneath, colour=_SERIES[model][1])
+        _write(
+            axes, text, (same[-1]["us_per_pulse"], 1e3 * error_m), beneath=beneath, colour=_SERIES[model][1]
+        )
         if any(row["in_use"] for row in same):
             look = {"ms": 19, "mfc": "none", "mec": INK, "mew": 2.2, "ls": "none", "gid": f"{name}-in-use"}
             axes.plot(same[-1]["us_per_pulse"], 1e3 * error_m, "o", label="in use", **look)
@@ -85,7 +105,8 @@ def _draw_suggestions(axes: "Axes", rows: Sequence[Report], suggestions: Sequenc
     label = "suggested for a mean error of at most"
     for one in suggestions:
         look: dict[str, Any] = {"ms": 13, "mfc": "none", "mec": GREEN, "mew": 2.2, "ls": "none"}
-        row, wanted_mm = of[one["take"]], 1e3 * one["wanted_m"]
+        row = of[one["take"]]
+        wanted_mm = 1e3 * one["wanted_m"]
         place = row["us_per_pulse"], 1e3 * row["errors"]["mean_error_m"]
         axes.plot(*place, "s", label=label, gid=f"suggested-{wanted_mm:g}", **look)
         label = "_"
@@ -106,7 +127,9 @@ def _write(axes: "Axes", text: str, place: tuple[float, float], *, beneath: bool
         "ha": sides[0],
         "va": sides[1],
     }
-    axes.annotate(text, place, offset, path_effects=[withStroke(linewidth=3, foreground="white")], zorder=5, **look)
+    axes.annotate(
+        text, place, offset, path_effects=[withStroke(linewidth=3, foreground="white")], zorder=5, **look
+    )
 
 
 def _draw_worlds(axes: "Axes", worlds: Sequence[Report]) -> None:
@@ -117,7 +140,11 @@ def _draw_worlds(axes: "Axes", worlds: Sequence[Report]) -> None:
         off = [scale * world["means"][name]["off"] for world in worlds]
         half = [scale * (world["means"][name]["half"] or 0.0) for world in worlds]
         at = np.arange(len(worlds)) + _DODGE * (number - (len(explicit) - 1) / 2)
-        look: dict[str, Any] = {"fmt": _WORLD_MARKERS[number % 6], "color": _WORLD_COLOURS[number % 6], "capsize": 3}
+        look: dict[str, Any] = {
+            "fmt": _WORLD_MARKERS[number % 6],
+            "color": _WORLD_COLOURS[number % 6],
+            "capsize": 3,
+        }
         bars = axes.errorbar(at, off, yerr=half, label=name.removesuffix(", %").removesuffix(", m"), **look)
         bars.lines[0].set_gid(f"world-{number}")
     axes.axhline(0.0, color=INK, lw=1)
@@ -126,7 +153,10 @@ def _draw_worlds(axes: "Axes", worlds: Sequence[Report]) -> None:
     for tick, world in zip(axes.get_xticklabels(), worlds, strict=True):
         if world["in_use"]:
             tick.set_fontweight("bold")
-    axes.set(ylabel="difference from\nall leaves single, %", title="Single leaves up to world.near_m (in use: bold)")
+    axes.set(
+        ylabel="difference from\nall leaves single, %",
+        title="Single leaves up to world.near_m (in use: bold)",
+    )
     axes.legend(ncols=len(explicit), loc="upper center", bbox_to_anchor=(0.5, -0.22), frameon=False)
 
 

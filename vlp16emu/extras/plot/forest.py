@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _PATH: dict[str, Any] = {"color": VERMILION, "lw": 2.4}
-_GROUND, _CONTOUR = "#cdbfa3", "#a08a5f"
+_GROUND = "#cdbfa3"
+_CONTOUR = "#a08a5f"
 _MARKERS = "osD^vPX*hp"
 """Marks of species, the most frequent first: they differ in shape, not only in colour."""
 _PX2_PER_CM = 3.2  # area of the mark of a stem, in points squared per cm of DBH
@@ -35,7 +36,8 @@ def draw(figure: "Figure", report: Report) -> None:
         figure.suptitle(_wrapped(f"{report['scene']}: {report['title']}", 70))
         _draw_hall(figure.add_subplot(), report)
         return
-    stems, ground = report["stems"], report["ground"]
+    stems = report["stems"]
+    ground = report["ground"]
     rows, columns = np.shape(ground["heights_m"])
     tall = min(max(10.5 * rows / columns, 5.0), 11.0)
     figure.set_size_inches(14, tall + 5.2)
@@ -55,7 +57,9 @@ def _wrapped(text: str, columns: int) -> str:
 def _looks(names: Sequence[str]) -> dict[str, tuple[str, str]]:
     """Return colour and marker by species, the most frequent first."""
     ranked = [name for name, _ in Counter(sorted(names)).most_common()]
-    return {name: (_hex(colour_of_species(name)), _MARKERS[i % len(_MARKERS)]) for i, name in enumerate(ranked)}
+    return {
+        name: (_hex(colour_of_species(name)), _MARKERS[i % len(_MARKERS)]) for i, name in enumerate(ranked)
+    }
 
 
 def _hex(rgb: Rgb) -> str:
@@ -66,10 +70,17 @@ def _draw_plan(axes: "Axes", report: Report, looks: Mapping[str, tuple[str, str]
     from matplotlib.collections import EllipseCollection
 
     _draw_relief(axes, report["ground"])
-    stems, profile = report["stems"], report["profile"]
+    stems = report["stems"]
+    profile = report["profile"]
     place_m = np.column_stack([stems["x_m"], stems["y_m"]]).reshape(-1, 2)
-    width_m, dbh_m, names = (np.array(stems["crown_width_m"]), np.array(stems["dbh_m"]), np.array(stems["species"]))
-    look: dict[str, Any] = {"facecolors": "none", "edgecolors": [looks[name][0] for name in names], "linewidths": 0.9}
+    width_m = np.array(stems["crown_width_m"])
+    dbh_m = np.array(stems["dbh_m"])
+    names = np.array(stems["species"])
+    look: dict[str, Any] = {
+        "facecolors": "none",
+        "edgecolors": [looks[name][0] for name in names],
+        "linewidths": 0.9,
+    }
     at: dict[str, Any] = {"units": "xy", "offsets": place_m, "offset_transform": axes.transData, "alpha": 0.6}
     crowns = EllipseCollection(width_m, width_m, np.zeros(len(names)), zorder=2, **at, **look)
     crowns.set_gid("crowns")
@@ -79,7 +90,9 @@ def _draw_plan(axes: "Axes", report: Report, looks: Mapping[str, tuple[str, str]
         own = names == name
         label = f"{name.replace('_', ' ').capitalize()}, {own.sum()}"
         style: dict[str, Any] = {"marker": marker, "edgecolors": INK, "linewidths": 0.7, "zorder": 4}
-        faces = colour if seen is None else [colour if share >= _SEEN_SHARE else "white" for share in seen[own]]
+        faces = (
+            colour if seen is None else [colour if share >= _SEEN_SHARE else "white" for share in seen[own]]
+        )
         marks = axes.scatter(
             place_m[own, 0], place_m[own, 1], s=_areas(dbh_m[own]), c=faces, gid=f"stems-{name}", **style
         )
@@ -89,7 +102,16 @@ def _draw_plan(axes: "Axes", report: Report, looks: Mapping[str, tuple[str, str]
         label = f"under half of its bark seen, {(seen < _SEEN_SHARE).sum()}"
         axes.scatter([], [], s=60, c="white", edgecolors=INK, linewidths=0.7, label=label)
     axes.plot(profile["x_m"], profile["y_m"], label="path of the sensor", gid="path", zorder=5, **_PATH)
-    axes.plot(profile["x_m"][0], profile["y_m"][0], "^", ms=11, mec="white", color=VERMILION, label="start", zorder=6)
+    axes.plot(
+        profile["x_m"][0],
+        profile["y_m"][0],
+        "^",
+        ms=11,
+        mec="white",
+        color=VERMILION,
+        label="start",
+        zorder=6,
+    )
     axes.plot([], [], color=SOFT, marker="o", mfc="none", ms=14, ls="none", label="width of a crown")
     for dbh_cm in _SIZES_CM:
         size = _areas(np.array([dbh_cm / 100]))
@@ -114,7 +136,9 @@ def _draw_relief(axes: "Axes", ground: Report) -> None:
     if span_m <= interval_m:
         return
     levels = np.arange(np.ceil(heights_m.min() / interval_m), heights_m.max() / interval_m) * interval_m
-    lines = axes.contour(x_m, y_m, heights_m, levels, colors=_CONTOUR, linewidths=1, linestyles="solid", zorder=1)
+    lines = axes.contour(
+        x_m, y_m, heights_m, levels, colors=_CONTOUR, linewidths=1, linestyles="solid", zorder=1
+    )
     lines.set_gid("relief")
     axes.clabel(lines, fontsize=9, fmt="%g")
 
@@ -123,11 +147,14 @@ def _draw_profile(axes: "Axes", report: Report, looks: Mapping[str, tuple[str, s
     """Draw ground and sensor along the path, and the trees near it as stems with crowns."""
     from matplotlib.patches import Ellipse
 
-    profile, stems = report["profile"], report["stems"]
-    along_m, ground_m = np.array(profile["distance_m"]), np.array(profile["ground_m"])
+    profile = report["profile"]
+    stems = report["stems"]
+    along_m = np.array(profile["distance_m"])
+    ground_m = np.array(profile["ground_m"])
     near = np.flatnonzero(np.array(stems["aside_m"]) <= _ASIDE_M)
     foot_m, height_m, base_m, wide_m, dbh_m, at_m = (
-        np.array(stems[name])[near] for name in ("z_m", "height_m", "crown_base_m", "crown_width_m", "dbh_m", "along_m")
+        np.array(stems[name])[near]
+        for name in ("z_m", "height_m", "crown_base_m", "crown_width_m", "dbh_m", "along_m")
     )
     names = [stems["species"][i] for i in near.tolist()]
     top_m = max([ground_m.max() + 6.0, *(foot_m + height_m).tolist()]) + 1.0
@@ -136,17 +163,33 @@ def _draw_profile(axes: "Axes", report: Report, looks: Mapping[str, tuple[str, s
     for i, name in enumerate(names):
         colour, _ = looks[name]
         middle_m = foot_m[i] + (base_m[i] + height_m[i]) / 2
-        crown = Ellipse((at_m[i], middle_m), wide_m[i], height_m[i] - base_m[i], fc=colour, ec=INK, lw=0.5, alpha=0.35)
+        crown = Ellipse(
+            (at_m[i], middle_m), wide_m[i], height_m[i] - base_m[i], fc=colour, ec=INK, lw=0.5, alpha=0.35
+        )
         axes.add_patch(crown)
-        axes.plot([at_m[i]] * 2, [foot_m[i], foot_m[i] + height_m[i]], color=colour, lw=1.0 + 8.0 * dbh_m[i], zorder=3)
+        axes.plot(
+            [at_m[i]] * 2,
+            [foot_m[i], foot_m[i] + height_m[i]],
+            color=colour,
+            lw=1.0 + 8.0 * dbh_m[i],
+            zorder=3,
+        )
     axes.vlines(at_m, foot_m, foot_m + height_m, color=INK, lw=0.5, zorder=3, gid="profile-stems")
     axes.fill_between(
-        along_m, low_m - 1.5, ground_m, color=_GROUND, zorder=4, label="ground under the path", gid="profile-ground"
+        along_m,
+        low_m - 1.5,
+        ground_m,
+        color=_GROUND,
+        zorder=4,
+        label="ground under the path",
+        gid="profile-ground",
     )
     sensor_m = np.array(profile["sensor_m"])
     axes.plot(along_m, sensor_m, label="height of the sensor", gid="profile-sensor", zorder=5, **_PATH)
     scale = _exaggeration(axes)
-    axes.set_title(f"Along the path: trees within {_ASIDE_M:g} m{'' if scale == 1 else f', heights {scale:.1f} times'}")
+    axes.set_title(
+        f"Along the path: trees within {_ASIDE_M:g} m{'' if scale == 1 else f', heights {scale:.1f} times'}"
+    )
     axes.set(xlabel="distance along the path, m", ylabel="height, m")
     axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
 
@@ -165,17 +208,25 @@ def _draw_hall(axes: "Axes", report: Report) -> None:
     from matplotlib.patches import Rectangle
 
     length_m, width_m, _ = report["hall_m"]
-    axes.add_patch(Rectangle((-length_m / 2, -width_m / 2), length_m, width_m, fc="none", ec=INK, lw=2, gid="walls"))
+    axes.add_patch(
+        Rectangle((-length_m / 2, -width_m / 2), length_m, width_m, fc="none", ec=INK, lw=2, gid="walls")
+    )
     for thing in report["named"]:
-        (x_m, y_m, _), (along_m, across_m, tall_m) = thing["place_m"], thing["size_m"]
-        corner, colour = (x_m - along_m / 2, y_m - across_m / 2), _hex(colour_of_kind(thing["kind"]))
+        (x_m, y_m, _) = thing["place_m"]
+        (along_m, across_m, tall_m) = thing["size_m"]
+        corner = (x_m - along_m / 2, y_m - across_m / 2)
+        colour = _hex(colour_of_kind(thing["kind"]))
         axes.add_patch(Rectangle(corner, along_m, across_m, fc=colour, ec=INK, gid=f"thing-{thing['name']}"))
         text = f"{thing['name']}, {tall_m:.2g} m tall"
-        axes.annotate(text, (x_m, y_m + across_m / 2), (0, 4), textcoords="offset points", fontsize=9, ha="center")
+        axes.annotate(
+            text, (x_m, y_m + across_m / 2), (0, 4), textcoords="offset points", fontsize=9, ha="center"
+        )
     x_m, y_m, z_m = report["path"]["start_m"]
     axes.plot(x_m, y_m, "^", ms=12, color=BLUE, label=f"sensor, {z_m:.2f} m above the floor", gid="sensor")
     if report["path"]["length_m"]:
         axes.plot(*report["path"]["end_m"][:2], "v", ms=12, color=BLUE, label="end of its path")
-    axes.set(xlabel="east, m", ylabel="north, m", aspect="equal", title="From above; rectangles bound the things")
+    axes.set(
+        xlabel="east, m", ylabel="north, m", aspect="equal", title="From above; rectangles bound the things"
+    )
     axes.set(xlim=(-length_m / 2 - 1, length_m / 2 + 1), ylim=(-width_m / 2 - 1, width_m / 2 + 1))
     axes.legend(loc="upper right")

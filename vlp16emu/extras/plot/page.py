@@ -68,7 +68,8 @@ _COLUMNS = {
 def page_writing(path: Path | None, inputs: Iterable[Path]) -> Iterator[Callable[[Report], None]]:
     """Open a page before the scores are computed, and yield the function that writes a report into it.
 
-    Without a path that function does nothing. Raises OutputError for another ending than .html, or a file that cannot
+    Without a path that function does nothing. Raises OutputError for another ending than .html, or a file
+    that cannot
     be written; MissingExtraError without matplotlib.
     """
     if path is None:
@@ -90,10 +91,16 @@ def page_of(report: Report) -> str:
     """Return a report of scores as HTML; pictures, if there is a trajectory or stems, are inside."""
     reference = report["reference"]
     title = f"Scores: {reference['title']}" if reference else "Scores"
-    inputs = [(name.replace("_", " "), _text(value)) for name, value in report["inputs"].items() if value is not None]
+    inputs = [
+        (name.replace("_", " "), _text(value))
+        for name, value in report["inputs"].items()
+        if value is not None
+    ]
     about = [("written by", report["written_by"])]
     if reference:
-        about += [("reference", f"{reference['title']}, seed {reference['seed']}, world {reference['world']}")]
+        about += [
+            ("reference", f"{reference['title']}, seed {reference['seed']}, world {reference['world']}")
+        ]
     scores = [(name, _text(value), _meaning(name)) for name, value in report["scores"].items()]
     parts = [
         f"<!doctype html><html lang=en><meta charset=utf-8><title>{escape(title)}</title><style>{_STYLE}</style>",

@@ -16,7 +16,8 @@ _COLOURS = {"open": ORANGE, "cast": VERMILION, "audi": SOFT}
 def draw(figure: "Figure", report: Report) -> None:
     """Draw a bar for each stage, in the order of the chain, and their sum beside the cores of the run."""
     figure.set_size_inches(12, 6)
-    stages, measured = report["stages"], report["measured"]
+    stages = report["stages"]
+    measured = report["measured"]
     cost_s = np.array([stage["cpu_s_per_s"] for stage in stages])
     axes = figure.add_subplot()
     colours = [_COLOURS.get(stage["name"][:4], BLUE) for stage in stages]
@@ -25,7 +26,9 @@ def draw(figure: "Figure", report: Report) -> None:
         bar.set_gid(f"stage-{stage['name']}")
     for row, cost in enumerate(cost_s.tolist()):
         text = f"{cost:.3f} s, {100 * cost / cost_s.sum():.0f} %"
-        axes.annotate(text, (cost, row), (6, 0), textcoords="offset points", va="center", fontsize=11, color=INK)
+        axes.annotate(
+            text, (cost, row), (6, 0), textcoords="offset points", va="center", fontsize=11, color=INK
+        )
     axes.set_yticks(range(len(stages)), [stage["name"] for stage in stages])
     axes.invert_yaxis()
     axes.grid(visible=False, axis="y")

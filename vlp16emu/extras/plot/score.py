@@ -24,7 +24,8 @@ _BINS = 8
 
 def draw(figure: "Figure", report: Report) -> None:
     """Draw what a score was made of: a trajectory, stems, or both."""
-    path, trees = report["path"], report["trees"]
+    path = report["path"]
+    trees = report["trees"]
     panels: list[Callable[[Axes], None]] = []
     if path:
         panels += [lambda axes: _draw_over(axes, path, "time_s", "time, s")]
@@ -44,9 +45,14 @@ def draw(figure: "Figure", report: Report) -> None:
 
 
 def _title(report: Report) -> str:
-    reference, scores = report["reference"], report["scores"]
+    reference = report["reference"]
+    scores = report["scores"]
     of = f"{reference['title']}, seed {reference['seed']}" if reference else str(report["inputs"]["truth"])
-    words = {"ate_m": "ATE {:.3g} m", "drift_10m_percent": "drift {:.2g} % over 10 m", "stem_f1": "stems F1 {:.2f}"}
+    words = {
+        "ate_m": "ATE {:.3g} m",
+        "drift_10m_percent": "drift {:.2g} % over 10 m",
+        "stem_f1": "stems F1 {:.2f}",
+    }
     found = [text.format(scores[name]) for name, text in words.items() if scores.get(name) is not None]
     return f"{of}: {', '.join(found)}"
 
@@ -63,7 +69,9 @@ def _draw_plan(axes: "Axes", path: Report | None, trees: Sequence[Report]) -> No
             place = [row["x_m"] for row in own], [row["y_m"] for row in own]
             label = f"{len(own)} stems {'found falsely' if kind == 'false' else kind}"
             axes.scatter(*place, s=size, label=label, gid=f"stems-{kind}", zorder=3, **look)
-    axes.set(xlabel="east, m", ylabel="north, m", aspect="equal", title="From above; marks of stems grow with DBH")
+    axes.set(
+        xlabel="east, m", ylabel="north, m", aspect="equal", title="From above; marks of stems grow with DBH"
+    )
     axes.set_adjustable("datalim")
     axes.legend(loc="center left")
 
@@ -80,7 +88,9 @@ def _draw_drift(axes: "Axes", path: Report, scores: Report) -> None:
     title = f"Drift over {over_m:g} m of path"
     axes.set(title=title, xlabel="distance at its end, m", ylabel="drift, % of the length")
     if not path["drift_at_m"]:
-        axes.text(0.5, 0.5, f"path shorter than {over_m:g} m", ha="center", transform=axes.transAxes, color=SOFT)
+        axes.text(
+            0.5, 0.5, f"path shorter than {over_m:g} m", ha="center", transform=axes.transAxes, color=SOFT
+        )
         return
     axes.plot(path["drift_at_m"], path["drift_percent"], color=BLUE, gid="drift")
     mean = scores[f"drift_{over_m:g}m_percent"]
@@ -92,7 +102,9 @@ def _draw_drift(axes: "Axes", path: Report, scores: Report) -> None:
 def _draw_shares(axes: "Axes", trees: Sequence[Report], name: str, unit: float, label: str) -> None:
     """Draw numbers of true stems, found and missed, in classes of a size."""
     of = {
-        kind: np.array([unit * row[name] for row in trees if row["kind"] == kind and row[name] is not None], float)
+        kind: np.array(
+            [unit * row[name] for row in trees if row["kind"] == kind and row[name] is not None], float
+        )
         for kind in ("found", "missed")
     }
     every = np.concatenate(list(of.values()))
@@ -102,14 +114,20 @@ def _draw_shares(axes: "Axes", trees: Sequence[Report], name: str, unit: float, 
         return
     edges = np.linspace(np.floor(every.min()), np.ceil(every.max()) + 1e-9, _BINS + 1)
     found, missed = (np.histogram(values, edges)[0] for values in of.values())
-    at, width = edges[:-1], np.diff(edges) * 0.9
+    at = edges[:-1]
+    width = np.diff(edges) * 0.9
     axes.bar(at, found, width, align="edge", color=GREEN, label="found", gid=f"found-by-{name}")
     look: dict[str, Any] = {"color": VERMILION, "hatch": "//", "edgecolor": "white", "lw": 0}
     axes.bar(at, missed, width, found, align="edge", label="missed", gid=f"missed-by-{name}", **look)
     for x, own, lost, wide in zip(at, found, missed, width, strict=True):
         if own + lost:
             axes.text(
-                x + wide / 2, own + lost, f"{100 * own / (own + lost):.0f} %", ha="center", va="bottom", fontsize=9
+                x + wide / 2,
+                own + lost,
+                f"{100 * own / (own + lost):.0f} %",
+                ha="center",
+                va="bottom",
+                fontsize=9,
             )
     axes.legend()
     axes.margins(y=0.15)

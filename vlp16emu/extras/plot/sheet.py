@@ -20,17 +20,28 @@ if TYPE_CHECKING:
 Report = Mapping[str, Any]
 """Tree of JSON types, as `--json` prints it; its member `report` names the verb."""
 
-INK, SOFT, FAINT = "#222222", "#6b6b6b", "#d9d9d9"
+INK = "#222222"
+SOFT = "#6b6b6b"
+FAINT = "#d9d9d9"
 """Colours of text and the truth, of secondary text, and of grids."""
-BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#cc79a7", "#56b4e9"
-"""Colours that readers with colour vision deficiency distinguish (Okabe and Ito, Color Universal Design, 2008)."""
+BLUE = "#0072b2"
+ORANGE = "#e69f00"
+GREEN = "#009e73"
+VERMILION = "#d55e00"
+PURPLE = "#cc79a7"
+SKY = "#56b4e9"
+"""Colours that readers with colour vision deficiency distinguish (Okabe and Ito, Color Universal Design,
+2008)."""
 
 _DRAWN = ("accuracy", "compare", "forest", "plan", "score")  # reports, each drawn by a module of this room
 _FORMATS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
         ".png": {"format": "png", "metadata": {"Software": "vlp16emu"}},
         ".svg": {"format": "svg", "metadata": {"Date": None, "Creator": "vlp16emu"}},
-        ".pdf": {"format": "pdf", "metadata": {"CreationDate": None, "Creator": "vlp16emu", "Producer": None}},
+        ".pdf": {
+            "format": "pdf",
+            "metadata": {"CreationDate": None, "Creator": "vlp16emu", "Producer": None},
+        },
     }
 )
 """Arguments of `savefig` by ending: without dates, the same figure has the same bytes."""
@@ -48,7 +59,8 @@ _STYLE: Mapping[str, Any] = MappingProxyType(
         "figure.dpi": 100,
         "figure.titlesize": 16,
         "figure.titleweight": "bold",
-        "font.family": "DejaVu Sans",  # comes with matplotlib, so fonts of the machine do not change a picture
+        # comes with matplotlib, so fonts of the machine do not change a picture
+        "font.family": "DejaVu Sans",
         "font.size": 12,
         "grid.color": FAINT,
         "grid.linewidth": 0.7,
@@ -71,7 +83,8 @@ def plotting(
 ) -> Iterator[Callable[[Report], None]]:
     """Open a plot before any long work, and yield the function that draws a report into it.
 
-    Without a path that function does nothing. Raises OutputError for another ending than .png, .svg and .pdf, or a
+    Without a path that function does nothing. Raises OutputError for another ending than .png, .svg and .pdf,
+    or a
     file that cannot be written; MissingExtraError without matplotlib.
 
     Parameters

@@ -1,6 +1,7 @@
 """Recorded poses in files: TUM, CSV and KITTI.
 
-All functions raise `TrajectoryError` with file and line if a file or a number cannot be read, a matrix is no rotation,
+All functions raise `TrajectoryError` with file and line if a file or a number cannot be read, a matrix is no
+rotation,
 or times do not increase.
 """
 
@@ -55,7 +56,9 @@ def read_tum(path: Path) -> RecordedPoses:
 
 def read_trajectory_csv(path: Path) -> RecordedPoses:
     """Read a CSV with the columns t_s, x_m, y_m, z_m, qx, qy, qz and qw; other columns, as in the table of a live run, are ignored."""
-    return _timed(read_table(path, TIMED_POSES, f"a CSV with the columns {', '.join(TIMED_POSES)}", TrajectoryError))
+    return _timed(
+        read_table(path, TIMED_POSES, f"a CSV with the columns {', '.join(TIMED_POSES)}", TrajectoryError)
+    )
 
 
 def read_kitti(path: Path, times: Path | float) -> RecordedPoses:
@@ -72,7 +75,9 @@ def read_kitti(path: Path, times: Path | float) -> RecordedPoses:
     for i in np.flatnonzero((error > UNIT_TOLERANCE) | (volume < 0)):
         found = f"a matrix with determinant {volume[i]:.4g}, {error[i]:.2g} off orthonormal"
         raise TrajectoryError(table.where(int(i)), found, f"a rotation, to {UNIT_TOLERANCE:g}")
-    return _checked(table, _times_ns(times, len(table)), np.column_stack([matrix[:, :, 3], _quaternions(turns)]))
+    return _checked(
+        table, _times_ns(times, len(table)), np.column_stack([matrix[:, :, 3], _quaternions(turns)])
+    )
 
 
 def _quaternions(turns: F8) -> F8:
@@ -82,7 +87,8 @@ def _quaternions(turns: F8) -> F8:
     """
     for _ in range(_ROUNDS):  # Newton's rule for the nearest rotation (Higham 2008, section 8.3)
         turns = matmul(turns, 1.5 * np.eye(3) - 0.5 * matmul(turns.transpose(0, 2, 1), turns))
-    trace, four = turns[:, 0, 0] + turns[:, 1, 1] + turns[:, 2, 2], np.empty((len(turns), 4, 4))
+    trace = turns[:, 0, 0] + turns[:, 1, 1] + turns[:, 2, 2]
+    four = np.empty((len(turns), 4, 4))
     for i in range(3):  # each row is the quaternion times four of its components
         j, k = (i + 1) % 3, (i + 2) % 3
         four[:, i, i] = 1.0 + 2.0 * turns[:, i, i] - trace
@@ -97,7 +103,9 @@ def _quaternions(turns: F8) -> F8:
 def _times_ns(times: Path | float, count: int) -> list[int]:
     if not isinstance(times, Path):
         return [round(i * S_NS / times) for i in range(count)]
-    table = read_table(times, {"t_s": Column({"t_s": 1.0})}, "one time in seconds", TrajectoryError, has_header=False)
+    table = read_table(
+        times, {"t_s": Column({"t_s": 1.0})}, "one time in seconds", TrajectoryError, has_header=False
+    )
     if len(table) != count:
         raise TrajectoryError(str(times), f"found {len(table)} times", f"{count}, one for each pose")
     return table.times_ns("t_s")

@@ -18,9 +18,12 @@ from vlp16emu.world.settings import Site
 
 _log = logging.getLogger(__name__)
 
-_MOST_TURN_DEG = 90.0  # between one pose and the next: half the angle at which the sense of the turn is undefined
+_MOST_TURN_DEG = (
+    90.0  # between one pose and the next: half the angle at which the sense of the turn is undefined
+)
 _LEAST_NORM = 0.5
-"""Least norm of the quaternion spline: it is 1 at each pose; the lower it is between poses, the more it distorts the turn."""
+"""Least norm of the quaternion spline: it is 1 at each pose; the lower it is between poses, the more it
+distorts the turn."""
 _LOOKS = 8  # samples of this norm between two poses
 
 
@@ -33,17 +36,20 @@ class Pieces:
     moves = True
 
     def __init__(self, start_ns: int, knots_ns: I8, powers: F8) -> None:
-        self._start_ns, self._arrays = start_ns, (knots_ns, powers)
+        self._start_ns = start_ns
+        self._arrays = (knots_ns, powers)
 
     def poses_at(self, t_ns: I8) -> Poses:
         """Return poses at UTC instants (n,)."""
-        position_m, turn = np.empty((len(t_ns), 3)), np.empty((len(t_ns), 3, 3))
+        position_m = np.empty((len(t_ns), 3))
+        turn = np.empty((len(t_ns), 3, 3))
         fill_poses(*self._arrays, t_ns - self._start_ns, position_m, turn)
         return Poses(t_ns, turn, position_m)
 
     def kinematics_at(self, t_ns: I8) -> Kinematics:
         """Return poses at UTC instants (n,) with their derivatives, which are zero while the body is at rest."""
-        poses, rates = self.poses_at(t_ns), np.empty((4, len(t_ns), 3))
+        poses = self.poses_at(t_ns)
+        rates = np.empty((4, len(t_ns), 3))
         fill_rates(*self._arrays, t_ns - self._start_ns, rates)
         return Kinematics(t_ns, poses.world_R_body, poses.world_p_body_m, *rates)
 
@@ -55,7 +61,8 @@ class RecordedMotion(Pieces):
     before, and the spline scaled to unit length is the rotation. On a steady turn of 10 degrees from pose
     to pose the rotation is correct within 1e-6 rad.
 
-    Raises TrajectoryError if the time between two poses is above the greatest gap, the turn between them is above
+    Raises TrajectoryError if the time between two poses is above the greatest gap, the turn between them is
+    above
     90 degrees, or times are too uneven for a smooth turn.
 
     Parameters
@@ -75,11 +82,15 @@ class RecordedMotion(Pieces):
         powers = np.concatenate([np.zeros((4 - len(powers), *powers.shape[1:])), powers])
         super().__init__(start_ns, knots_ns, powers)
         self._check_norm(poses)
-        self.position_m = np.ascontiguousarray(powers[3, :, :3])  # (n - 1, 3) of all poses but the last, in the world
+        self.position_m = np.ascontiguousarray(
+            powers[3, :, :3]
+        )  # (n - 1, 3) of all poses but the last, in the world
 
     def _check_norm(self, poses: RecordedPoses) -> None:
-        (knots_ns, powers), found = self._arrays, "no smooth turn leads here from the pose before: times are too uneven"
-        steps_s, c = np.diff(knots_ns) / S_NS, powers[:, :, 3:]
+        (knots_ns, powers) = self._arrays
+        found = "no smooth turn leads here from the pose before: times are too uneven"
+        steps_s = np.diff(knots_ns) / S_NS
+        c = powers[:, :, 3:]
         for look in range(1, _LOOKS):
             d = (look / _LOOKS * steps_s)[:, None]
             off = np.abs(norm(((c[0] * d + c[1]) * d + c[2]) * d + c[3]) - 1.0)
@@ -111,7 +122,9 @@ def check_places(position_m: F8, site: Site, reach_m: float) -> None:
     """Warn of poses (n, 3) in map coordinates, below the ground, or farther above it than the sensor sees."""
     plan_m = position_m[:, :2]
     above_m = position_m[:, 2] - site.height_m(*plan_m.T)
-    if (norm(plan_m - site.origin_m[:2]) < norm(plan_m)).all():  # the origin in map coordinates is nearer than (0, 0)
+    if (
+        norm(plan_m - site.origin_m[:2]) < norm(plan_m)
+    ).all():  # the origin in map coordinates is nearer than (0, 0)
         _log.warning(
             "motion: recorded poses begin at (%.1f, %.1f, %.1f) m, as if in map coordinates; origin_m is not taken off"
             " them: expected motion.x_m = %.10g, y_m = %.10g, z_m = %.10g",
@@ -159,18 +172,23 @@ def fill_poses(knots_ns: I8, coefficients: F8, elapsed_ns: I8, position_m: F8, t
     for i in range(elapsed_ns.size):
         piece, d = _piece_at(knots_ns, elapsed_ns[i])
         for a in range(7):
-            c0, c1 = coefficients[0, piece, a], coefficients[1, piece, a]
+            c0 = coefficients[0, piece, a]
+            c1 = coefficients[1, piece, a]
             value[a] = ((c0 * d + c1) * d + coefficients[2, piece, a]) * d + coefficients[3, piece, a]
         for a in range(3):
             position_m[i, a] = value[a]
         x, y, z, w = value[3], value[4], value[5], value[6]
         # The rotation of a quaternion of any length.
         two = 2.0 / (x * x + y * y + z * z + w * w)
-        turn[i, 0, 0], turn[i, 1, 1] = 1.0 - two * (y * y + z * z), 1.0 - two * (x * x + z * z)
+        turn[i, 0, 0] = 1.0 - two * (y * y + z * z)
+        turn[i, 1, 1] = 1.0 - two * (x * x + z * z)
         turn[i, 2, 2] = 1.0 - two * (x * x + y * y)
-        turn[i, 0, 1], turn[i, 1, 0] = two * (x * y - z * w), two * (x * y + z * w)
-        turn[i, 0, 2], turn[i, 2, 0] = two * (x * z + y * w), two * (x * z - y * w)
-        turn[i, 1, 2], turn[i, 2, 1] = two * (y * z - x * w), two * (y * z + x * w)
+        turn[i, 0, 1] = two * (x * y - z * w)
+        turn[i, 1, 0] = two * (x * y + z * w)
+        turn[i, 0, 2] = two * (x * z + y * w)
+        turn[i, 2, 0] = two * (x * z - y * w)
+        turn[i, 1, 2] = two * (y * z - x * w)
+        turn[i, 2, 1] = two * (y * z + x * w)
 
 
 @array_kernel
@@ -180,7 +198,9 @@ def fill_rates(knots_ns: I8, coefficients: F8, elapsed_ns: I8, rates: F8) -> Non
     With Q of any length and N = |Q|^2, the rate is w = 2 vec(Q* Q') / N, and as Q'* Q' has no vector part,
     its derivative is 2 vec(Q* Q'') / N - (N' / N) w.
     """
-    q, q1, q2 = np.empty(4), np.empty(4), np.empty(4)
+    q = np.empty(4)
+    q1 = np.empty(4)
+    q2 = np.empty(4)
     for i in range(elapsed_ns.size):
         if elapsed_ns[i] < 0 or elapsed_ns[i] > knots_ns[-1]:
             rates[:, i] = 0.0
@@ -188,15 +208,20 @@ def fill_rates(knots_ns: I8, coefficients: F8, elapsed_ns: I8, rates: F8) -> Non
         piece, d = _piece_at(knots_ns, elapsed_ns[i])
         for a in range(7):
             c = coefficients[:, piece, a]
-            first, second = (3.0 * c[0] * d + 2.0 * c[1]) * d + c[2], 6.0 * c[0] * d + 2.0 * c[1]
+            first = (3.0 * c[0] * d + 2.0 * c[1]) * d + c[2]
+            second = 6.0 * c[0] * d + 2.0 * c[1]
             if a < 3:
-                rates[0, i, a], rates[1, i, a] = first, second
+                rates[0, i, a] = first
+                rates[1, i, a] = second
             else:
-                q[a - 3], q1[a - 3], q2[a - 3] = ((c[0] * d + c[1]) * d + c[2]) * d + c[3], first, second
+                q[a - 3] = ((c[0] * d + c[1]) * d + c[2]) * d + c[3]
+                q1[a - 3] = first
+                q2[a - 3] = second
         norm2 = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
         fading = 2.0 * (q[0] * q1[0] + q[1] * q1[1] + q[2] * q1[2] + q[3] * q1[3]) / norm2
         for a in range(3):
             j, k = (a + 1) % 3, (a + 2) % 3
             w = 2.0 * (q[3] * q1[a] - q[a] * q1[3] - q[j] * q1[k] + q[k] * q1[j]) / norm2
             alpha = 2.0 * (q[3] * q2[a] - q[a] * q2[3] - q[j] * q2[k] + q[k] * q2[j]) / norm2
-            rates[2, i, a], rates[3, i, a] = w, alpha - fading * w
+            rates[2, i, a] = w
+            rates[3, i, a] = alpha - fading * w

@@ -21,7 +21,8 @@ class Recorded(MotionSection):
     file: SceneFile
     """Path of the file, relative to the folder of the scene file."""
     format: Literal["tum", "csv", "kitti"]
-    """t x y z qx qy qz qw; CSV with the columns t_s, x_m, y_m, z_m, qx, qy, qz, qw; 12 numbers of a matrix."""
+    """t x y z qx qy qz qw; CSV with the columns t_s, x_m, y_m, z_m, qx, qy, qz, qw; 12 numbers of a
+    matrix."""
     times_file: SceneFile | None = None
     """File with the time of each KITTI pose in seconds, one per line."""
     rate_hz: Annotated[float, Field(ge=0.001, le=1_000_000)] | None = None
@@ -29,9 +30,11 @@ class Recorded(MotionSection):
     max_gap_s: Positive = 1.0
     """Poses farther apart in time are refused."""
     axes: Literal["body", "camera"] = "body"
-    """body: x forward, z up, in the file's poses and in their world; camera: z forward, y down, in both (KITTI)."""
+    """body: x forward, z up, in the file's poses and in their world; camera: z forward, y down, in both
+    (KITTI)."""
     x_m: Place = 0.0
-    """Position of the file's origin in the world, with `y_m` and `z_m`. For poses in map coordinates give the negative
+    """Position of the file's origin in the world, with `y_m` and `z_m`. For poses in map coordinates give the
+    negative
     of the world's `origin_m`, which is not subtracted from them."""
     y_m: Place = 0.0
     """See `x_m`."""
@@ -43,7 +46,9 @@ class Recorded(MotionSection):
     @model_validator(mode="after")
     def _times_of_kitti(self) -> Self:
         if sum(times is not None for times in (self.times_file, self.rate_hz)) != (self.format == "kitti"):
-            raise ValueError("exactly one of times_file and rate_hz with format kitti, and neither with others")
+            raise ValueError(
+                "exactly one of times_file and rate_hz with format kitti, and neither with others"
+            )
         return self
 
     def carrier(self, site: "Site", *, reach_m: float, start_ns: int, **_: object) -> "tuple[Motion, F8]":

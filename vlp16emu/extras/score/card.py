@@ -27,7 +27,8 @@ Cloud = Mapping[str, NDArray[Any]]
 
 WITHIN_M = (0.05, 0.1, 0.2)  # distances for precision and completeness of a map
 SAME_POINT_M = 0.02
-"""A labelled point represents the nearest true point within this distance: half a beam's width near the sensor."""
+"""A labelled point represents the nearest true point within this distance: half a beam's width near the
+sensor."""
 LEAST_POINTS = 10  # least number of points of a visible tree: fewer give neither a stem nor a box
 REGION_M = 20.0  # radius around the first true position in which density and uniformity of a map are measured
 _STEP_NS = 100 * MS_NS  # between points of the path for the range of trees: a decimetre at walking speed
@@ -49,7 +50,9 @@ class TreeRow:
     position_error_m: float
     true_dbh_m: float
     dbh_error_m: float  # found value minus true value
-    hits: int | None  # true points on the stem from 1.2 to 1.4 m over the foot; None without labelled true points
+    hits: (
+        int | None
+    )  # true points on the stem from 1.2 to 1.4 m over the foot; None without labelled true points
     range_m: float  # horizontal distance from the true path of the sensor; NaN without a path
 
     @property
@@ -67,7 +70,9 @@ class ScoreCard:
     notes: dict[str, str] = field(default_factory=dict)  # description of the measure by group of scores
     trees: list[TreeRow] = field(default_factory=list)
     path: PathErrors | None = None
-    reference: Mapping[str, Any] | None = None  # title and seed of the walk; None if the truth has no scenario
+    reference: Mapping[str, Any] | None = (
+        None  # title and seed of the walk; None if the truth has no scenario
+    )
 
     def missed(self, limits: Sequence[Limit]) -> list[str]:
         """Return the failed thresholds, with the values, as text; InputError if there is no score of that name."""
@@ -95,10 +100,13 @@ def limits_of(texts: Sequence[str]) -> list[Limit]:
 def make_card(inputs: ScoreInputs) -> ScoreCard:
     """Compute all scores that the given files allow.
 
-    InputError if a file is malformed, or its ground truth is missing; MissingExtraError without the library for a file.
+    InputError if a file is malformed, or its ground truth is missing; MissingExtraError without the library
+    for a file.
     """
     if not (inputs.trajectory or inputs.map or inputs.points or inputs.stems):
-        raise InputError("vlp16emu score", "found nothing to score", "--trajectory, --map, --points or --stems")
+        raise InputError(
+            "vlp16emu score", "found nothing to score", "--trajectory, --map, --points or --stems"
+        )
     if inputs.points and not inputs.truth_points:
         raise InputError("--points", "found no true points", "--truth-points, of `vlp16emu points --truth`")
     if inputs.stems and not inputs.inventory:
@@ -107,7 +115,8 @@ def make_card(inputs: ScoreInputs) -> ScoreCard:
     true = read_cloud(inputs.truth_points) if inputs.truth_points else None
     if inputs.trajectory:
         found = score_path(inputs.trajectory, inputs.times, inputs.truth, inputs.unit, inputs.alignment)
-        card.scores, card.path = found.scores, found.errors
+        card.scores = found.scores
+        card.path = found.errors
         card.notes["trajectory"] = (
             f"alignment {inputs.alignment}; RPE over {RPE_DELTA_M:g} m of path, drift the mean over longer ones; "
             f"{found.poses} poses, {found.left_out} beyond the truth left out; RMSE by evo; the offset is to be added to the estimate's stamps"
@@ -117,7 +126,9 @@ def make_card(inputs: ScoreInputs) -> ScoreCard:
         centre_m = Trajectory(inputs.truth, inputs.unit).first_m[:2]
         card.scores["infra_d_per_m2"] = measures.density_per_m2(points_m[:, :2], centre_m, REGION_M)
         card.scores["infra_nuc"] = measures.uniformity(points_m[:, :2], centre_m, REGION_M)
-        card.notes["map"] = f"InfraD and InfraNUC in plan, {REGION_M:g} m around the first true position; no alignment"
+        card.notes["map"] = (
+            f"InfraD and InfraNUC in plan, {REGION_M:g} m around the first true position; no alignment"
+        )
         if true is not None:
             card.scores |= measures.cloud_distances(points_m, true["xyz"], WITHIN_M)
     if inputs.points and true is not None:
@@ -153,20 +164,25 @@ def _score_labels(card: ScoreCard, found: Cloud, true: Cloud) -> None:
             found = {**found, "instance": np.where(found["semantic"] == Semantic.TREE, found["instance"], 0)}
         card.scores |= measures.instance_scores(np.where(away, 0, found["instance"][nearest]), trees)
         boxes, counts = measures.boxes_of(found["xyz"], found["instance"], LEAST_POINTS)
-        card.scores |= measures.box_scores(boxes, counts, measures.boxes_of(true["xyz"], trees, LEAST_POINTS)[0])
+        card.scores |= measures.box_scores(
+            boxes, counts, measures.boxes_of(true["xyz"], trees, LEAST_POINTS)[0]
+        )
     card.notes["labels"] = (
         f"a true point has the label of the nearest point within {SAME_POINT_M:g} m; trees alone; boxes of "
         f"{LEAST_POINTS} points or more, their number is the confidence"
     )
 
 
-def _score_stems(card: ScoreCard, found: tuple[Stem, ...], trees: tuple[Stem, ...], true: Cloud | None) -> None:
+def _score_stems(
+    card: ScoreCard, found: tuple[Stem, ...], trees: tuple[Stem, ...], true: Cloud | None
+) -> None:
     hits: list[int | None] = [None] * len(trees)
     seen = trees
     if true is not None:
         on_stem, points = _point_counts(trees, true)
         kept = [i for i, count in enumerate(points) if count >= LEAST_POINTS]
-        seen, hits = tuple(trees[i] for i in kept), [on_stem[i] for i in kept]
+        seen = tuple(trees[i] for i in kept)
+        hits = [on_stem[i] for i in kept]
     pairs = measures.match_stems(found, seen, card.inputs.radius_m)
     card.scores |= measures.stem_scores(found, seen, pairs)
     of_true = {j: found[i] for i, j in pairs}
@@ -174,13 +190,19 @@ def _score_stems(card: ScoreCard, found: tuple[Stem, ...], trees: tuple[Stem, ..
     card.trees += [_row(of_true.get(j), tree, hits[j], range_m) for j, tree in enumerate(seen)]
     paired = {i for i, _ in pairs}
     card.trees += [_row(stem, None, None, range_m) for i, stem in enumerate(found) if i not in paired]
-    which = f"trees with {LEAST_POINTS} true points or more" if true is not None else "all trees of the inventory"
+    which = (
+        f"trees with {LEAST_POINTS} true points or more" if true is not None else "all trees of the inventory"
+    )
     card.notes["stems"] = f"{which}; pairs within {card.inputs.radius_m:g} m"
 
 
-def _row(found: Stem | None, tree: Stem | None, hits: int | None, range_m: Callable[[float, float], float]) -> TreeRow:
+def _row(
+    found: Stem | None, tree: Stem | None, hits: int | None, range_m: Callable[[float, float], float]
+) -> TreeRow:
     nowhere = Stem("", math.nan, math.nan, math.nan, math.nan, "")
-    one, true, place = found or nowhere, tree or nowhere, tree or found or nowhere
+    one = found or nowhere
+    true = tree or nowhere
+    place = tree or found or nowhere
     return TreeRow(
         true_id=true.number,
         list_line=true.list_line,
@@ -228,5 +250,7 @@ def _point_counts(trees: tuple[Stem, ...], true: Cloud) -> tuple[list[int], list
     foot_m = np.array([tree.z_m for tree in trees])[row]
     at_breast = np.abs(true["xyz"][:, 2] - foot_m - BREAST_HEIGHT_M) <= _BREAST_M
     on_stem = (true["part"] == PlantPart.STEM) & at_breast
-    of_stem, of_tree = (np.bincount(row[(row >= 0) & of], minlength=len(trees)).tolist() for of in (on_stem, row >= 0))
+    of_stem, of_tree = (
+        np.bincount(row[(row >= 0) & of], minlength=len(trees)).tolist() for of in (on_stem, row >= 0)
+    )
     return of_stem, of_tree

@@ -16,7 +16,8 @@ from vlp16emu.tables import Column, optional, read_table
 Cloud = dict[str, NDArray[Any]]
 
 _PLACES = [
-    names.split() for names in ("world_m", "xyz_m", "xyz", "world_x_m world_y_m world_z_m", "x y z", "x_m y_m z_m")
+    names.split()
+    for names in ("world_m", "xyz_m", "xyz", "world_x_m world_y_m world_z_m", "x y z", "x_m y_m z_m")
 ]  # names of columns with the position of a point; the world's come before the sensor's
 _INSTANCES = ("instance", "treeID", "tree_id", "treeid")
 """Names of the column of instances, ours and other tools'; the first one in the file counts."""
@@ -41,7 +42,8 @@ class Stem:
     """One line of a stem list or of an inventory."""
 
     number: str  # number in the list, kept as it is; the line if there is none
-    x_m: float  # position of the stem at breast height if the list has it, as inventories do; else its position
+    # position of the stem at breast height if the list has it, as inventories do; else its position
+    x_m: float
     y_m: float
     z_m: float  # foot; NaN if the list has none
     dbh_m: float  # NaN if the list has none
@@ -51,7 +53,8 @@ class Stem:
 def read_cloud(path: Path) -> Cloud:
     """Read the positions of points, `xyz` (n, 3) in metres, and their labels (n,), from a file with a suffix in `_READERS`.
 
-    InputError if the file is not of this format, or has no points or a NaN; MissingExtraError without the library for it.
+    InputError if the file is not of this format, or has no points or a NaN; MissingExtraError without the
+    library for it.
     """
     if path.suffix not in _READERS:
         raise InputError(str(path), f"found suffix '{path.suffix}'", ", ".join(_READERS))
@@ -129,11 +132,13 @@ _READERS: Mapping[str, Callable[[Path], Cloud]] = MappingProxyType(
 def read_stems(path: Path) -> tuple[Stem, ...]:
     """Read a CSV of stems: x, y (or x_m, y_m), and if there are z, x_breast_m, y_breast_m, dbh_m or dbh (m), dbh_cm, and a number.
 
-    InputError if it is no such CSV, a cell is no number, two trees have one number, or a DBH is in another unit.
+    InputError if it is no such CSV, a cell is no number, two trees have one number, or a DBH is in another
+    unit.
     """
     table = read_table(path, _COLUMNS, "a CSV of stems with columns x and y", InputError)
     places = table.numbers("x_m", "y_m", "z_m", "dbh_m")
-    # Stem maps give positions at breast height, for example 3DFin (dendromatics, `tree_locator`: the section nearest to
+    # Stem maps give positions at breast height, for example 3DFin (dendromatics, `tree_locator`: the section
+    # nearest to
     # 1.3 m); a leaning stem is not above its foot there.
     breast_m = table.numbers("x_breast_m", "y_breast_m")
     places[:, :2] = np.where(np.isnan(breast_m), places[:, :2], breast_m)
@@ -145,6 +150,8 @@ def read_stems(path: Path) -> tuple[Stem, ...]:
         x_m, y_m, z_m, dbh_m = place
         number = next(filter(None, names), str(table.lines[row]))
         if number in stems:
-            raise InputError(table.where(row), f"found tree {number} twice", "a number of its own for each tree")
+            raise InputError(
+                table.where(row), f"found tree {number} twice", "a number of its own for each tree"
+            )
         stems[number] = Stem(number, x_m, y_m, z_m, dbh_m, list_line)
     return tuple(stems.values())

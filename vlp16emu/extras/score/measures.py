@@ -9,7 +9,10 @@ from vlp16emu.extras.score.files import Stem
 from vlp16emu.random import Purpose, uniform
 from vlp16emu.types import F8, I8
 
-_DISKS, _SHARE, _SEED = 9000, 0.01, 1  # disks of PU-Net, the share of the area of each, and the seed of their places
+# disks of PU-Net, the share of the area of each, and the seed of their places
+_DISKS = 9000
+_SHARE = 0.01
+_SEED = 1
 _COCO = tuple(np.arange(50, 100, 5) / 100)
 """Thresholds of intersection over union whose average precision is averaged (COCO, detection evaluation)."""
 
@@ -19,9 +22,11 @@ def cloud_distances(found: F8, true: F8, within_m: tuple[float, ...]) -> dict[st
 
     Returns
     -------
-    `accuracy_m`: mean from found to true points; `completeness_m`: mean from true to found points; `chamfer_m`: their
+    `accuracy_m`: mean from found to true points; `completeness_m`: mean from true to found points;
+    `chamfer_m`: their
     sum (Fan, Su and Guibas, CVPR 2017, with distances instead of their squares, so that its unit is metres);
-    `precision_Ncm` and `completeness_Ncm`: shares of points nearer than N cm (Knapitsch et al., Tanks and Temples, 2017)
+    `precision_Ncm` and `completeness_Ncm`: shares of points nearer than N cm (Knapitsch et al., Tanks and
+    Temples, 2017)
     """
     from scipy.spatial import KDTree
 
@@ -38,7 +43,8 @@ def cloud_distances(found: F8, true: F8, within_m: tuple[float, ...]) -> dict[st
 def density_per_m2(xy_m: F8, centre_m: F8, radius_m: float) -> float:
     """Return points (n, 2) per square metre of plan within a circle, an indicator of a sensor's placement.
 
-    Source: Cai et al., Analyzing Infrastructure LiDAR Placement, arXiv 2211.15975, which counts points of a region of
+    Source: Cai et al., Analyzing Infrastructure LiDAR Placement, arXiv 2211.15975, which counts points of a
+    region of
     interest; here the region is a circle around the viewpoint.
     """
     inside = ((xy_m - centre_m) ** 2).sum(axis=1) <= radius_m**2
@@ -48,9 +54,12 @@ def density_per_m2(xy_m: F8, centre_m: F8, radius_m: float) -> float:
 def uniformity(xy_m: F8, centre_m: F8, radius_m: float) -> float:
     """Return the normalised uniformity coefficient of points (n, 2) in a circle: 0 is perfectly even.
 
-    NUC of PU-Net (Yu et al., CVPR 2018, section 4.2): disk i of `_DISKS` holds n_i of N points and the share p of the
-    area, `_SHARE`, in the paper 0.002 to 0.012; the coefficient is the standard deviation of n_i / (N p) over the
-    disks. The paper's disks are on surfaces of objects; here they are horizontal, wholly within the circle. NaN without
+    NUC of PU-Net (Yu et al., CVPR 2018, section 4.2): disk i of `_DISKS` holds n_i of N points and the share
+    p of the
+    area, `_SHARE`, in the paper 0.002 to 0.012; the coefficient is the standard deviation of n_i / (N p) over
+    the
+    disks. The paper's disks are on surfaces of objects; here they are horizontal, wholly within the circle.
+    NaN without
     points in the circle.
     """
     from scipy.spatial import KDTree
@@ -81,7 +90,9 @@ def match_stems(found: Sequence[Stem], true: Sequence[Stem], radius_m: float) ->
     return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if apart_m[i, j] <= radius_m]
 
 
-def stem_scores(found: Sequence[Stem], true: Sequence[Stem], pairs: Sequence[tuple[int, int]]) -> dict[str, float]:
+def stem_scores(
+    found: Sequence[Stem], true: Sequence[Stem], pairs: Sequence[tuple[int, int]]
+) -> dict[str, float]:
     """Return precision, recall and F1 of a stem map, and errors of position (RMSE, m) and of DBH (mean and RMSE, m)."""
     scores = _shares("stem", len(pairs), len(found) - len(pairs), len(true) - len(pairs))
     off_m = [math.hypot(found[i].x_m - true[j].x_m, found[i].y_m - true[j].y_m) for i, j in pairs]
@@ -95,7 +106,8 @@ def stem_scores(found: Sequence[Stem], true: Sequence[Stem], pairs: Sequence[tup
 def leaf_wood_scores(found: I8, true: I8) -> dict[str, float]:
     """Return accuracy and intersection over union of labels (n,), 1 wood and 2 leaf, over points whose true label is 1 or 2."""
     known = true > 0
-    found, true = found[known], true[known]
+    found = found[known]
+    true = true[known]
     scores = {"leaf_wood_accuracy": float((found == true).mean()) if known.any() else math.nan}
     for label, name in ((1, "wood_iou"), (2, "leaf_iou")):
         either = ((found == label) | (true == label)).sum()
@@ -107,7 +119,8 @@ def leaf_wood_scores(found: I8, true: I8) -> dict[str, float]:
 def instance_scores(found: I8, true: I8) -> dict[str, float]:
     """Return panoptic, segmentation and recognition quality of instances (n,) of points, 0 for none.
 
-    Kirillov et al., Panoptic Segmentation, CVPR 2019: pairs with an intersection over union above 0.5 are matches.
+    Kirillov et al., Panoptic Segmentation, CVPR 2019: pairs with an intersection over union above 0.5 are
+    matches.
     """
     names, rows = np.unique(found, return_inverse=True)
     known, columns = np.unique(true, return_inverse=True)
@@ -118,14 +131,16 @@ def instance_scores(found: I8, true: I8) -> dict[str, float]:
     matched = overlap[overlap > 0.5]
     n_found, n_true = overlap.shape
     scores = _shares("instance", len(matched), n_found - len(matched), n_true - len(matched))
-    rq, sq = scores["instance_f1"], float(matched.mean()) if len(matched) else 0.0
+    rq = scores["instance_f1"]
+    sq = float(matched.mean()) if len(matched) else 0.0
     return {"pq": sq * rq, "sq": sq, "rq": rq, **scores}
 
 
 def boxes_of(xyz_m: F8, instance: I8, least_points: int) -> tuple[F8, I8]:
     """Return axis-aligned boxes (k, 2, 3) around each instance with enough points, and the numbers of points (k,)."""
     names, counts = np.unique(instance[instance > 0], return_counts=True)
-    names, counts = names[counts >= least_points], counts[counts >= least_points]
+    names = names[counts >= least_points]
+    counts = counts[counts >= least_points]
     boxes = [(of.min(axis=0), of.max(axis=0)) for name in names if len(of := xyz_m[instance == name])]
     return np.array(boxes).reshape(-1, 2, 3), counts
 
@@ -133,8 +148,10 @@ def boxes_of(xyz_m: F8, instance: I8, least_points: int) -> tuple[F8, I8]:
 def box_scores(found: F8, confidence: I8, true: F8) -> dict[str, float]:
     """Return average precision of boxes (k, 2, 3) against the true ones, by intersection over union in 3D.
 
-    Area under the curve of precision over recall, precision made monotonous (VOC 2010); `box_ap_25` and `box_ap_50` at
-    0.25 and 0.5, `box_map` the mean over 0.50 to 0.95 in steps of 0.05 (COCO). Boxes are matched by falling confidence,
+    Area under the curve of precision over recall, precision made monotonous (VOC 2010); `box_ap_25` and
+    `box_ap_50` at
+    0.25 and 0.5, `box_map` the mean over 0.50 to 0.95 in steps of 0.05 (COCO). Boxes are matched by falling
+    confidence,
     each true box once.
     """
     overlap = _overlaps(found[np.argsort(-confidence, kind="stable")], true)
@@ -156,11 +173,13 @@ def _average_precision(overlap: F8, limit: float) -> float:
     n_found, n_true = overlap.shape
     if not n_true:
         return math.nan
-    hit, free = np.zeros(n_found), np.ones(n_true, bool)
+    hit = np.zeros(n_found)
+    free = np.ones(n_true, bool)
     for i, row in enumerate(overlap):
         best = int(np.argmax(np.where(free, row, -1.0)))
         if free[best] and row[best] >= limit:
-            hit[i], free[best] = 1, False
+            hit[i] = 1
+            free[best] = False
     precision = np.cumsum(hit) / np.arange(1, n_found + 1)
     monotonous = np.maximum.accumulate(precision[::-1])[::-1]
     return float((monotonous * hit).sum() / n_true)

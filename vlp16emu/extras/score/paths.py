@@ -15,10 +15,16 @@ from vlp16emu.types import F8
 from vlp16emu.units import MS_NS, S_NS
 
 RPE_DELTA_M = 1.0  # length of path for relative errors, short enough for short walks
-DRIFT_M = (10.0, 100.0)  # lengths of path for drift; KITTI's are 100 to 800 m (Geiger et al., CVPR 2012, section 3.2)
-_MOST_OFFSET_NS, _OFFSET_STEP_NS = 300 * MS_NS, 10 * MS_NS  # three sweeps, and the step of the search
+DRIFT_M = (
+    10.0,
+    100.0,
+)  # lengths of path for drift; KITTI's are 100 to 800 m (Geiger et al., CVPR 2012, section 3.2)
+_MOST_OFFSET_NS = 300 * MS_NS  # three sweeps, and the step of the search
+_OFFSET_STEP_NS = 10 * MS_NS
 _MOST_SHOWN = 1000  # greatest number of poses, and of drifts, in a report
-_LEAST_POSES, _FLAT_M = 10, 1e-4  # fewer poses, or a motion this uniform, do not determine the offset of stamps
+# fewer poses, or a motion this uniform, do not determine the offset of stamps
+_LEAST_POSES = 10
+_FLAT_M = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,11 +58,14 @@ class PathScores:
 def score_path(file: Path, times: Path | None, truth: Path, unit: int, alignment: str) -> PathScores:
     """Compare a trajectory with the ground truth, which is interpolated to the trajectory's stamps.
 
-    TrajectoryError, InputError if one of them is no trajectory, or they have fewer than three instants in common.
+    TrajectoryError, InputError if one of them is no trajectory, or they have fewer than three instants in
+    common.
 
-    The file is TUM, or KITTI if `times` has a time in seconds for each pose; truth and unit are as in `Trajectory`. Scores
+    The file is TUM, or KITTI if `times` has a time in seconds for each pose; truth and unit are as in
+    `Trajectory`. Scores
     are `ate_m` RMSE of positions, `ate_max_m`, `rpe_m` and `rpe_deg` RMSE over `RPE_DELTA_M` of path;
-    `drift_10m_percent` and `drift_100m_percent`, the mean relative error of positions over such lengths, NaN on a shorter
+    `drift_10m_percent` and `drift_100m_percent`, the mean relative error of positions over such lengths, NaN
+    on a shorter
     path; `stamp_offset_s` to add to the estimate's stamps, NaN if the motion is too uniform to determine it.
     """
     try:
@@ -67,10 +76,15 @@ def score_path(file: Path, times: Path | None, truth: Path, unit: int, alignment
     true = Trajectory(truth, unit)
     inside = true.has(found.t_ns)
     if inside.sum() < 3:
-        spans = [f"{a:.3f} to {b:.3f} s" for a, b in ((found.t_ns[0] / S_NS, found.t_ns[-1] / S_NS), true.span_s)]
-        raise InputError(str(file), f"found poses from {spans[0]}", f"at least three within the truth, {spans[1]}")
+        spans = [
+            f"{a:.3f} to {b:.3f} s" for a, b in ((found.t_ns[0] / S_NS, found.t_ns[-1] / S_NS), true.span_s)
+        ]
+        raise InputError(
+            str(file), f"found poses from {spans[0]}", f"at least three within the truth, {spans[1]}"
+        )
     pair = _aligned(found, inside, true, alignment)
-    places, turns = metrics.PoseRelation.translation_part, metrics.PoseRelation.rotation_angle_deg
+    places = metrics.PoseRelation.translation_part
+    turns = metrics.PoseRelation.rotation_angle_deg
     over = {"delta": RPE_DELTA_M, "delta_unit": metrics.Unit.meters, "all_pairs": True}
     ate_m, errors_m = _errors(metrics.APE(places), pair)
     scores = {
@@ -83,13 +97,16 @@ def score_path(file: Path, times: Path | None, truth: Path, unit: int, alignment
     for drift, length_m in zip(drifts, DRIFT_M, strict=True):
         scores[f"drift_{length_m:g}m_percent"] = 100.0 * float(np.mean(_errors(drift, pair)[1])) / length_m
     scores["stamp_offset_s"] = stamp_offset_s(found, true)
-    return PathScores(scores, int(inside.sum()), int((~inside).sum()), _path_errors(pair, errors_m, drifts[0]))
+    return PathScores(
+        scores, int(inside.sum()), int((~inside).sum()), _path_errors(pair, errors_m, drifts[0])
+    )
 
 
 def _path_errors(pair: Any, error_m: F8, drift: Any) -> PathErrors:
     """Return the errors along the path of a pair of evo's trajectories; `drift` is a processed RPE over `DRIFT_M[0]`."""
     reference, estimate = pair
-    true_m, found_m = reference.positions_xyz, estimate.positions_xyz
+    true_m = reference.positions_xyz
+    found_m = estimate.positions_xyz
     distance_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(true_m, axis=0), axis=1))])
     ends = np.array(getattr(drift, "delta_ids", []), np.int64)
     drift_percent = 100.0 * np.asarray(drift.error if len(ends) else [], np.float64) / DRIFT_M[0]
@@ -130,14 +147,16 @@ def _errors(metric: Any, pair: Any) -> tuple[float, F8]:
 def stamp_offset_s(found: RecordedPoses, true: Trajectory) -> float:
     """Return the offset to add to the estimate's stamps that best fits its steps between poses to the true steps.
 
-    Steps need no alignment, and the swing of each pace marks its time. NaN for too few poses or too uniform a motion.
+    Steps need no alignment, and the swing of each pace marks its time. NaN for too few poses or too uniform a
+    motion.
     """
     from scipy.spatial.transform import Rotation
 
     inside = true.has(found.t_ns - _MOST_OFFSET_NS) & true.has(found.t_ns + _MOST_OFFSET_NS)
     if inside.sum() < _LEAST_POSES:
         return math.nan
-    t_ns, offsets_ns = found.t_ns[inside], np.arange(-_MOST_OFFSET_NS, _MOST_OFFSET_NS + 1, _OFFSET_STEP_NS)
+    t_ns = found.t_ns[inside]
+    offsets_ns = np.arange(-_MOST_OFFSET_NS, _MOST_OFFSET_NS + 1, _OFFSET_STEP_NS)
 
     def steps(turns: Rotation, places_m: F8) -> tuple[F8, Rotation]:
         return turns[:-1].apply(np.diff(places_m, axis=0), inverse=True), turns[:-1].inv() * turns[1:]
@@ -168,7 +187,9 @@ def _aligned(found: RecordedPoses, inside: NDArray[np.bool_], true: Trajectory, 
     t_s = (t_ns - t_ns[0]) / S_NS
     quaternions = Rotation.from_matrix(turns).as_quat()[:, [3, 0, 1, 2]]
     reference = PoseTrajectory3D(places_m, quaternions, t_s)
-    estimate = PoseTrajectory3D(found.position_m[inside].copy(), found.quaternion[inside][:, [3, 0, 1, 2]], t_s)
+    estimate = PoseTrajectory3D(
+        found.position_m[inside].copy(), found.quaternion[inside][:, [3, 0, 1, 2]], t_s
+    )
     try:
         if alignment == "start":
             estimate.align_origin(reference)
@@ -180,5 +201,7 @@ def _aligned(found: RecordedPoses, inside: NDArray[np.bool_], true: Trajectory, 
             move[:3, 3] = (places_m - estimate.positions_xyz @ move[:3, :3].T).mean(axis=0)
             estimate.transform(move)
     except GeometryException:
-        raise InputError("--align", f"found {alignment}", "none, as the positions lie on a line or a point") from None
+        raise InputError(
+            "--align", f"found {alignment}", "none, as the positions lie on a line or a point"
+        ) from None
     return reference, estimate

@@ -21,9 +21,12 @@ from vlp16emu.output import OutputFile, final_name
 from vlp16emu.types import F8
 
 _COLUMNS = 1_080_000
-"""Columns per revolution times rpm: 1800 at 600 rpm, as in LIO-SAM and LeGO-LOAM (config/params.yaml, utility.h)."""
+"""Columns per revolution times rpm: 1800 at 600 rpm, as in LIO-SAM and LeGO-LOAM (config/params.yaml,
+utility.h)."""
 
-Leaves = list[tuple[str, Any, str]]  # key, value and a remark, which is empty if the value is the program's default
+Leaves = list[
+    tuple[str, Any, str]
+]  # key, value and a remark, which is empty if the value is the program's default
 
 
 class Value(NamedTuple):
@@ -63,7 +66,9 @@ def programs() -> Mapping[str, Program]:
     """Return all programs by name, in the order of the table."""
     table = tomllib.loads(files(__package__).joinpath("programs.toml").read_text(encoding="utf-8"))
     for row in table.values():
-        row["files"] = [ConfigFile(**one | {"values": tuple(Value(*v) for v in one["values"])}) for one in row["files"]]
+        row["files"] = [
+            ConfigFile(**one | {"values": tuple(Value(*v) for v in one["values"])}) for one in row["files"]
+        ]
     return {name: Program(name, **row) for name, row in table.items()}
 
 
@@ -99,7 +104,9 @@ class Rig:
 
     def names(self) -> dict[str, Any]:
         """Return the values of the names in the table; None if the rig has no such value."""
-        base_T_lidar, base_T_imu = (np.eye(4) if T is None else T for T in (self.base_T_lidar, self.base_T_imu))
+        base_T_lidar, base_T_imu = (
+            np.eye(4) if T is None else T for T in (self.base_T_lidar, self.base_T_imu)
+        )
         imu = self.imu or {}
         poses = {
             ("imu", "lidar"): matmul(inverse(base_T_imu), base_T_lidar),
@@ -126,7 +133,8 @@ def pose_names(of: str, what: str, T: NDArray[Any]) -> dict[str, list[float]]:
     """Return the pose (4, 4) of frame `what` in frame `of` by the names of the table, in the orders that programs use."""
     from scipy.spatial.transform import Rotation
 
-    place, turn = (T[:3, 3].round(9) + 0.0).tolist(), (T[:3, :3].round(9) + 0.0).ravel().tolist()
+    place = (T[:3, 3].round(9) + 0.0).tolist()
+    turn = (T[:3, :3].round(9) + 0.0).ravel().tolist()
     quaternion = (Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True).round(9) + 0.0).tolist()
     return {
         f"{of}_t_{what}": place,
@@ -139,7 +147,10 @@ def pose_names(of: str, what: str, T: NDArray[Any]) -> dict[str, list[float]]:
 def configurations(program: Program, rig: Rig) -> dict[str, str]:
     """Return the files of a configuration, by name."""
     head = f"{program.name} ({program.repository}): {rig.words}.", f"Read in {', '.join(program.read)}."
-    lines = {file.name: _FORMATS[file.name.rpartition(".")[2]](file, leaves(file, rig), head) for file in program.files}
+    lines = {
+        file.name: _FORMATS[file.name.rpartition(".")[2]](file, leaves(file, rig), head)
+        for file in program.files
+    }
     return {name: "\n".join(of) + "\n" for name, of in lines.items()}
 
 
@@ -155,7 +166,9 @@ def written_beside(bag: Path, name: str | None, rig: Callable[[], Rig]) -> Itera
         for file, text in configurations(program, rig()).items()
     }
     for path, text in texts.items():
-        if path.exists() and not (path.is_file() and path.read_text(encoding="utf-8", errors="replace") == text):
+        if path.exists() and not (
+            path.is_file() and path.read_text(encoding="utf-8", errors="replace") == text
+        ):
             raise OutputError(str(path), "is there already, with other values", "another name for the bag")
     yield
     for path, text in texts.items():
@@ -165,7 +178,8 @@ def written_beside(bag: Path, name: str | None, rig: Callable[[], Rig]) -> Itera
 
 def leaves(file: ConfigFile, rig: Rig) -> Leaves:
     """Return the values of a file for a rig."""
-    names, found = rig.names(), []
+    names = rig.names()
+    found = []
     for key, given, default, why, _ in file.values:
         is_named = isinstance(given, str) and given.startswith("{")
         value = names[given.strip("{}")] if is_named else given
@@ -201,7 +215,10 @@ def _yaml(file: ConfigFile, leaves: Leaves, head: Sequence[str]) -> Iterator[str
 
 def _json_file(file: ConfigFile, leaves: Leaves, _head: Sequence[str]) -> Iterator[str]:
     def without_remarks(tree: dict[str, Any]) -> dict[str, Any]:
-        return {key: without_remarks(value) if isinstance(value, dict) else value[0] for key, value in tree.items()}
+        return {
+            key: without_remarks(value) if isinstance(value, dict) else value[0]
+            for key, value in tree.items()
+        }
 
     yield json.dumps(without_remarks(_tree(file, leaves)), indent=2)
 
@@ -221,7 +238,9 @@ def _lua(_file: ConfigFile, leaves: Leaves, head: Sequence[str]) -> Iterator[str
 
 def _shell(_file: ConfigFile, leaves: Leaves, head: Sequence[str]) -> Iterator[str]:
     yield from (f"# {line}" for line in head)
-    yield from (f"export {key}={value}" + (f"  # {remark}" if remark else "") for key, value, remark in leaves)
+    yield from (
+        f"export {key}={value}" + (f"  # {remark}" if remark else "") for key, value, remark in leaves
+    )
 
 
 def _launch(file: ConfigFile, leaves: Leaves, head: Sequence[str]) -> Iterator[str]:
@@ -231,11 +250,18 @@ def _launch(file: ConfigFile, leaves: Leaves, head: Sequence[str]) -> Iterator[s
         kind, _, name = key.partition("/")
         if remark:
             text = quoteattr(value if isinstance(value, str) else as_text(value))
-            words = f"from={quoteattr(name)} to={text}" if kind == "remap" else f"name={quoteattr(name)} value={text}"
+            words = (
+                f"from={quoteattr(name)} to={text}"
+                if kind == "remap"
+                else f"name={quoteattr(name)} value={text}"
+            )
             parts[kind] += [f"  <!-- {remark} -->", f"  <{kind} {words} />"]
     yield from ("<launch>", *(f"  <!-- {line} -->" for line in head), *parts["remap"])
     yield f'  <include file="$(find {package})/launch/{launch}" />'
-    yield from (*parts["param"], "</launch>")  # after the include, because the last value of a parameter is used
+    yield from (
+        *parts["param"],
+        "</launch>",
+    )  # after the include, because the last value of a parameter is used
 
 
 _FORMATS: Mapping[str, Callable[[ConfigFile, Leaves, Sequence[str]], Iterator[str]]]

@@ -18,10 +18,12 @@ from vlp16emu.units import S_NS
 TIME_NAMES = ("time", "t", "timestamp", "time_stamp", "timestamps", "stamps", "offset_time")
 """Names of the time field in the programs of the table."""
 _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # of sensor_msgs/PointField
-_CLOUD, _IMU = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Imu"
+_CLOUD = "sensor_msgs/msg/PointCloud2"
+_IMU = "sensor_msgs/msg/Imu"
 _RING_SCANS = 20  # scans whose rings are checked
 _SMOOTHED_S = 0.1  # IMU samples are averaged over this time to find rest
-_RESTS_RAD_S, _RESTS_SHARE = 0.15, 0.05
+_RESTS_RAD_S = 0.15
+_RESTS_SHARE = 0.05
 """Highest angular rate, and relative deviation of the specific force from 1 g, of a standing person."""
 
 
@@ -36,12 +38,18 @@ class Facts:
     fields: Mapping[str, np.dtype[Any]] = field(default_factory=dict)
     time_name: str = ""
     clouds: list[tuple[float, ...]] = field(default_factory=list)
-    """Rows: stamp in s since the first message; earliest, latest, last point time in the field's unit; points; 1 if not dense."""
-    rings: dict[int, list[float]] = field(default_factory=dict)  # by ring: sum and number of the sines of elevation
+    """Rows: stamp in s since the first message; earliest, latest, last point time in the field's unit;
+    points; 1 if not dense."""
+    rings: dict[int, list[float]] = field(
+        default_factory=dict
+    )  # by ring: sum and number of the sines of elevation
     samples: list[tuple[float, ...]] = field(default_factory=list)
-    """Rows: stamp as in `clouds`, angular rate (3), acceleration (3), norm of the quaternion, first covariance of
+    """Rows: stamp as in `clouds`, angular rate (3), acceleration (3), norm of the quaternion, first
+    covariance of
     attitude, angular rate and acceleration."""
-    fixed: dict[str, tuple[str, F8]] = field(default_factory=dict)  # parent and pose of each frame of /tf_static
+    fixed: dict[str, tuple[str, F8]] = field(
+        default_factory=dict
+    )  # parent and pose of each frame of /tf_static
     parents: dict[str, set[str]] = field(default_factory=dict)  # all parents of each frame, fixed or moving
 
     def pose(self, frame: str, of: str) -> F8 | None:
@@ -52,7 +60,8 @@ class Facts:
 
     def up(self, frame: str) -> Iterator[tuple[str, F8]]:
         """Yield the frame and its ancestors, with its pose in each."""
-        T, seen = np.eye(4), set[str]()
+        T = np.eye(4)
+        seen = set[str]()
         while frame not in seen:
             yield frame, T
             seen.add(frame)
@@ -64,7 +73,8 @@ class Facts:
 def read_facts(path: Path) -> Facts:
     """Read a bag of ROS 1 or ROS 2 once, message by message.
 
-    Raises CaptureError if it is no bag, is damaged, or holds no point cloud; MissingExtraError if rosbags is not
+    Raises CaptureError if it is no bag, is damaged, or holds no point cloud; MissingExtraError if rosbags is
+    not
     installed.
     """
     try:
@@ -77,8 +87,15 @@ def read_facts(path: Path) -> Facts:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             facts = Facts(_topic(reader, _CLOUD, "velodyne_points"), _topic(reader, _IMU, "imu/data"))
             start_s = reader.start_time // S_NS
-            read = {facts.topic: _add_cloud, facts.imu_topic: _add_sample, "/tf": _add_moving, "/tf_static": _add_fixed}
-            for connection, _, raw in reader.messages([one for one in reader.connections if one.topic in read]):
+            read = {
+                facts.topic: _add_cloud,
+                facts.imu_topic: _add_sample,
+                "/tf": _add_moving,
+                "/tf_static": _add_fixed,
+            }
+            for connection, _, raw in reader.messages(
+                [one for one in reader.connections if one.topic in read]
+            ):
                 where = f"{path}, {connection.topic}"
                 read[connection.topic](facts, reader.deserialize(raw, connection.msgtype), start_s)
     except Exception as error:  # noqa: BLE001  # rosbags raises errors of any type for damaged bags and messages
@@ -101,7 +118,9 @@ def _stamp_s(message: Any, start_s: int) -> float:
 
 
 def _add_sample(facts: Facts, message: Any, start_s: int) -> None:
-    w, a, q = message.angular_velocity, message.linear_acceleration, message.orientation
+    w = message.angular_velocity
+    a = message.linear_acceleration
+    q = message.orientation
     kinds = "orientation", "angular_velocity", "linear_acceleration"
     covariances = (float(getattr(message, f"{kind}_covariance")[0]) for kind in kinds)
     length = float(np.sqrt(q.x**2 + q.y**2 + q.z**2 + q.w**2))
@@ -110,12 +129,14 @@ def _add_sample(facts: Facts, message: Any, start_s: int) -> None:
 
 
 def _add_cloud(facts: Facts, message: Any, start_s: int) -> None:
-    names, end = [one.name for one in message.fields], "><"[not message.is_bigendian]
+    names = [one.name for one in message.fields]
+    end = "><"[not message.is_bigendian]
     kinds = [np.dtype(end + _KINDS.get(one.datatype, "u1")) for one in message.fields]
     layout: Any = {"names": names, "formats": kinds, "offsets": [one.offset for one in message.fields]}
     layout["itemsize"] = message.point_step
     points: NDArray[Any] = np.frombuffer(message.data, np.dtype(layout))
-    facts.frame, facts.fields = message.header.frame_id, dict(zip(names, kinds, strict=True))
+    facts.frame = message.header.frame_id
+    facts.fields = dict(zip(names, kinds, strict=True))
     facts.time_name = next((name for name in TIME_NAMES if name in names), "")
     xyz = np.stack([points[axis] for axis in "xyz"], axis=1)
     holes = np.isnan(xyz).any(axis=1)
@@ -124,7 +145,8 @@ def _add_cloud(facts: Facts, message: Any, start_s: int) -> None:
     numbers = _stamp_s(message, start_s), times.min(), times.max(), times[-1], len(points), is_sparse
     facts.clouds.append(tuple(map(float, numbers)))
     if "ring" in names and len(facts.clouds) <= _RING_SCANS:
-        xyz, ring = xyz[~holes], points["ring"][~holes]
+        xyz = xyz[~holes]
+        ring = points["ring"][~holes]
         sine = xyz[:, 2] / np.maximum(np.linalg.norm(xyz, axis=1), 1e-9)
         for one in np.unique(ring).tolist():
             total = facts.rings.setdefault(int(one), [0.0, 0.0])
@@ -142,8 +164,11 @@ def _add_fixed(facts: Facts, message: Any, start_s: int) -> None:
 
     _add_moving(facts, message, start_s)
     for one in message.transforms:
-        p, q, T = one.transform.translation, one.transform.rotation, np.eye(4)
-        T[:3, :3], T[:3, 3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(), (p.x, p.y, p.z)
+        p = one.transform.translation
+        q = one.transform.rotation
+        T = np.eye(4)
+        T[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+        T[:3, 3] = (p.x, p.y, p.z)
         # A second parent gives a separate finding.
         facts.fixed.setdefault(one.child_frame_id.lstrip("/"), (one.header.frame_id.lstrip("/"), T))
 
@@ -153,7 +178,8 @@ def rest_s(imu: F8, rate_hz: float) -> float:
     block = max(round(rate_hz * _SMOOTHED_S), 1)
     rows = len(imu) // block * block
     means = imu[:rows, 1:7].reshape(-1, block, 6).mean(axis=1)
-    force, usual = np.linalg.norm(means[:, 3:], axis=1), np.median(np.linalg.norm(imu[:, 4:7], axis=1))
+    force = np.linalg.norm(means[:, 3:], axis=1)
+    usual = np.median(np.linalg.norm(imu[:, 4:7], axis=1))
     moves = np.abs(means[:, :3]).max(axis=1) > _RESTS_RAD_S
     moves |= np.abs(force - usual) > _RESTS_SHARE * usual
     first = int(np.argmax(moves)) if moves.any() else len(moves)
@@ -165,7 +191,10 @@ _UNITS = (("s", 1.0, 0), ("ms", 1e-3, 1), ("us", 1e-6, 2), ("ns", 1e-9, 3))
 _EARLY_S = 1e-3  # longest time before the stamp that counts as rounding
 _GRAVITY_M_S2 = 9.80665
 _TILT_DEG = 30.0  # largest tilt of a body that a person carries
-_SWEEP_S, _IMU_HZ, _SLOW_HZ, _BEAMS = 0.1, 200.0, 100.0, 16
+_SWEEP_S = 0.1
+_IMU_HZ = 200.0
+_SLOW_HZ = 100.0
+_BEAMS = 16
 """Rig of the configurations in `protocol/slam`, and the IMU rate below which programs deskew poorly."""
 
 
@@ -247,7 +276,8 @@ ROWS = (
     _Row("tf-map", lambda v, _: v["edge"], "/tf holds {edge}, which a SLAM program publishes too"),
     _Row("rest", lambda v, p: v["samples"] and v["rest_s"] < p.rest_s - 0.2, "{rest_s:.1f} s of rest at the start"),
 )  # fmt: skip
-"""Rules in the order of findings; a rule applies to the programs that have a text for it in `programs.toml`."""
+"""Rules in the order of findings; a rule applies to the programs that have a text for it in
+`programs.toml`."""
 
 
 def fitness(path: Path, name: str) -> Fitness:
@@ -260,7 +290,9 @@ def fitness(path: Path, name: str) -> Fitness:
     values = _of_clouds(facts) | _of_samples(facts) | _of_frames(facts)
     keys = ("topic", "clouds", "points", "sweep_s", "imu", "samples", "hz_imu", "norm", "rest_s", "root")
     findings = tuple(
-        Unfit(program.name, row.rule, row.found.format_map(values), program.needs[row.rule].format_map(values))
+        Unfit(
+            program.name, row.rule, row.found.format_map(values), program.needs[row.rule].format_map(values)
+        )
         for program in programs
         for row in ROWS
         if row.rule in program.needs and row.broken(values, program)
@@ -273,7 +305,9 @@ def _of_clouds(facts: Facts) -> dict[str, Any]:
     steps_s = np.diff(stamp_s)
     sweep_s = float(np.median(steps_s)) if len(steps_s) else _SWEEP_S
     span = float(np.median(latest - earliest))
-    unit, scale, code = min(_UNITS, key=lambda one: abs(math.log(max(span, 1e-12) * one[1] / max(sweep_s, 1e-6))))
+    unit, scale, code = min(
+        _UNITS, key=lambda one: abs(math.log(max(span, 1e-12) * one[1] / max(sweep_s, 1e-6)))
+    )
     kinds = {name: kind.name for name, kind in facts.fields.items()}
     sines = [(ring, total / n) for ring, (total, n) in sorted(facts.rings.items()) if n]
     wrong = (f"{a[0]} is above ring {b[0]}" for a, b in pairwise(sines) if a[1] >= b[1])
@@ -305,7 +339,8 @@ def _of_clouds(facts: Facts) -> dict[str, Any]:
 
 
 def _of_samples(facts: Facts) -> dict[str, Any]:
-    imu, stamp_s = np.array(facts.samples).reshape(-1, 11), np.array([row[0] for row in facts.clouds])
+    imu = np.array(facts.samples).reshape(-1, 11)
+    stamp_s = np.array([row[0] for row in facts.clouds])
     n = len(imu)
     steps_s = np.diff(imu[:, 0]) if n > 1 else np.full(1, 1.0 / _IMU_HZ)
     usual_s = max(float(np.median(steps_s)), 1e-6)
@@ -335,7 +370,8 @@ def _of_samples(facts: Facts) -> dict[str, Any]:
 
 
 def _of_frames(facts: Facts) -> dict[str, Any]:
-    lidar, unit = facts.frame, facts.imu_frame
+    lidar = facts.frame
+    unit = facts.imu_frame
     roots = [list(facts.up(frame))[-1][0] for frame in (lidar, unit) if frame]
     twice = [(child, parents) for child, parents in facts.parents.items() if len(parents) > 1]
     if twice:

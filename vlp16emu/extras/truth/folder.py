@@ -24,14 +24,18 @@ _FILES = re.compile(
     r"(events|gnss|imu)\.csv|(rig|scenario|time)\.json|(packets|trajectory)(_\d+)?\.tum"
     r"|returns(_\d+)?\.parquet"
 )  # names of all files of a run
-_AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # arguments of renameat2(2). Source: linux/fcntl.h and linux/fs.h.
+# arguments of renameat2(2). Source: linux/fcntl.h and linux/fs.h.
+_AT_FDCWD = -100
+_RENAME_EXCHANGE = 2
 
 
 class TruthFolder:
     """A folder for the ground truth of one run; a context manager.
 
-    It is created as NAME.xxxxxxxx.part, at `path`, and its files grow there. At the end it gets its name in one step,
-    like an `OutputFile`: an earlier folder of this name is unchanged until then and is then replaced as a whole. After
+    It is created as NAME.xxxxxxxx.part, at `path`, and its files grow there. At the end it gets its name in
+    one step,
+    like an `OutputFile`: an earlier folder of this name is unchanged until then and is then replaced as a
+    whole. After
     an error the samples so far stay in `path`.
 
     Parameters
@@ -39,7 +43,8 @@ class TruthFolder:
     path : new, empty, or with only the ground truth of an earlier run; missing parents are created
     inputs : files that the run itself reads
 
-    Raises OutputError if the folder cannot be created, contains other files or one of the inputs, or another run
+    Raises OutputError if the folder cannot be created, contains other files or one of the inputs, or another
+    run
     writes it.
     """
 
@@ -102,7 +107,9 @@ class TruthFolder:
             self._check()
             if self._final.exists():
                 _exchange(self.path, self._final)
-                with suppress(OSError):  # files of the earlier run that cannot be removed stay beside the new folder
+                with suppress(
+                    OSError
+                ):  # files of the earlier run that cannot be removed stay beside the new folder
                     for file in self.path.iterdir():
                         file.unlink()
                     self.path.rmdir()
@@ -129,7 +136,8 @@ def read_json(path: Path, expected: str) -> Any:
 
 def _append(file: FileIO, lines: bytes) -> None:
     """Append lines; if that fails, or is interrupted, the file ends with a whole line."""
-    begin, written = file.tell(), 0
+    begin = file.tell()
+    written = 0
     try:
         while written < len(lines):  # a full disk takes the bytes that fit and refuses the next one
             written += file.write(lines[written:])
@@ -166,7 +174,9 @@ def tum_rows(poses: Poses | Kinematics) -> str:
 def _foreign_entry(folder: Path) -> str | None:
     """Return the name of an entry that no run writes, if any; a folder without the scenario of an earlier run is not ours."""
     present = sorted(folder.iterdir())
-    strange = [file for file in present if not _FILES.fullmatch(file.name) or not stat.S_ISREG(file.lstat().st_mode)]
+    strange = [
+        file for file in present if not _FILES.fullmatch(file.name) or not stat.S_ISREG(file.lstat().st_mode)
+    ]
     tree = None
     with suppress(OSError, ValueError):
         tree = json.loads((folder / "scenario.json").read_text(encoding="utf-8"))

@@ -29,11 +29,14 @@ def slots_of(unit: Unit, returns: Returns, mode: ReturnMode) -> NDArray[np.void]
     """
     shape = returns.distance_m.shape[:2]
     if mode is ReturnMode.DUAL:
-        last, odd = np.ones(shape, np.int64), odd_column(returns)
+        last = np.ones(shape, np.int64)
+        odd = odd_column(returns)
         pairs = [_rows(unit, returns, column) for column in (last, odd)]
         of_last = returns.distance_m[..., 1] == returns.distance_m[..., 0]
         pairs[1]["repeat"] = (odd == 0) & of_last & (pairs[1]["echo"] != NO_ECHO)
-        rows = np.stack([pair.reshape(-1, 32) for pair in pairs], axis=1)  # two blocks per two firing sequences
+        rows = np.stack(
+            [pair.reshape(-1, 32) for pair in pairs], axis=1
+        )  # two blocks per two firing sequences
     else:
         rows = _rows(unit, returns, np.full(shape, _ONLY_COLUMN[mode]))
     return rows.reshape(-1, RECORDS_PER_PACKET)
@@ -46,12 +49,14 @@ def _rows(unit: Unit, returns: Returns, column: I8) -> NDArray[np.void]:
         assert values is not None
         return np.take_along_axis(values, column[..., None], axis=-1)[..., 0]
 
-    firings, rows = returns.firings, np.zeros(column.shape, SLOT)
+    firings = returns.firings
+    rows = np.zeros(column.shape, SLOT)
     is_sent = distance_lsb(taken(returns.distance_m)) > 0
     rows["t_ns"] = firings.t_ns
     rows["echo"] = np.where(is_sent, column, NO_ECHO)
     range_m = np.where(is_sent, taken(returns.range_m), 0.0)
-    rows["range_m"], rows["share"] = range_m, np.where(is_sent, taken(returns.share), 0.0)
+    rows["range_m"] = range_m
+    rows["share"] = np.where(is_sent, taken(returns.share), 0.0)
     poses = unit.motion.poses_at(firings.t_ns.reshape(-1))
     world_m = firings.origin_m + firings.direction * range_m[..., None]
     away_m = world_m.reshape(-1, 3) - poses.world_p_body_m
@@ -59,7 +64,9 @@ def _rows(unit: Unit, returns: Returns, column: I8) -> NDArray[np.void]:
     rows["sensor_m"] = matvec(poses.world_R_body.swapaxes(-1, -2), away_m).reshape(world_m.shape)
     assert returns.surfaces is not None
     surfaces = np.append(returns.surfaces, np.zeros(1, SURFACE))  # the last row stands for no surface
-    met = surfaces[np.minimum(np.where(is_sent, taken(returns.surface), len(returns.surfaces)), len(returns.surfaces))]
+    met = surfaces[
+        np.minimum(np.where(is_sent, taken(returns.surface), len(returns.surfaces)), len(returns.surfaces))
+    ]
     for name in _LABELS:
         rows[name] = met[name]
     return rows
@@ -114,7 +121,8 @@ class SlotTable:
 
     def __init__(self, path: Path) -> None:
         pa, parquet = _pyarrow()
-        self._arrow, self._path = pa, path
+        self._arrow = pa
+        self._path = path
         self._schema = pa.schema([(name, pa.type_for_alias(kind)) for name, kind in SLOT_COLUMNS.items()])
         self._output = OutputFile(path)
         self._file = parquet.ParquetWriter(
@@ -124,7 +132,8 @@ class SlotTable:
             use_dictionary=[name for name in SLOT_COLUMNS if name not in (*_FLOATS, "t_ns")],
             column_encoding={"t_ns": "DELTA_BINARY_PACKED", **dict.fromkeys(_FLOATS, "BYTE_STREAM_SPLIT")},
         )
-        self._held, self._number = list[Packet](), 0
+        self._held = list[Packet]()
+        self._number = 0
 
     def __enter__(self) -> Self:
         return self
@@ -147,7 +156,8 @@ class SlotTable:
                 raise RunError(f"{self._path}: {error.strerror or error}; no file is written") from error
 
     def _flush(self) -> None:
-        packets, self._held = self._held, []
+        packets = self._held
+        self._held = []
         if not packets:
             return
         rows = np.array([packet.slots for packet in packets]).reshape(-1)
@@ -179,7 +189,8 @@ class SlotTable:
 class SlotReader:
     """Rows of a table behind the records of a capture of the same run, in the order of the capture.
 
-    A packet of the capture is found by its time stamp, starting from the packet before, so packets of the run may be
+    A packet of the capture is found by its time stamp, starting from the packet before, so packets of the run
+    may be
     missing, repeated, or late by up to 64.
 
     Raises MissingExtraError if pyarrow is not installed; InputError if the file is not such a table.
@@ -187,7 +198,8 @@ class SlotReader:
 
     def __init__(self, path: Path) -> None:
         pa, parquet = _pyarrow()
-        self._path, self._next = path, 0
+        self._path = path
+        self._next = 0
         try:
             with readable(path, _EXPECTED, InputError):
                 self._file = parquet.ParquetFile(path)
@@ -210,7 +222,8 @@ class SlotReader:
         packet : (n,) row of `stamp_us`, ascending
         slot : (n,) index in the packet, 32 times the block plus the channel
 
-        Raises InputError if the table does not hold such a packet, or has no return there: the capture belongs to
+        Raises InputError if the table does not hold such a packet, or has no return there: the capture
+        belongs to
         another run.
         """
         number = self._numbers(stamp_us)[packet]
@@ -256,7 +269,10 @@ class SlotReader:
         """Return columns of a row group; 0 for records without a return."""
         table = self._file.read_row_group(group, columns=names)
         columns = ((name, table[name]) for name in names)
-        return {name: (column.fill_null(0) if column.null_count else column).to_numpy() for name, column in columns}
+        return {
+            name: (column.fill_null(0) if column.null_count else column).to_numpy()
+            for name, column in columns
+        }
 
 
 def _pyarrow() -> tuple[Any, Any]:  # it has no types

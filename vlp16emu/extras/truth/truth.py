@@ -45,14 +45,23 @@ class Happening:
     unit: int  # from 1
     kind: str
     packets: PacketKind
-    first: int  # number of the first packet after its begin; packets count from 0 at the first pulse of the run
+    first: (
+        int  # number of the first packet after its begin; packets count from 0 at the first pulse of the run
+    )
     count: int  # number of packets until its end
 
     @property
     def row(self) -> str:
         """Return its line of `events.csv`."""
         last = str(self.first + self.count - 1) if self.count else ""
-        cells = seconds_text(self.begin_ns), seconds_text(self.end_ns), self.event, self.unit, self.kind, self.packets
+        cells = (
+            seconds_text(self.begin_ns),
+            seconds_text(self.end_ns),
+            self.event,
+            self.unit,
+            self.kind,
+            self.packets,
+        )
         return ",".join(map(str, (*cells, self.first, last, self.count))) + "\n"
 
 
@@ -81,7 +90,9 @@ def happenings(
 
 
 def _whole(scenario: Scenario, unit: Unit, place: int, event: Event, stop_ns: int) -> Iterator[Happening]:
-    begin_ns, over_ns, start_ns = event.begin_ns, event.end_ns, scenario.start_ns
+    begin_ns = event.begin_ns
+    over_ns = event.end_ns
+    start_ns = scenario.start_ns
     if event.effect != "power":
         over_ns = min(over_ns, max(stop_ns, begin_ns))
     kinds: tuple[PacketKind, ...] = (PacketKind.POSITION if event.effect == "gps" else PacketKind.DATA,)
@@ -89,7 +100,11 @@ def _whole(scenario: Scenario, unit: Unit, place: int, event: Event, stop_ns: in
         first = sent_before(scenario, unit, kind, begin_ns)
         until_ns = over_ns
         if event.effect == "packets" and event.count is not None:
-            due_ns = (packet.due_ns for packet in timetable(scenario, [unit], begin_ns, over_ns) if packet.kind is kind)
+            due_ns = (
+                packet.due_ns
+                for packet in timetable(scenario, [unit], begin_ns, over_ns)
+                if packet.kind is kind
+            )
             last_ns = max(islice(due_ns, event.count), default=start_ns + begin_ns)
             until_ns = last_ns + 1 - start_ns
         count = sent_before(scenario, unit, kind, until_ns) - first
@@ -108,7 +123,8 @@ def _single(
             numbers[packet.unit] += 1
         for fault in faults:
             if fault.unit.number == packet.unit and fault.hits(packet, number):
-                times, of = (packet.due_ns, packet.due_ns), (fault.number + 1, fault.unit.number + 1)
+                times = (packet.due_ns, packet.due_ns)
+                of = (fault.number + 1, fault.unit.number + 1)
                 first = sent_before(scenario, fault.unit, packet.kind, packet.due_ns - scenario.start_ns)
                 yield Happening(*times, *of, fault.event.kind, packet.kind, first, 1)
 
@@ -143,8 +159,20 @@ _GNSS_COLUMNS = (
 _EVENT_COLUMNS = ("t_utc_s", "until_utc_s", "event", "unit", "kind", "packets", "first", "last", "count")
 IMU_AXES = ("wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2")
 """Angular rate and specific force in the unit's own axes."""
-_IMU_COLUMNS = ("t_utc_s", *IMU_AXES, *(f"true_{axis}" for axis in IMU_AXES), *(f"bias_{axis}" for axis in IMU_AXES))
-_OF_UNITS = ("name", "model", "serial_number", "address", "data_port", "position_port")  # keys of a unit in `rig.json`
+_IMU_COLUMNS = (
+    "t_utc_s",
+    *IMU_AXES,
+    *(f"true_{axis}" for axis in IMU_AXES),
+    *(f"bias_{axis}" for axis in IMU_AXES),
+)
+_OF_UNITS = (
+    "name",
+    "model",
+    "serial_number",
+    "address",
+    "data_port",
+    "position_port",
+)  # keys of a unit in `rig.json`
 ATTITUDE = ("qx", "qy", "qz", "qw")  # further columns for a unit that reports its attitude: world_R_imu
 STAMP = "stamp_utc_s"  # last column for a unit whose time stamps are late
 
@@ -165,15 +193,20 @@ class Truth:
     of : holder of the engine that makes the packets, with the events so far
     span_s : span of the run, since the first pulse
 
-    Raises OutputError if the folder cannot be used, or contains a file that the scenario names; ScenarioError if poses
+    Raises OutputError if the folder cannot be used, or contains a file that the scenario names; ScenarioError
+    if poses
     of packets are requested for a sensor without packets; RunError if it cannot be written, here or later.
     """
 
     def __init__(self, to: TruthTo, of: Emulator | PacketFeed, span_s: tuple[float, float]) -> None:
         engine = of.engine
-        scenario, parts = engine.scenario, engine.parts
+        scenario = engine.scenario
+        parts = engine.parts
         self._of = of
-        self._units, self._to, self._scenario, self._span_s = parts.units, to, scenario, span_s
+        self._units = parts.units
+        self._to = to
+        self._scenario = scenario
+        self._span_s = span_s
         wanted = self._units if to.per_packet else ()
         for unit in self._units if to.per_packet or to.per_return else ():
             require_packets(unit.section)
@@ -181,7 +214,8 @@ class Truth:
         self._seen_ns = self._next_ns = begin_ns = scenario.start_ns + seconds_to_ns(span_s[0])
         self._is_whole = False
         self._listed_ns: int | None = None
-        times, span_ns = partial(timetable, scenario, self._units), map(seconds_to_ns, span_s)
+        times = partial(timetable, scenario, self._units)
+        span_ns = map(seconds_to_ns, span_s)
         self._to_come = self.beside(
             engine.packets(*span_s) if to.per_return else arriving(scenario, self._units, times, *span_ns)
         )
@@ -213,12 +247,15 @@ class Truth:
                 self._finish()
         except RunError as late:
             failed = error or late
-        self._open.__exit__(type(failed) if failed else None, failed, None)  # this keeps the folder if nothing failed
+        self._open.__exit__(
+            type(failed) if failed else None, failed, None
+        )  # this keeps the folder if nothing failed
         if failed is not error and failed is not None:
             raise failed
 
     def _trajectory(self, unit: Unit, from_ns: int) -> "Samples[str]":
-        append, at = self._begun(_file("trajectory", unit), _TUM_HEAD), (self._scenario.start_ns, self._to.rate_hz)
+        append = self._begun(_file("trajectory", unit), _TUM_HEAD)
+        at = (self._scenario.start_ns, self._to.rate_hz)
         return Samples(append, lambda *part: tum_rows(true_motion(unit.motion, *at, *part)), *at, from_ns)
 
     def _finish(self) -> None:
@@ -271,7 +308,8 @@ class Truth:
                 firsts_ns.clear()
 
     def _write_events(self) -> None:
-        ran, stop_ns = self._of.engine.scenario, seconds_to_ns(self._span_s[1])
+        ran = self._of.engine.scenario
+        stop_ns = seconds_to_ns(self._span_s[1])
         until_ns = stop_ns if self._is_whole else self._seen_ns + 1 - ran.start_ns
         from_ns = self._listed_ns
         if not ran.events or (from_ns is not None and until_ns <= from_ns):
@@ -288,9 +326,13 @@ class Truth:
         return partial(self._folder.append, name)
 
     def _others(self, engine: Engine, begin_ns: int, from_ns: int) -> Iterator["Samples[str]"]:
-        scenario, imu = engine.scenario, engine.parts.imu
+        scenario = engine.scenario
+        imu = engine.parts.imu
         if scenario.imu is not None and imu is not None:
-            others = (*(ATTITUDE if scenario.imu.attitude else ()), *([STAMP] if scenario.imu.is_late else []))
+            others = (
+                *(ATTITUDE if scenario.imu.attitude else ()),
+                *([STAMP] if scenario.imu.is_late else []),
+            )
             append = self._begun("imu.csv", _IMU_COLUMNS + others)
             yield Samples(append, partial(_inertial, imu), scenario.start_ns, scenario.imu.rate_hz, from_ns)
         if (named_ns := engine.parts.gps.second_ns(begin_ns)) is not None:
@@ -309,9 +351,17 @@ class Samples(Generic[_T]):
     """
 
     def __init__(
-        self, append: Callable[[_T], None], rows: Callable[[int, int], _T], zero_ns: int, rate_hz: int, from_ns: int
+        self,
+        append: Callable[[_T], None],
+        rows: Callable[[int, int], _T],
+        zero_ns: int,
+        rate_hz: int,
+        from_ns: int,
     ) -> None:
-        self._append, self._rows, self._zero_ns, self._rate_hz = append, rows, zero_ns, rate_hz
+        self._append = append
+        self._rows = rows
+        self._zero_ns = zero_ns
+        self._rate_hz = rate_hz
         self._next = self._count_before(from_ns)
 
     def up_to(self, t_ns: int) -> None:
@@ -341,7 +391,11 @@ def _inertial(imu: ImuSampler, first: int, count: int) -> str:
     true = read.true_angular_rate_rad_s, read.true_specific_force_m_s2
     biases = read.gyro_bias_rad_s, read.accel_bias_m_s2
     numbers = np.column_stack([*readings, *true, *biases, *attitude_of(read)]).tolist()
-    stamps = [""] * count if read.stamp_ns is None else [f",{seconds_text(t_ns)}" for t_ns in read.stamp_ns.tolist()]
+    stamps = (
+        [""] * count
+        if read.stamp_ns is None
+        else [f",{seconds_text(t_ns)}" for t_ns in read.stamp_ns.tolist()]
+    )
     return "".join(
         f"{seconds_text(t_ns)},{','.join(f'{number:.9f}' for number in row)}{stamp}\n"
         for t_ns, row, stamp in zip(read.t_ns.tolist(), numbers, stamps, strict=True)
@@ -352,14 +406,17 @@ def attitude_of(read: Inertial) -> list[F8]:
     """Return a list with the reported attitude as x y z w (n, 4), or an empty list."""
     from scipy.spatial.transform import Rotation  # here: it takes 0.1 s, and few runs need it
 
-    return [] if read.world_R_imu is None else [Rotation.from_matrix(read.world_R_imu).as_quat(canonical=True)]
+    return (
+        [] if read.world_R_imu is None else [Rotation.from_matrix(read.world_R_imu).as_quat(canonical=True)]
+    )
 
 
 def _fixes(receiver: Receiver, gps: Gps, first: int, count: int) -> str:
     """Return rows of what a receiver measures and reports; sample i is the UTC second i."""
     rows = []
     for t_ns in range(first * S_NS, (first + count) * S_NS, S_NS):
-        true, fix = receiver.reading(t_ns), receiver.fix(t_ns)
+        true = receiver.reading(t_ns)
+        fix = receiver.fix(t_ns)
         latitude_deg, longitude_deg, height_m = to_geodetic(true.antenna_m[None], gps)[0].tolist()
         east_m_s, north_m_s, _ = true.velocity_m_s.tolist()
         rows.append(
@@ -378,7 +435,9 @@ def _resolved(scenario: Scenario, span_s: tuple[float, float]) -> dict[str, Any]
 
 def rig_of(scenario: Scenario, parts: Parts) -> dict[str, Any]:
     """Return `rig.json`: the frames of the trajectory and the extrinsics of the devices."""
-    gps, imu, camera = scenario.gps, scenario.imu, scenario.camera
+    gps = scenario.gps
+    imu = scenario.imu
+    camera = scenario.camera
     devices = dict[str, Any]()
     if imu:
         devices["imu"] = _extrinsics("body_T_imu", parts.imu_mount, imu.mount)
@@ -390,7 +449,9 @@ def rig_of(scenario: Scenario, parts: Parts) -> dict[str, Any]:
     place = {key: getattr(gps, key) for key in ("latitude_deg", "longitude_deg", "height_m")}
     return {
         "world": {"axes": "x east, y north, z up"} | place,
-        "sensor": {"axes": "x forward at azimuth 0, y left, z up; the frame of the trajectory and of decoded points"},
+        "sensor": {
+            "axes": "x forward at azimuth 0, y left, z up; the frame of the trajectory and of decoded points"
+        },
         "units": [
             {
                 "unit": unit.number + 1,
@@ -408,7 +469,9 @@ def rig_of(scenario: Scenario, parts: Parts) -> dict[str, Any]:
     } | devices
 
 
-def _extrinsics(key: str, true: Mount, given: Mount, axes: Callable[[F8], F8] = lambda R: R) -> dict[str, Any]:
+def _extrinsics(
+    key: str, true: Mount, given: Mount, axes: Callable[[F8], F8] = lambda R: R
+) -> dict[str, Any]:
     """Return the extrinsics of a device, whose own axes `axes` makes of those of its mount."""
     return {key: _mount(true, axes)} | ({f"given_{key}": _mount(given, axes)} if given.has_errors else {})
 
@@ -430,7 +493,8 @@ def transform(R: F8, p_m: F8) -> dict[str, Any]:
     from scipy.spatial.transform import Rotation  # here: it takes 0.1 s, and few runs need it
 
     T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, p_m
+    T[:3, :3] = R
+    T[:3, 3] = p_m
     quaternion = Rotation.from_matrix(R).as_quat(canonical=True) + 0.0  # no -0.0
     return {"matrix": T.tolist(), "translation_m": p_m.tolist(), "quaternion_xyzw": quaternion.tolist()}
 
@@ -457,9 +521,12 @@ def write_truth(
     -------
     Simulated seconds
 
-    Raises OutputError if the folder cannot be written, or contains an input of the scene; ScenarioError if poses of
-    packets are requested for a sensor without packets; TrajectoryError if the walk ends before the span; RunError if
-    the disk is full: then the lines before are kept; CancelledError, and an earlier folder stays, if `stop` is set at once.
+    Raises OutputError if the folder cannot be written, or contains an input of the scene; ScenarioError if
+    poses of
+    packets are requested for a sensor without packets; TrajectoryError if the walk ends before the span;
+    RunError if
+    the disk is full: then the lines before are kept; CancelledError, and an earlier folder stays, if `stop`
+    is set at once.
     """
     stop = stop or threading.Event()
     emulator = emulator.with_truth_in(TruthTo.of(to)).stopped_by(stop)

@@ -33,21 +33,29 @@ from vlp16emu.types import F8, I8, PpsState, ReturnMode
 from vlp16emu.units import MS_NS, S_NS, US_NS
 
 _UNEQUAL_REFLECTIVITY_SHARE = 0.05
-"""Limit of the share of a packet's equal pairs; 603 packets of a real unit have 0.03 % overall and 1.1 % at most."""
+"""Limit of the share of a packet's equal pairs; 603 packets of a real unit have 0.03 % overall and 1.1 % at
+most."""
 
 _STEP_TOLERANCE_CDEG = 6
-"""Real units read azimuths with 0.5 cdeg of noise, so steps have 0.8 cdeg of noise; the greatest error seen is 4.5 cdeg."""
+"""Real units read azimuths with 0.5 cdeg of noise, so steps have 0.8 cdeg of noise; the greatest error seen
+is 4.5 cdeg."""
 _GAP_TOLERANCE_CDEG = 26
 """Difference between the azimuth and the time left out: 9 cdeg of once-per-revolution error, as on real
 units, at either end, and the noise of two readings and a step."""
 _GAP_TOLERANCE = 0.005  # additional difference in proportion to the gap, for speed control: 3 rpm in 600
 _CLOCK_PPM = 10  # short-term rate error of a clock that follows GPS
 
-_RPM_TOLERANCE = 0.01  # speed control, 3 rpm in sibling manuals, and the once-per-revolution error of the encoder
+_RPM_TOLERANCE = (
+    0.01  # speed control, 3 rpm in sibling manuals, and the once-per-revolution error of the encoder
+)
 _RPM_STEPS = 100  # least number of steps to judge the speed
 _CDEG_PER_STEP_AND_RPM = 6 * 100 * layout.BLOCK_PERIOD_NS / 1e9
-_STILL_CDEG = 12  # two readings differ by less than this if the rotor stands; at 300 rpm a packet turns by 220
-_HELD_RPM = 4.0  # error of the mean speed of a revolution: speed control, 3 rpm in sibling manuals, and two readings
+_STILL_CDEG = (
+    12  # two readings differ by less than this if the rotor stands; at 300 rpm a packet turns by 220
+)
+_HELD_RPM = (
+    4.0  # error of the mean speed of a revolution: speed control, 3 rpm in sibling manuals, and two readings
+)
 
 _BY_ELEVATION = np.array([*range(0, layout.LASERS, 2), *range(1, layout.LASERS, 2)])
 """Lasers from lowest to highest. Source: 63-9243 Rev D, table 9-1, p. 53."""
@@ -57,7 +65,8 @@ _SECTORS = 36
 _SECTOR_RETURNS = 300  # least number of returns to judge a sector
 _SECTOR_BLOCKS = 20  # least number of blocks; a whole revolution has more in each sector
 _DARKER = 0.35
-"""Light of a sector as a share of its earlier light; dirt that transmits 0.5 gives 0.25, as light passes it twice."""
+"""Light of a sector as a share of its earlier light; dirt that transmits 0.5 gives 0.25, as light passes it
+twice."""
 _STEADY = 0.25  # greatest median change of the sectors while one turns dark
 
 
@@ -72,8 +81,10 @@ class DataChunk:
     ends : True if no chunk follows that begins with the last packet
     """
 
-    unequal_share, tolerance_deg = _UNEQUAL_REFLECTIVITY_SHARE, _STEP_TOLERANCE_CDEG / 100
-    jitter_ms, held_rpm = JITTER_US / 1e3, _HELD_RPM
+    unequal_share = _UNEQUAL_REFLECTIVITY_SHARE
+    tolerance_deg = _STEP_TOLERANCE_CDEG / 100
+    jitter_ms = JITTER_US / 1e3
+    held_rpm = _HELD_RPM
 
     def __init__(self, datagrams: Sequence[Datagram], before: bytes, *, continues: bool, ends: bool) -> None:
         n = len(datagrams)
@@ -85,7 +96,8 @@ class DataChunk:
         blocks = payload["blocks"]
         self.dual = bool(payload["return_mode"][0] == layout.RETURN_MODE_BYTE[ReturnMode.DUAL])
         self.timestamp_us = payload["timestamp_us"].astype(np.int64)
-        self.flag, self.azimuth_cdeg = blocks["flag"], blocks["azimuth_cdeg"].astype(np.int64)  # (n, 12)
+        self.flag = blocks["flag"]  # (n, 12)
+        self.azimuth_cdeg = blocks["azimuth_cdeg"].astype(np.int64)
         self.distance_lsb, self.reflectivity = (
             np.ascontiguousarray(blocks["records"][name]) for name in ("distance_lsb", "reflectivity")
         )  # (n, 12, 2, 16)
@@ -97,11 +109,16 @@ class DataChunk:
 
     def _read_factory(self, payload: NDArray[np.void], before: bytes) -> None:
         """Find changes of return mode and product; findings of the chunk before are not repeated."""
-        self.mode, self.product = payload["return_mode"], payload["factory"]
+        self.mode = payload["return_mode"]
+        self.product = payload["factory"]
         pairs = zip(before or bytes([self.mode[0], self.product[0]]), (self.mode, self.product), strict=True)
-        self.mode_before, self.product_before = (np.append(np.uint8(first), codes[:-1]) for first, codes in pairs)
-        new_mode, new_product = self.mode != self.mode_before, self.product != self.product_before
-        is_new, modes = new_mode | new_product, [*layout.RETURN_MODE_BYTE.values()]
+        self.mode_before, self.product_before = (
+            np.append(np.uint8(first), codes[:-1]) for first, codes in pairs
+        )
+        new_mode = self.mode != self.mode_before
+        new_product = self.product != self.product_before
+        is_new = new_mode | new_product
+        modes = [*layout.RETURN_MODE_BYTE.values()]
         self.is_set = new_mode & ~new_product & np.isin(self.mode, modes) & np.isin(self.mode_before, modes)
         self.is_changed = is_new & ~self.is_set
         is_new[0] |= not before
@@ -112,11 +129,15 @@ class DataChunk:
 
     def _read_codes(self) -> None:
         each = np.arange(len(self.number))
-        is_no_flag, self.azimuth = self.flag != layout.BLOCK_FLAG, self.azimuth_cdeg.max(axis=1)
-        self.is_no_flag, self.flag_block = is_no_flag.any(axis=1), is_no_flag.argmax(axis=1)
+        is_no_flag = self.flag != layout.BLOCK_FLAG
+        self.azimuth = self.azimuth_cdeg.max(axis=1)
+        self.is_no_flag = is_no_flag.any(axis=1)
+        self.flag_block = is_no_flag.argmax(axis=1)
         self.flag_found = self.flag[each, self.flag_block].byteswap()
-        self.azimuth_block, self.first_deg = self.azimuth_cdeg.argmax(axis=1), self.azimuth_cdeg[:, 0] / 100
-        self.is_past_turn, self.is_full_turn = self.azimuth > layout.AZIMUTH_CODES, self.azimuth == layout.AZIMUTH_CODES
+        self.azimuth_block = self.azimuth_cdeg.argmax(axis=1)
+        self.first_deg = self.azimuth_cdeg[:, 0] / 100
+        self.is_past_turn = self.azimuth > layout.AZIMUTH_CODES
+        self.is_full_turn = self.azimuth == layout.AZIMUTH_CODES
         self.is_past_hour = self.timestamp_us >= HOUR_US
         is_short = (self.distance_lsb > 0) & (self.distance_lsb < layout.MIN_DISTANCE_LSB)
         self.short = is_short.sum(axis=(1, 2, 3))
@@ -124,14 +145,20 @@ class DataChunk:
         self.shortest = np.where(is_short, self.distance_lsb, layout.MIN_DISTANCE_LSB).min(axis=(1, 2, 3))
         # In dual return even and odd blocks are pairs (63-9243 Rev D, section 9.3.2, p. 57).
         is_apart = self.azimuth_cdeg[:, ::2] != self.azimuth_cdeg[:, 1::2]
-        self.is_apart, pair = is_apart.any(axis=1), is_apart.argmax(axis=1)
-        self.even, self.odd = 2 * pair, 2 * pair + 1
-        self.even_cdeg, self.odd_cdeg = self.azimuth_cdeg[each, self.even], self.azimuth_cdeg[each, self.odd]
-        last, other = self.distance_lsb[:, ::2], self.distance_lsb[:, 1::2]
+        self.is_apart = is_apart.any(axis=1)
+        pair = is_apart.argmax(axis=1)
+        self.even = 2 * pair
+        self.odd = 2 * pair + 1
+        self.even_cdeg = self.azimuth_cdeg[each, self.even]
+        self.odd_cdeg = self.azimuth_cdeg[each, self.odd]
+        last = self.distance_lsb[:, ::2]
+        other = self.distance_lsb[:, 1::2]
         self.swapped = ((last < other) & (last > 0)).sum(axis=(1, 2, 3))
-        self.has_swapped, equal = self.swapped > 0, last == other
+        self.has_swapped = self.swapped > 0
+        equal = last == other
         is_unequal = equal & (self.reflectivity[:, ::2] != self.reflectivity[:, 1::2])
-        self.unequal, self.pairs = is_unequal.sum(axis=(1, 2, 3)), equal.sum(axis=(1, 2, 3))
+        self.unequal = is_unequal.sum(axis=(1, 2, 3))
+        self.pairs = equal.sum(axis=(1, 2, 3))
         self.has_unequal = self.unequal > _UNEQUAL_REFLECTIVITY_SHARE * self.pairs
 
     def _read_steps(self) -> None:
@@ -148,7 +175,8 @@ class DataChunk:
         self.usual_cdeg = np.median(self.forward_cdeg[:, :-1], axis=1, keepdims=True)
         self.is_even = np.abs(self.signed_cdeg - self.usual_cdeg) <= _STEP_TOLERANCE_CDEG
         self.is_odd: NDArray[np.bool_] = ~self.is_even | (self.signed_cdeg <= 0)
-        """(n, blocks) neither forward nor near the usual step; `_read_times` clears those that time explains."""
+        """(n, blocks) neither forward nor near the usual step; `_read_times` clears those that time
+        explains."""
         self.is_odd[-1, -1] = False
         inside_cdeg = self.signed_cdeg[:, :-1]
         self.is_still = np.abs(inside_cdeg).max(axis=1) <= _STILL_CDEG
@@ -156,7 +184,8 @@ class DataChunk:
         blocks = azimuth_cdeg.shape[1]
         self.step_number = np.repeat(self.number[:, None], blocks, axis=1)
         self.step_number[:-1, -1] = self.number[1:]  # a step belongs to the packet at its end
-        self.step_deg, self.usual_deg = self.signed_cdeg / 100, float(np.median(self.usual_cdeg)) / 100
+        self.step_deg = self.signed_cdeg / 100
+        self.usual_deg = float(np.median(self.usual_cdeg)) / 100
         led_to = np.roll(np.arange(0, layout.BLOCKS_PER_PACKET, layout.BLOCKS_PER_PACKET // blocks), -1)
         self.step_block = np.broadcast_to(led_to, self.step_deg.shape)
 
@@ -216,7 +245,9 @@ class DataChunk:
         """Find the mean speed of each revolution, in which the error of the encoder cancels."""
         turned_cdeg = self.signed_cdeg[:-1].sum(axis=1)
         middle_cdeg = float(np.median(turned_cdeg)) if len(turned_cdeg) else 0.0
-        packets = max(round(layout.AZIMUTH_CODES / middle_cdeg), 1) if middle_cdeg >= 1.0 else len(self.number)
+        packets = (
+            max(round(layout.AZIMUTH_CODES / middle_cdeg), 1) if middle_cdeg >= 1.0 else len(self.number)
+        )
         rows = len(turned_cdeg) // packets * packets
         whole = self.is_regular[:rows].reshape(-1, packets).all(axis=1)
         revolution_cdeg = turned_cdeg[:rows].reshape(-1, packets).sum(axis=1)
@@ -234,7 +265,8 @@ class DataRules:
 
     def __init__(self, findings: Findings) -> None:
         self._findings = findings
-        self._clock, self._optics = ClockWatch(findings), OpticsRules(findings)
+        self._clock = ClockWatch(findings)
+        self._optics = OpticsRules(findings)
         self.lost_packets = 0
         self.covered_us = 0.0  # time spanned by the packets, lost ones included
         self.left_out_us = 0.0  # time without packets because of a limited field of view
@@ -264,7 +296,8 @@ class DataRules:
         if len(chunk.even_steps_cdeg) >= _RPM_STEPS:
             rpm = float(chunk.even_steps_cdeg.mean()) / _CDEG_PER_STEP_AND_RPM
             if not LEAST_RPM * (1 - _RPM_TOLERANCE) <= rpm <= MOST_RPM * (1 + _RPM_TOLERANCE):
-                found, expected = f"{rpm:.1f} rpm from here", f"{LEAST_RPM} to {MOST_RPM}"
+                found = f"{rpm:.1f} rpm from here"
+                expected = f"{LEAST_RPM} to {MOST_RPM}"
                 self._findings.add(Rule.RPM, int(chunk.number[0]), found, expected)
         self._optics.check(chunk)
 
@@ -282,13 +315,15 @@ class OpticsRules:
         """Check one chunk."""
         if chunk.distance_lsb[..., 0].size < _SHORTEST:
             return
-        packet, is_return = int(chunk.number[0]), chunk.distance_lsb > 0
+        packet = int(chunk.number[0])
+        is_return = chunk.distance_lsb > 0
         self._check_lasers(packet, is_return.mean(axis=(0, 1, 2)))
         self._check_sectors(packet, chunk, is_return)
 
     def _check_lasers(self, packet: int, share: F8) -> None:
         """Report lasers without any return whose neighbours have many; lasers at the edge if they had returns before."""
-        of, before = share[_BY_ELEVATION], self._share[_BY_ELEVATION]
+        of = share[_BY_ELEVATION]
+        before = self._share[_BY_ELEVATION]
         sees = of >= _SEEN
         dead = of == 0
         dead[1:-1] &= sees[:-2] & sees[2:]
@@ -296,8 +331,11 @@ class OpticsRules:
             dead[edge] &= before[edge] >= _SEEN and of[inner] >= 0.5 * before[inner] > 0
         found = frozenset(_BY_ELEVATION[dead].tolist()) | {laser for laser in self._dead if share[laser] == 0}
         for laser in sorted(found - self._dead):
-            self._findings.add(Rule.LASER, packet, f"laser {laser} without returns", "some, as those beside it")
-        self._share, self._dead = share, found
+            self._findings.add(
+                Rule.LASER, packet, f"laser {laser} without returns", "some, as those beside it"
+            )
+        self._share = share
+        self._dead = found
 
     def _check_sectors(self, packet: int, chunk: DataChunk, is_return: NDArray[np.bool_]) -> None:
         """Report sectors that turn dark from one chunk to the next while the others do not change."""
@@ -309,7 +347,8 @@ class OpticsRules:
         known = blocks >= _SECTOR_BLOCKS
         mean = np.divide(light, blocks, out=np.zeros(_SECTORS), where=known)
         # A sector that is too dark to be judged gives no reference for the next chunk.
-        before, self._light = self._light, np.where(returns >= _SECTOR_RETURNS, mean, 0.0)
+        before = self._light
+        self._light = np.where(returns >= _SECTOR_RETURNS, mean, 0.0)
         if before is None:
             return
         judged = known & (before > 0)
@@ -319,7 +358,9 @@ class OpticsRules:
         dark = np.flatnonzero(ratio < _DARKER)
         for run in np.split(dark, np.flatnonzero(np.diff(dark) > 1) + 1) if len(dark) else ():
             begin, end = run[0] * 360 // _SECTORS, (run[-1] + 1) * 360 // _SECTORS
-            found = f"{ratio[run].mean():.2f} of the light from {begin} to {end} deg, as behind a dirty window"
+            found = (
+                f"{ratio[run].mean():.2f} of the light from {begin} to {end} deg, as behind a dirty window"
+            )
             self._findings.add(Rule.WINDOW, packet, found, "about as much as before")
 
 
@@ -354,8 +395,12 @@ class _Sentence(NamedTuple):
 class PositionChunk:
     """Columns of n consecutive position packets; the first one is the last packet of the chunk `before`, already judged."""
 
-    head_bytes = 14  # other sensors of the family report motion from here on; software detects the VLP-16 by the zeros
-    latest_s = 2  # the sentence of a second arrives during the next one; until then the sentence before is repeated
+    head_bytes = (
+        14  # other sensors of the family report motion from here on; software detects the VLP-16 by the zeros
+    )
+    latest_s = (
+        2  # the sentence of a second arrives during the next one; until then the sentence before is repeated
+    )
 
     def __init__(self, datagrams: Sequence[Datagram], before: "PositionChunk | None") -> None:
         self.last = datagrams[-1]
@@ -368,10 +413,13 @@ class PositionChunk:
         fields = payload.view(POSITION_PAYLOAD)[:, 0]
         self.head = payload[:, : self.head_bytes].max(axis=1)
         self.has_head = self.head > 0
-        self.timestamp_us, self.pps = fields["timestamp_us"].astype(np.int64), fields["pps"]
-        self.clock_s, self.is_past_hour = self.timestamp_us * US_NS / S_NS, self.timestamp_us >= HOUR_US
+        self.timestamp_us = fields["timestamp_us"].astype(np.int64)
+        self.pps = fields["pps"]
+        self.clock_s = self.timestamp_us * US_NS / S_NS
+        self.is_past_hour = self.timestamp_us >= HOUR_US
         self.state = np.array([*map(str.lower, PpsState.__members__), ""])[self.pps.clip(0, len(PpsState))]
-        self.is_no_state, is_error = self.pps >= len(PpsState), self.pps == PpsState.ERROR
+        self.is_no_state = self.pps >= len(PpsState)
+        is_error = self.pps == PpsState.ERROR
         was = np.append(PpsState.ABSENT, self.pps[:-1])
         self.is_lost_lock = (was == PpsState.LOCKED) & (self.pps != was) & ~self.is_no_state
         self.is_error = is_error & (was != PpsState.ERROR) & ~self.is_lost_lock
@@ -390,10 +438,13 @@ class PositionChunk:
         """Read the sentences, and compare their seconds with the clock and with earlier sentences."""
         areas = [each.payload[SENTENCE_OFFSET:] for each in every]
         columns = zip(*map(_read_sentence, areas), strict=True)
-        self.second, self.status, self.malformed, self.end, self.checksum, self.right, talker = map(np.array, columns)
+        self.second, self.status, self.malformed, self.end, self.checksum, self.right, talker = map(
+            np.array, columns
+        )
         self.talker = np.where(talker == np.append("", talker[:-1]), "", talker)
         self.named = np.array([f"{second // 60:02d}:{second % 60:02d}" for second in self.second.tolist()])
-        is_locked, is_known = self.pps == PpsState.LOCKED, self.second >= 0
+        is_locked = self.pps == PpsState.LOCKED
+        is_known = self.second >= 0
         self.is_missing = is_locked & np.array([not any(area) for area in areas])
         place = np.maximum.accumulate(np.where(is_known, np.arange(len(every)), -1))
         said = np.where(place >= 0, self.second[place], before.said if before else -1)
@@ -403,7 +454,8 @@ class PositionChunk:
         self.late_s = (self.clock_s - self.second) % 3600
         is_old = is_known & (self.late_s >= self.latest_s)
         self.is_old, self.is_off = (
-            of & ~np.append(False, of[:-1]) for of in (is_old & is_locked, is_old & ~is_locked & (self.status == "A"))
+            of & ~np.append(False, of[:-1])
+            for of in (is_old & is_locked, is_old & ~is_locked & (self.status == "A"))
         )  # first of consecutive packets whose sentence and clock disagree, with lock and without
         is_next = is_locked & is_known & ~is_old & (earlier >= 0) & (self.second == (earlier + 1) % 3600)
         is_next[1:] &= np.diff(self.stamp_ns) < _NEXT_NS
@@ -418,7 +470,8 @@ class PositionRules:
     """Rules of position packets, checked chunk by chunk."""
 
     def __init__(self, findings: Findings) -> None:
-        self._findings, self._clock = findings, ClockWatch(findings)
+        self._findings = findings
+        self._clock = ClockWatch(findings)
         self._before: PositionChunk | None = None
         self.void_sentences = 0  # seconds whose sentence has the status V
         self.lost_packets = 0
@@ -439,13 +492,21 @@ def _read_sentence(area: bytes) -> _Sentence:
     if not any(area):
         return _Sentence()
     text, _, rest = area.partition(b"\0")
-    end = "characters after a NUL" if any(rest) else "" if text.endswith(b"\r\n") else f"an end of {text[-4:]!r}"
+    end = (
+        "characters after a NUL"
+        if any(rest)
+        else ""
+        if text.endswith(b"\r\n")
+        else f"an end of {text[-4:]!r}"
+    )
     body, star, checksum = text.rstrip(b"\r\n").rpartition(b"*")
     match = _SENTENCE.fullmatch(body)
     if match is None or not star:
         return _Sentence(malformed=repr(text[:_SENTENCE_CHARACTERS]), end=end)
-    time, talker = match["time"], match["talker"].decode()
-    right, found = f"{reduce(xor, body[1:]):02X}", checksum.decode("ascii", "replace")
+    time = match["time"]
+    talker = match["talker"].decode()
+    right = f"{reduce(xor, body[1:]):02X}"
+    found = checksum.decode("ascii", "replace")
     return _Sentence(
         second=60 * int(time[2:4]) + int(time[4:]) if time else -1,
         status=match["status"].decode(),

@@ -27,7 +27,8 @@ class Level(StrEnum):
     """Weight of a finding."""
 
     ERROR = "error"  # no sensor sends it
-    NOTE = "note"  # caused by settings of the user, receivers, old firmware or recorders; the sensor works correctly
+    # caused by settings of the user, receivers, old firmware or recorders; the sensor works correctly
+    NOTE = "note"
 
 
 class Rule(StrEnum):
@@ -41,7 +42,8 @@ class Rule(StrEnum):
     HEADER = "header"  # IPv4 and UDP header fields of each stream, checksums included
     STAMP_ORDER = "stamp-order"  # capture stamps never decrease
     FLAG = "flag"  # every block begins with FF EE
-    FACTORY = "factory"  # return mode and product are known and the product does not change; a change of mode is a note
+    # return mode and product are known and the product does not change; a change of mode is a note
+    FACTORY = "factory"
     TIME_RANGE = "time-range"  # time stamps lie within the hour
     TIME_STEP = "time-step"  # time stamps increase by one packet period, across the hour too
     LOST_PACKETS = "lost-packets"  # no packet is missing
@@ -56,7 +58,8 @@ class Rule(StrEnum):
     AZIMUTH_RANGE = "azimuth-range"  # azimuths lie in 0 .. 35999
     AZIMUTH_STEP = "azimuth-step"  # azimuths increase evenly from block to block, across 0 too
     AZIMUTH_GAP = "azimuth-gap"
-    """The whole revolution is sent; a limited field of view, a setting of the manual's section 10.1, is a note."""
+    """The whole revolution is sent; a limited field of view, a setting of the manual's section 10.1, is a
+    note."""
     SINGLE_AS_DUAL = "single-as-dual"
     """In single return the first two blocks differ in azimuth, which some software mistakes for dual."""
     RPM = "rpm"  # the rotor makes 300 to 1200 revolutions per minute
@@ -66,15 +69,19 @@ class Rule(StrEnum):
     DISTANCE_CODE = "distance-code"  # distances are 0 or at least 250 counts
     DUAL_AZIMUTH = "dual-azimuth"  # in dual return the two blocks of a pair have one azimuth
     DUAL_ORDER = "dual-order"  # the last return, in the even block, is never nearer than its pair
-    DUAL_REFLECTIVITY = "dual-reflectivity"  # pairs of equal distance have equal reflectivity, with rare exceptions
+    DUAL_REFLECTIVITY = (
+        "dual-reflectivity"  # pairs of equal distance have equal reflectivity, with rare exceptions
+    )
     POSITION_HEAD = "position-head"  # position packets begin with 14 zeros
     PPS = "pps"  # the state of the pulse per second is 0 .. 2; 3 is an error. Once locked it stays locked
     NMEA_FORMAT = "nmea-format"
-    """The sentence is RMC as NMEA 0183 has it, by a talker GP, else a note; there is one when the state is locked."""
+    """The sentence is RMC as NMEA 0183 has it, by a talker GP, else a note; there is one when the state is
+    locked."""
     NMEA_CHECKSUM = "nmea-checksum"  # the sentence's checksum is right
     NMEA_END = "nmea-end"  # the sentence ends with CR LF, and only NUL follows
     NMEA_SECOND = "nmea-second"
-    """The sentence names the second before the time stamp, or the one before that; unless locked, a disagreement is a note."""
+    """The sentence names the second before the time stamp, or the one before that; unless locked, a
+    disagreement is a note."""
     NMEA_TIME = "nmea-time"  # when locked, sentences come at one time after their second, within 0.25 s
     DATA_RATE = "data-rate"  # 753.5 data packets per second in single, 1507 in dual return, within 10 %
     POSITION_RATE = "position-rate"
@@ -121,7 +128,8 @@ class _Element:
     """Element `i` of each column, by name."""
 
     def __init__(self, columns: object, i: int) -> None:
-        self._columns, self._i = columns, i
+        self._columns = columns
+        self._i = i
 
     def __getitem__(self, name: str) -> Any:
         value = getattr(self._columns, name)
@@ -166,22 +174,28 @@ class Findings:
 Microseconds = TypeVar("Microseconds", int, I8)
 
 HOUR_US = HOUR_NS // US_NS
-JITTER_US = 5 * MS_NS // US_NS  # greatest delay of a capture stamp, bursts included; a quiet host stays below 0.1 ms
+JITTER_US = (
+    5 * MS_NS // US_NS
+)  # greatest delay of a capture stamp, bursts included; a quiet host stays below 0.1 ms
 _DRIFT_PPM = 150  # clocks of sensors and hosts differed by 2 to 20 ppm; a cheap oscillator may be 100 ppm off
 _LAYOUTS = {PacketKind.DATA: layout.DATA_PAYLOAD, PacketKind.POSITION: layout.POSITION_PAYLOAD}
 _MODE_AT: int = layout.DATA_PAYLOAD.fields["return_mode"][1]  # type: ignore[index]  # it has fields
-_PERIODS_NS = {layout.RETURN_MODE_BYTE[mode]: n * SEQUENCE_NS for mode, n in layout.SEQUENCES_PER_PACKET.items()}
+_PERIODS_NS = {
+    layout.RETURN_MODE_BYTE[mode]: n * SEQUENCE_NS for mode, n in layout.SEQUENCES_PER_PACKET.items()
+}
 _HELD = 128  # packets that are held for sorting: 0.17 s of single return
 _FLAG = layout.BLOCK_FLAG.to_bytes(2, "little")
 SENTENCE_OFFSET: int = layout.POSITION_PAYLOAD.fields["sentence"][1]  # type: ignore[index]  # it has fields
 """First character of the sentence in a position payload."""
 PORT = {PacketKind.DATA: DATA_PORT, PacketKind.POSITION: POSITION_PORT}
-"""Source port of each kind, and destination unless the user has set another (63-9243 Rev D, section 10.2.3.12)."""
+"""Source port of each kind, and destination unless the user has set another (63-9243 Rev D, section
+10.2.3.12)."""
 PAYLOAD_BYTES = {PacketKind.DATA: layout.DATA_BYTES, PacketKind.POSITION: layout.POSITION_BYTES}
 _TTL = {PacketKind.DATA: DATA_TTL, PacketKind.POSITION: POSITION_TTL}
 _FLAGS = {PacketKind.DATA: dpkt.ip.IP_DF, PacketKind.POSITION: 0}
 _VELOVIEW = bytes.fromhex("607688000000 0800 4500 04d2 0000 4000 ff11 b4aa c0a801c8")
-"""Header from source MAC to source address that old versions of VeloView give all packets. Source: Kitware/VeloView,
+"""Header from source MAC to source address that old versions of VeloView give all packets. Source:
+Kitware/VeloView,
 LidarPlugin/Common/Network/NetworkPacket.cxx, and a capture of 2014."""
 _HEADER = np.dtype(
     [
@@ -245,7 +259,9 @@ class _Frames:
     """Columns of n frames of one kind whose payloads have the right length; header fields (n, c) beside their correct values."""
 
     def __init__(self, datagrams: Sequence[Datagram], kind: PacketKind) -> None:
-        self.kind, is_data, payload_bytes = kind, kind is PacketKind.DATA, PAYLOAD_BYTES[kind]
+        self.kind = kind
+        is_data = kind is PacketKind.DATA
+        payload_bytes = PAYLOAD_BYTES[kind]
         self.number = np.array([each.number for each in datagrams])
         self.captured, self.wire, self.whole = np.array(
             [(each.captured_bytes, each.wire_bytes, len(each.header) + payload_bytes) for each in datagrams]
@@ -271,7 +287,11 @@ class _Frames:
             ("remainder of the IP header's sum", words[:, :10].sum(axis=1) % 0xFFFF, 0),
             ("identification", raw["identification"] * is_data, 0),
             ("UDP checksum", raw["udp_sum"] * is_data, 0),
-            ("remainder of the UDP sum (-1: none sent)", np.where(raw["udp_sum"], udp % 0xFFFF, -1) * (not is_data), 0),
+            (
+                "remainder of the UDP sum (-1: none sent)",
+                np.where(raw["udp_sum"], udp % 0xFFFF, -1) * (not is_data),
+                0,
+            ),
         ]
         names, values, wanted = zip(*fields, strict=True)
         self.value = np.stack([np.asarray(column, np.int64) for column in values], axis=1)
@@ -291,11 +311,13 @@ def check_frames(datagrams: Sequence[Datagram], kind: PacketKind, findings: Find
 class InOrder:
     """Sorter of the packets of one kind into the order of their creation, which drops repeated packets.
 
-    A packet that does not fit the held packets, because the clock has been set or a stamp is wrong, keeps its place.
+    A packet that does not fit the held packets, because the clock has been set or a stamp is wrong, keeps its
+    place.
     """
 
     def __init__(self, kind: PacketKind, findings: Findings) -> None:
-        self._kind, self._findings = kind, findings
+        self._kind = kind
+        self._findings = findings
         self._stamp_at: int = _LAYOUTS[kind].fields["timestamp_us"][1]  # type: ignore[index]  # it has fields
         self._held: list[Datagram] = []
         self._repeats = 0
@@ -313,9 +335,13 @@ class InOrder:
         place = len(self._held)
         if self._held and self._since_us(datagram, self._held[-1]) < 0:
             if self._is_late(datagram):
-                place = next(n for n in range(place, 0, -1) if self._since_us(datagram, self._held[n - 1]) >= 0)
+                place = next(
+                    n for n in range(place, 0, -1) if self._since_us(datagram, self._held[n - 1]) >= 0
+                )
                 found = f"a {self._kind} packet overtaken by {len(self._held) - place}"
-                self._findings.add(Rule.PACKET_ORDER, datagram.number, found, "packets in order of their time stamps")
+                self._findings.add(
+                    Rule.PACKET_ORDER, datagram.number, found, "packets in order of their time stamps"
+                )
             else:
                 yield from self.rest()
                 place = 0
@@ -325,15 +351,18 @@ class InOrder:
 
     def rest(self) -> Iterator[Datagram]:
         """Yield the packets that are still held."""
-        held, self._held = self._held, []
+        held = self._held
+        self._held = []
         yield from held
 
     def _report_again(self, datagram: Datagram, known: Datagram) -> None:
         """Report a repeated packet; a sensor that hangs sends it again and again."""
-        rule, found = Rule.DUPLICATE, f"packet {known.number} again"
+        rule = Rule.DUPLICATE
+        found = f"packet {known.number} again"
         counts_on = self._kind is PacketKind.POSITION and datagram.identification != known.identification
         if self._repeats > 0 or counts_on:
-            rule, found = Rule.FROZEN, f"the payload of packet {known.number} again and again"
+            rule = Rule.FROZEN
+            found = f"the payload of packet {known.number} again and again"
         self._repeats += 1
         self.duplicates += rule is Rule.DUPLICATE
         self._findings.add(rule, datagram.number, found, f"a new {self._kind} packet")

@@ -25,14 +25,18 @@ from vlp16emu.types import PacketKind, ReturnMode
 from vlp16emu.units import S_NS, US_NS
 
 _CHUNK_PACKETS = 512  # data packets checked together: 0.6 MB, 0.7 s of single return
-_HELD_PACKETS, _SMALLEST_CHUNK = 16 * _CHUNK_PACKETS, 16
+_HELD_PACKETS = 16 * _CHUNK_PACKETS
+_SMALLEST_CHUNK = 16
 """Total length of the chunks of all units, and the least length of a chunk."""
 _MODE_AT = -2  # return mode and product end a data payload
 _DUAL_BYTE = RETURN_MODE_BYTE[ReturnMode.DUAL]
 _SHORTEST_S = 2.0  # least span to judge rates: position packets arrive at irregular intervals
 _RATE_TOLERANCE = 0.1
 _SILENCE_NS = S_NS // 2  # position packets arrive every 20 ms or faster, also with lasers off
-_POSITION_RATES_HZ = (146.0, 53.8)  # measured on two units in single return; 63-9243 Rev D, section 8.2.2, p. 50
+_POSITION_RATES_HZ = (
+    146.0,
+    53.8,
+)  # measured on two units in single return; 63-9243 Rev D, section 8.2.2, p. 50
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,9 +51,12 @@ class Verification:
     """Seconds without a GPS fix, from the status V of sentences; trees cause them too."""
     span_s: float  # time from the first packet to the last, by the capture's stamps
     rpm: float | None  # mean rotor speed; None without data packets
-    is_cut: bool  # True if the file ends in the middle of a packet, as after a killed recorder; the rest is checked
+    # True if the file ends in the middle of a packet, as after a killed recorder; the rest is checked
+    is_cut: bool
     counts: Mapping[Rule, int]  # errors of each broken rule
-    notes: Mapping[Rule, int]  # findings of each rule that settings, receivers, old firmware or recorders cause
+    notes: Mapping[
+        Rule, int
+    ]  # findings of each rule that settings, receivers, old firmware or recorders cause
     findings: tuple[Finding, ...]  # the first findings of each rule, by packet number
 
     @property
@@ -75,7 +82,9 @@ def verify(capture: str | Path, unit: str | int | None = None, *, limit_per_rule
     return verify_units(path, [chosen], limit_per_rule=limit_per_rule)[0]
 
 
-def verify_units(path: Path, units: Sequence[CapturedUnit | None], *, limit_per_rule: int = 10) -> list[Verification]:
+def verify_units(
+    path: Path, units: Sequence[CapturedUnit | None], *, limit_per_rule: int = 10
+) -> list[Verification]:
     """Check each of several units on its own, in one pass and with little memory; None stands for all packets."""
     chunk_packets = min(_CHUNK_PACKETS, max(_HELD_PACKETS // max(len(units), 1), _SMALLEST_CHUNK))
     checks = [(unit, _Check(Findings(limit_per_rule), chunk_packets)) for unit in units]
@@ -91,11 +100,15 @@ class _Check:
     """Check of one unit: it sorts datagrams by kind, counts them, and passes them on in chunks."""
 
     def __init__(self, findings: Findings, chunk_packets: int) -> None:
-        self._findings, self._chunk_packets = findings, chunk_packets
-        self._data, self._position = DataRules(findings), PositionRules(findings)
+        self._findings = findings
+        self._chunk_packets = chunk_packets
+        self._data = DataRules(findings)
+        self._position = PositionRules(findings)
         self._in_order = {kind: InOrder(kind, findings) for kind in PORT}
         self._chunk: dict[PacketKind, list[Datagram]] = {kind: [] for kind in PORT}
-        self._before: Datagram | None = None  # last data packet of the chunk before, if this chunk continues it
+        self._before: Datagram | None = (
+            None  # last data packet of the chunk before, if this chunk continues it
+        )
         self._factory = b""
         self._packets = Counter[PacketKind]()
         self._first: dict[PacketKind, Datagram] = {}
@@ -105,7 +118,8 @@ class _Check:
 
     def take(self, datagram: Datagram) -> None:
         """Check one datagram, or keep it for its chunk."""
-        kind, number = kind_of(datagram), datagram.number
+        kind = kind_of(datagram)
+        number = datagram.number
         if kind is None:
             return
         since_ns = 0 if self._stamp_ns is None else datagram.stamp_ns - self._stamp_ns
@@ -179,7 +193,8 @@ class _Check:
             continues = chunk[0] is self._before
             check_frames(chunk[continues:], PacketKind.DATA, self._findings)
             self._data.check(DataChunk(chunk, self._factory, continues=continues, ends=ends))
-            self._before, self._factory = chunk[-1], chunk[-1].payload[_MODE_AT:]
+            self._before = chunk[-1]
+            self._factory = chunk[-1].payload[_MODE_AT:]
         self._chunk[PacketKind.DATA] = [] if ends else chunk[-1:]
 
     def _check_position(self) -> None:
@@ -204,7 +219,11 @@ class _Check:
             (PacketKind.DATA, Rule.DATA_RATE, covered, data_s, (nominal_hz,)),
             (PacketKind.POSITION, Rule.POSITION_RATE, sent, position_s, _POSITION_RATES_HZ),
         ):
-            if span_s >= _SHORTEST_S and all(abs(count / span_s / hz - 1) > _RATE_TOLERANCE for hz in usual_hz):
+            if span_s >= _SHORTEST_S and all(
+                abs(count / span_s / hz - 1) > _RATE_TOLERANCE for hz in usual_hz
+            ):
                 found = f"{count / span_s:.1f} {kind} packets per second"
                 words = " or ".join(f"{hz:.1f}" for hz in usual_hz)
-                self._findings.add(rule, self._last[kind].number, found, f"{words} within {_RATE_TOLERANCE:.0%}")
+                self._findings.add(
+                    rule, self._last[kind].number, found, f"{words} within {_RATE_TOLERANCE:.0%}"
+                )

@@ -110,7 +110,8 @@ class Draft:
 
         Way points with a stop stay. A phone's track has one per second, far more than a curve needs.
         """
-        xy_m, last = self.xy_m, len(self.way_points) - 1
+        xy_m = self.xy_m
+        last = len(self.way_points) - 1
         kept = {0, last} | {i for i, one in enumerate(self.way_points) if one.pause_s}
         if self.is_loop:
             kept |= {last // 3, 2 * last // 3}
@@ -150,7 +151,8 @@ class Versions:
     """A list of drafts and the current one among them: each change can be undone and redone."""
 
     def __init__(self, first: Draft) -> None:
-        self._drafts, self._at = [first], 0
+        self._drafts = [first]
+        self._at = 0
 
     @property
     def first(self) -> Draft:

@@ -47,7 +47,8 @@ _MEANING: dict[Kind, str] = {
 }
 _BALL = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], np.float32)
 _BALL_FACES = [(0, 2, 4), (2, 1, 4), (1, 3, 4), (3, 0, 4), (2, 0, 5), (1, 2, 5), (3, 1, 5), (0, 3, 5)]
-_BALL_M, _DOT_M = 0.35, 0.12  # radii of the octahedra of way points and of dots
+_BALL_M = 0.35  # radii of the octahedra of way points and of dots
+_DOT_M = 0.12
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,15 +105,22 @@ class Editor:
         seen: Survey,
         show: Callable[[Emulator], Survey],
     ) -> None:
-        self._server, self._opened, self._emulator, self._show_stand = server, opened, emulator, show
+        self._server = server
+        self._opened = opened
+        self._emulator = emulator
+        self._show_stand = show
         self._around = Surroundings(opened.scenario, emulator.parts.units, seen)
         self._versions = Versions(Draft.of(opened.scenario))
         self._versions.change(Draft.of(emulator.scenario))
-        self._grown, self._saved = self._versions.draft, self._versions.first
+        self._grown = self._versions.draft
+        self._saved = self._versions.first
         self._dragged: Draft | None = None  # while a way point is dragged
-        self._chosen, self._is_growing, self._note = 0, False, ""
+        self._chosen = 0
+        self._is_growing = False
+        self._note = ""
         if self._grown != self._saved:
-            was, now = len(self._saved.way_points), len(self._grown.way_points)
+            was = len(self._saved.way_points)
+            now = len(self._grown.way_points)
             self._note = f"Nobody can walk through all {was} way points; {now} are left. Undo shows why."
         self._requests: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._gizmos: list[viser.TransformControlsHandle] = []
@@ -124,7 +132,9 @@ class Editor:
         Thread(target=self._run, name="path editor", daemon=True).start()
 
     def _panel(self) -> None:
-        gui, draft, to = self._server.gui, self._versions.draft, self._opened.to
+        gui = self._server.gui
+        draft = self._versions.draft
+        to = self._opened.to
         with gui.add_folder("Path", order=0.0):  # before the sweeps, whose legend may be long
             self._text = gui.add_html("")
             ends = {"preview": self._begin_preview} | ({} if to is None else {"save": self._save})
@@ -191,7 +201,8 @@ class Editor:
 
     def _insert_after(self) -> None:
         """Insert a way point on the curve, near the middle of the leg after the chosen one."""
-        draft, last = self._versions.draft, len(self._versions.draft.way_points) - 1
+        draft = self._versions.draft
+        last = len(self._versions.draft.way_points) - 1
         ends_m = draft.xy_m[[min(self._chosen, last - 1), min(self._chosen, last - 1) + 1]]
         path_m = self._around.outlook(draft).path_m[:, :2]
         gap_m = np.abs(path_m - ends_m.mean(axis=0)).sum(axis=1)
@@ -226,12 +237,14 @@ class Editor:
         self._versions.change(draft.closed(is_loop=self._loop.value is True))
 
     def _save(self) -> None:
-        opened, draft = self._opened, self._versions.draft
+        opened = self._opened
+        draft = self._versions.draft
         if opened.to is None:
             return
         changed = self._around.settings(draft)
         write_scene(opened.to, opened.file, opened.settings, changed, inputs=opened.inputs)
-        self._saved, self._note = draft, f"Saved as {opened.to}"
+        self._saved = draft
+        self._note = f"Saved as {opened.to}"
 
     def _begin_preview(self) -> None:
         draft = self._versions.draft
@@ -257,7 +270,9 @@ class Editor:
         self._requests.put(lambda: self._say(note) if note else None)
 
     def _take_grown(self, draft: Draft, emulator: Emulator, around: Surroundings) -> None:
-        self._grown, self._emulator, self._around = draft, emulator, around
+        self._grown = draft
+        self._emulator = emulator
+        self._around = around
 
     def _say(self, note: str) -> None:
         self._note = note
@@ -294,7 +309,8 @@ class Editor:
         else:
             is_whole = outlook.run_time_s - outlook.recorded_s < 1 / PER_S
             part = "all of it" if is_whole else f"the first {outlook.recorded_s:.1f} s"
-            data, position = _grouped(outlook.data_packets), _grouped(outlook.position_packets)
+            data = _grouped(outlook.data_packets)
+            position = _grouped(outlook.position_packets)
             lines.append(f"recorded: {part}, {_grouped(outlook.revolutions)} revolutions,")
             lines.append(f"{data} data and {position} position packets")
         if self._is_growing:
@@ -383,14 +399,16 @@ class Editor:
 
     def _add_gizmo(self, place: int) -> None:
         """Add the arrows of a way point, which slides level, and goes to the ground when it is let go."""
-        scene, name = self._server.scene, f"/gizmos/{place}"
+        scene = self._server.scene
+        name = f"/gizmos/{place}"
         look: dict[str, Any] = {"scale": 1.6, "line_width": 4.0}
         look |= {"disable_rotations": True, "depth_test": False}
         gizmo = scene.add_transform_controls(name, active_axes=(True, True, False), **look)
 
         async def dragged(event: viser.TransformControlsEvent) -> None:  # coroutines stay in order
             x_m, y_m, _ = gizmo.position.tolist()
-            number, is_end = self._first_gizmo + place, event.phase == "end"
+            number = self._first_gizmo + place
+            is_end = event.phase == "end"
             self._requests.put(lambda: self._drag(number, x_m, y_m, is_end=is_end))
 
         gizmo.on_update(dragged)
@@ -400,7 +418,8 @@ class Editor:
     def _drag(self, number: int, x_m: float, y_m: float, *, is_end: bool) -> None:
         if not (abs(x_m) <= _FARTHEST_M and abs(y_m) <= _FARTHEST_M):  # False for NaN
             return
-        moved, self._chosen = self._versions.draft.moved(number, x_m, y_m), number
+        moved = self._versions.draft.moved(number, x_m, y_m)
+        self._chosen = number
         self._dragged = None if is_end else moved
         if is_end:
             self._versions.change(moved)

@@ -8,12 +8,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.extras.colours import PART_RGB, Rgb, colour_of_kind, colour_of_species, colours_of_plant, surface_colours
+from vlp16emu.extras.colours import (
+    PART_RGB,
+    Rgb,
+    colour_of_kind,
+    colour_of_species,
+    colours_of_plant,
+    surface_colours,
+)
 from vlp16emu.types import F8, SURFACE, U1, Labels, PlantPart, Scan, Semantic
 from vlp16emu.units import S_NS
 
 Entries = Mapping[str, tuple[Rgb, ...]] | tuple[float, float, str] | None
-"""Legend of a layer: colours by name, or limits of a scale with its name and unit; None for instances, which have no names."""
+"""Legend of a layer: colours by name, or limits of a scale with its name and unit; None for instances, which
+have no names."""
 
 _LABELLED = ("natural", "class", "part", "species", "instance")
 MEASURED = ("range", "reflectivity", "ring", "time")
@@ -22,7 +30,8 @@ LAYERS = (*_LABELLED, *MEASURED, "range error")
 _SCALE = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)], np.float64)
 """Viridis at five values (matplotlib, `_cm_listed.py`)."""
 _EITHER_WAY = np.array([(59, 76, 192), (150, 150, 150), (180, 4, 38)], np.float64)
-"""Scale of values about 0: ends of coolwarm (K. Moreland, "Diverging color maps", ISVC 2009) about a grey that is visible on white."""
+"""Scale of values about 0: ends of coolwarm (K. Moreland, "Diverging color maps", ISVC 2009) about a grey
+that is visible on white."""
 _ERROR_CM = 6.0  # end of the scale of range errors: twice the +-3 cm of the data sheet
 _KINDS = {
     Semantic.SHRUB: "Shrubs",
@@ -48,16 +57,21 @@ def coloured(scan: Scan, layer: str, species: Mapping[int, str]) -> tuple[U1, En
     if scan.labels is None or layer not in _LABELLED:
         values, scale = _measured(scan, layer)
         return colours_of_scale(values, *scale[:2]), scale
-    labels: NDArray[Any] = getattr(scan.labels, {"class": "semantic", "natural": "semantic"}.get(layer, layer))
+    labels: NDArray[Any] = getattr(
+        scan.labels, {"class": "semantic", "natural": "semantic"}.get(layer, layer)
+    )
     different, which = np.unique(labels, return_inverse=True)
     if layer == "instance":
-        return np.array([_instance_rgb(n) for n in different.tolist()], np.uint8).reshape(-1, 3)[which.ravel()], None
+        return np.array([_instance_rgb(n) for n in different.tolist()], np.uint8).reshape(-1, 3)[
+            which.ravel()
+        ], None
     if layer == "natural":
         surfaces = np.zeros(len(scan.labels.semantic), SURFACE)
         for name in ("semantic", "part", "species"):
             surfaces[name] = getattr(scan.labels, name)
         return surface_colours(surfaces, species), _natural_legend(scan.labels, species)
-    named, other = _named(layer, species), ("", colour_of_kind("ground"))
+    named = _named(layer, species)
+    other = ("", colour_of_kind("ground"))
     shown = (named[n] for n in different.tolist() if n in named)
     colours = [named.get(n, other)[1] for n in different.tolist()]
     legend = {_title(name): (colour,) for name, colour in shown}

@@ -1,9 +1,12 @@
 """The stream's side of its page in the browser: copies of sent packets for a process that no packet waits for.
 
-    sending thread --deque of bounded length--> copying thread --socket that drops--> page, at a lower priority
+    sending thread --deque of bounded length--> copying thread --socket that drops--> page, at a lower
+    priority
 
-The sending thread does one `append`; if the copying thread is behind, the oldest packets fall out. The copying thread
-adds poses, and sends without waiting; if the page is slow, stopped or gone, its message is dropped. The page changes
+The sending thread does one `append`; if the copying thread is behind, the oldest packets fall out. The
+copying thread
+adds poses, and sends without waiting; if the page is slow, stopped or gone, its message is dropped. The page
+changes
 settings as any other client does: over the web interface of the sensor.
 """
 
@@ -144,7 +147,9 @@ class LivePage:
         """Note the web interfaces of the sensors."""
         self._web = tuple(places)
 
-    def watch(self, sink: PacketSink, pacer: Pacer, *, ended: Callable[[], None] = lambda: None) -> PacketSink:
+    def watch(
+        self, sink: PacketSink, pacer: Pacer, *, ended: Callable[[], None] = lambda: None
+    ) -> PacketSink:
         """Return a sink whose packets the page gets too.
 
         Parameters

@@ -35,7 +35,9 @@ _POSES = 128  # messages whose poses are kept: 2000 packets, more than the slowe
 _PATH_STEP_M = 0.2  # spacing of the points of the path; doubled each time that there are `_MOST_PATH`
 _MOST_PATH = 4000
 _PATH_RGB = (220, 60, 40)
-_NAME = "white-space:nowrap;vertical-align:top;padding-right:0.8em;opacity:0.7"  # style of a name in the table
+_NAME = (
+    "white-space:nowrap;vertical-align:top;padding-right:0.8em;opacity:0.7"  # style of a name in the table
+)
 _CAMERA_M = (-11.0, -6.0, 6.0)  # first place of the camera, seen from the sensor
 
 
@@ -62,7 +64,9 @@ class LiveView:
         self._poses = deque[tuple[I8, F8]](maxlen=_POSES)
         self._sweeps = deque[tuple[int, Sweep]](maxlen=_MOST_SWEEPS)  # numbered
         self._rpm: float | None = None  # of the last two sweeps
-        self._points = dict[int, tuple[Any, Any]]()  # by number modulo `_MOST_SWEEPS`: content, and handle of viser
+        self._points = dict[
+            int, tuple[Any, Any]
+        ]()  # by number modulo `_MOST_SWEEPS`: content, and handle of viser
         self._drawn_path = 0
         self._build()
 
@@ -236,7 +240,8 @@ class LiveView:
             "on this page": f"{self._read / max(data, 1):.0%} of data packets",
         }
         cells = (
-            f'<tr><td style="{_NAME}">{escape(name)}</td><td>{escape(text)}</td></tr>' for name, text in rows.items()
+            f'<tr><td style="{_NAME}">{escape(name)}</td><td>{escape(text)}</td></tr>'
+            for name, text in rows.items()
         )
         return boxed([f"<table>{''.join(cells)}</table>"])
 

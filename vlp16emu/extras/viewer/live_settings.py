@@ -51,7 +51,9 @@ class SettingsPanel:
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._place: tuple[str, int] | None = None
-        self._touched = dict[int, Any]()  # values of controls that somebody moved, by the index of the control
+        self._touched = dict[
+            int, Any
+        ]()  # values of controls that somebody moved, by the index of the control
         self._wake = Event()
         self._over = False
         gui = server.gui
@@ -71,7 +73,9 @@ class SettingsPanel:
             _Control(start, "fov", "start", str, int),
             _Control(end, "fov", "end", str, int),
             _Control(lock, "phaselock", "enabled", _switch_text, _is_on),
-            _Control(phase, "phaselock", "offset", lambda deg: str(round(100 * deg)), lambda cdeg: int(cdeg) / 100),
+            _Control(
+                phase, "phaselock", "offset", lambda deg: str(round(100 * deg)), lambda cdeg: int(cdeg) / 100
+            ),
         )
         for index, control in enumerate(self._controls):
             control.handle.disabled = True

@@ -86,10 +86,14 @@ class Surroundings:
     """
 
     def __init__(self, scenario: Scenario, units: Sequence[Unit], seen: Survey) -> None:
-        self._scenario, self._walk, self._first = scenario, walk_of(scenario), Draft.of(scenario)
-        self._units, self._seen = units, seen
+        self._scenario = scenario
+        self._walk = walk_of(scenario)
+        self._first = Draft.of(scenario)
+        self._units = units
+        self._seen = seen
         self._site = scenario.world.site(scenario.world_seed)
-        world, self._clearance_m = scenario.world, _BODY_M
+        world = scenario.world
+        self._clearance_m = _BODY_M
         if isinstance(world, Woods):
             self._clearance_m = world.path_clearance_m
         self._trees = listed_trees(world, scenario.world_seed) if isinstance(world, Plot) else seen.trees
@@ -121,7 +125,8 @@ class Surroundings:
             route = walk_of(scenario).route(self._site, scenario.gps, is_stored=False)
         except InputError as error:
             return self._faulty(draft, error)
-        path, run_time_s = route.path, route.run_time_s
+        path = route.path
+        run_time_s = route.run_time_s
         recorded_s = scenario.duration_s
         if draft.is_whole or recorded_s > run_time_s:
             recorded_s = math.floor(run_time_s * PER_S) / PER_S
@@ -209,7 +214,8 @@ def _solids(seen: Survey, height_m: float) -> Iterator[_Solid]:
     window = seen.window
     near = Polyline(seen.path_m[:, :2]).distance_m(window.world_T_shape[:, :2, 3]) <= seen.radius_m
     for i, which in enumerate(window.shape.tolist()):
-        key, row = window.shapes[which], window.surfaces[window.first_surface[i]]
+        key = window.shapes[which]
+        row = window.surfaces[window.first_surface[i]]
         name = seen.names.get(int(row["instance"]))
         is_thing = isinstance(key, FloorKey) and key.kind in _SOLID and near[i]
         if not is_thing and (name is None or row["semantic"] == Semantic.GROUND):

@@ -1,6 +1,7 @@
 """The page in the browser: its server, the stand, the path, and the sweep at the cursor's time.
 
-By default viser listens on all interfaces, answers any page that is open in a browser, and requests a public address if
+By default viser listens on all interfaces, answers any page that is open in a browser, and requests a public
+address if
 a page asks.
 """
 
@@ -71,10 +72,14 @@ def guarded_server(host: str, port: int) -> Iterator[viser.ViserServer]:
 
 
 def _check_requests(server: viser.ViserServer, names: frozenset[str]) -> None:
-    logging.getLogger("websockets.server").setLevel(logging.CRITICAL + 1)  # bad requests must not fill our log
+    logging.getLogger("websockets.server").setLevel(
+        logging.CRITICAL + 1
+    )  # bad requests must not fill our log
     loop = server.get_event_loop()
     # viser's websocket server is a local variable of a task.
-    values = (value for task in all_tasks(loop) for frame in task.get_stack() for value in frame.f_locals.values())
+    values = (
+        value for task in all_tasks(loop) for frame in task.get_stack() for value in frame.f_locals.values()
+    )
     web = next(value for value in values if isinstance(value, Server))
     answer = web.process_request
     assert answer is not None
@@ -95,17 +100,21 @@ def _check_requests(server: viser.ViserServer, names: frozenset[str]) -> None:
 def is_ours(headers: Headers, names: frozenset[str]) -> bool:
     """Return True if a request is for one of our names and comes from our own page.
 
-    A page of another origin sends that origin in `Origin` (RFC 6454, section 7); a foreign name that resolves to this
+    A page of another origin sends that origin in `Origin` (RFC 6454, section 7); a foreign name that resolves
+    to this
     machine is in `Host`.
     """
-    hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
+    hosts = headers.get_all("Host")
+    origins = headers.get_all("Origin")
     with suppress(ValueError):  # from a malformed address
         if len(hosts) == 1 and urlsplit(f"//{hosts[0]}").hostname in names:
             return not origins or origins == [f"http://{hosts[0]}"]
     return False
 
 
-def scene_page(server: viser.ViserServer, emulator: Emulator, opened: Opened, unit: int, radius_m: float) -> "Page":
+def scene_page(
+    server: viser.ViserServer, emulator: Emulator, opened: Opened, unit: int, radius_m: float
+) -> "Page":
     """Grow a scene and draw it up to a radius around its path, which can be edited if it is that of a walk.
 
     InputError without such a unit, or if the stand cannot be grown.
@@ -157,10 +166,16 @@ def _draw_stand(server: viser.ViserServer, seen: Survey) -> viser.FrameHandle:
     scene.remove_by_name("/stand")
     root = scene.add_frame("/stand", show_axes=False)
     scene.configure_default_lights(enabled=True, cast_shadow=False)
-    scene.configure_environment_map(None)  # image-based light on each pixel is slow; two lamps are enough for a stand
+    scene.configure_environment_map(
+        None
+    )  # image-based light on each pixel is slow; two lamps are enough for a stand
     # The view into a hall is through its ceiling.
     look: dict[str, Any] = {"lod": "off", "flat_shading": True, "material": "toon5"}
-    look |= {"cast_shadow": False, "receive_shadow": False, "side": "double" if seen.hall is None else "front"}
+    look |= {
+        "cast_shadow": False,
+        "receive_shadow": False,
+        "side": "double" if seen.hall is None else "front",
+    }
     for name, piece in pieces:
         scene.add_batched_meshes_simple(f"/stand/{name}", **piece, **look)
     return root
@@ -184,7 +199,10 @@ class Page:
         species: Mapping[int, str],
         root: viser.FrameHandle | None = None,
     ) -> None:
-        self._server, self._sweeps, self._species, self.root = server, sweeps, species, root
+        self._server = server
+        self._sweeps = sweeps
+        self._species = species
+        self.root = root
         self._next: SceneSweeps | None = None
         self._wake = Event()
         self._wake.set()
@@ -192,7 +210,8 @@ class Page:
         self._kept = deque[Sweep]([sweeps.at(0.0)], maxlen=_MOST_KEPT)
         self._layers = layers_of_scan(self._kept[0].scan)
         self._frame = server.scene.add_frame("/sensor", axes_length=0.6, axes_radius=0.02)
-        gui, last_s = server.gui, max(sweeps.last_s, sweeps.step_s)
+        gui = server.gui
+        last_s = max(sweeps.last_s, sweeps.step_s)
         with gui.add_folder("Sweep"):
             self._slider = gui.add_slider("time, s", 0.0, last_s, min(0.1, last_s), 0.0)
             self._play = gui.add_checkbox("play", initial_value=False)
@@ -200,7 +219,9 @@ class Page:
             self._legend = gui.add_html("")
             self._size = gui.add_slider("point, cm", 1.0, 20.0, 1.0, 5.0)
             self._stand = gui.add_checkbox("stand", initial_value=True, visible=root is not None)
-            self._together = gui.add_slider("sweeps", 1, _MOST_KEPT, 1, 1, hint="how many stay as they are played")
+            self._together = gui.add_slider(
+                "sweeps", 1, _MOST_KEPT, 1, 1, hint="how many stay as they are played"
+            )
             self._text = gui.add_markdown("")
             self._faults = gui.add_html("")
         for control in (self._slider, self._play, self._layer, self._size, self._stand, self._together):
@@ -222,7 +243,9 @@ class Page:
 
     def _draw(self) -> None:
         if self._next is not None:
-            self._sweeps, self._next, self._time_s = self._next, None, math.nan
+            self._sweeps = self._next
+            self._next = None
+            self._time_s = math.nan
             self._slider.max = max(self._sweeps.last_s, self._sweeps.step_s)
         # A client may send any number; NaN becomes the least.
         time_s = min(max(0.0, self._slider.value), self._sweeps.last_s)
@@ -239,7 +262,8 @@ class Page:
         made = [coloured(sweep.scan, layer, self._species) for sweep in shown]
         look: dict[str, Any] = {"precision": "float32", "point_shape": "circle", "point_shading": "flat"}
         look |= {"point_size": size_m, "position": middle_m}
-        rgb, shown_m = np.concatenate([colours for colours, _ in made]), (points_m - middle_m).astype(np.float32)
+        rgb = np.concatenate([colours for colours, _ in made])
+        shown_m = (points_m - middle_m).astype(np.float32)
         with self._server.atomic():
             self._server.scene.add_point_cloud("/sweep", shown_m, rgb, **look)
             if (world_T_sensor := shown[-1].scan.world_T_sensor) is not None:

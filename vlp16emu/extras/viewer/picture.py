@@ -26,16 +26,25 @@ from vlp16emu.units import S_NS
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-_BACKGROUND, _INK, _FRAME = (14, 18, 24), (215, 219, 224), (58, 68, 82)
+_BACKGROUND = (14, 18, 24)
+_INK = (215, 219, 224)
+_FRAME = (58, 68, 82)
 _RELIEF = 0.35
-"""Darkening of a pixel per metre by which its neighbours are nearer: eye-dome lighting (Boucheny, thesis, Grenoble 2009)."""
-_DARKEST, _SHADES = 0.3, 6  # few shades make small files: noise is costly
-_NEIGHBOUR_PX, _DOT_PX = 2, 2
+"""Darkening of a pixel per metre by which its neighbours are nearer: eye-dome lighting (Boucheny, thesis,
+Grenoble 2009)."""
+_DARKEST = 0.3  # few shades make small files: noise is costly
+_SHADES = 6
+_NEIGHBOUR_PX = 2
+_DOT_PX = 2
 
 _ELEVATION_DEG = 32.0
-_AROUND_M, _BELOW_M, _ABOVE_M = 22.0, 4.0, 22.0  # extent of the picture around, below and above the path of the sensor
+# extent of the picture around, below and above the path of the sensor
+_AROUND_M = 22.0
+_BELOW_M = 4.0
+_ABOVE_M = 22.0
 _SHARE = 0.93  # share of a sweep's points inside the box, for a capture without trajectory
-_CIRCLES_M, _MOST_CIRCLES = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0), 6
+_CIRCLES_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
+_MOST_CIRCLES = 6
 _DEEP_M = -1e3  # circles of range about the sensor are behind all points
 _MOST_ENTRIES = 16
 _PALETTE = 256
@@ -43,7 +52,9 @@ _SHOWN_BY = {"natural": "leaf and stem by species", "instance": "each plant and 
 _MILLIONS = 100_000  # number of points from which captions use millions
 _FROM_DEG = 205.0  # default bearing of the eye: light falls from the south
 _STATIONS = 200  # number of places along a path
-_LEAST_EM_PX, _LINES = 11, 38  # least height of letters, or the number of text lines in the height of a picture
+# least height of letters, or the number of text lines in the height of a picture
+_LEAST_EM_PX = 11
+_LINES = 38
 
 
 class Canvas:
@@ -59,8 +70,11 @@ class Canvas:
     """
 
     def __init__(self, box_m: F8, from_deg: float, elevation_deg: float, size: tuple[int, int]) -> None:
-        self._box_m, (width, height), self.size = box_m, size, size
-        a, e = math.radians(from_deg), math.radians(elevation_deg)
+        self._box_m = box_m
+        (width, height) = size
+        self.size = size
+        a = math.radians(from_deg)
+        e = math.radians(elevation_deg)
         right = np.array([-math.cos(a), math.sin(a), 0.0])
         back = np.array([math.sin(a) * math.cos(e), math.cos(a) * math.cos(e), math.sin(e)])
         self._axes = np.stack([right, np.cross(back, right), back])  # right, up, and towards the eye
@@ -81,7 +95,8 @@ class Canvas:
         """Draw places (n, 3) in colours (n, 3), and return the number of places whose x and y are within the box."""
         width, height = self.size
         shown = ((places_m >= self._box_m[0]) & (places_m <= self._box_m[1]))[:, :2].all(axis=1)
-        pixels, rgb = self.pixels(places_m[shown]), rgb[shown]
+        pixels = self.pixels(places_m[shown])
+        rgb = rgb[shown]
         order = np.argsort(pixels[2], kind="stable")
         column, row, near, rgb = *(of[order] for of in pixels), rgb[order]
         for x in range(_DOT_PX):
@@ -99,7 +114,8 @@ class Canvas:
         width, height = self.size
         near = self._near.reshape(height, width)
         drawn = np.isfinite(near)
-        behind, flat = np.zeros((height, width)), np.where(drawn, near, -1e6)
+        behind = np.zeros((height, width))
+        flat = np.where(drawn, near, -1e6)
         for axis in (0, 1):
             for step in (-_NEIGHBOUR_PX, _NEIGHBOUR_PX):
                 behind += np.clip(np.roll(flat, step, axis) - flat, 0.0, 2.0)
@@ -132,9 +148,12 @@ def source_of_capture(capture: Path, trajectory: Path | None, span: Span) -> Sou
 
     Without a trajectory points are in the sensor's frame.
     """
-    way, way_m, inputs = None, None, [capture]
+    way = None
+    way_m = None
+    inputs = [capture]
     if trajectory is not None:
-        way, inputs = Trajectory(trajectory, 1), [capture, trajectory]
+        way = Trajectory(trajectory, 1)
+        inputs = [capture, trajectory]
         begin_s, end_s = way.span_s
         way_m = way.poses_at((1e9 * np.linspace(begin_s + 1e-3, end_s - 1e-3, _STATIONS)).astype(np.int64))[1]
     sweeps = islice(_sweeps_of_capture(capture, way, span), 1 if way is None else None)
@@ -155,7 +174,8 @@ def _sweeps_of_capture(capture: Path, way: Trajectory | None, span: Span) -> Ite
 
 def source_of_scene(emulator: Emulator, span: Span, name: str) -> Source:
     """Return the revolutions of the first sensor of a scene named `name`, with labels."""
-    scenario, parts = emulator.scenario, emulator.parts
+    scenario = emulator.scenario
+    parts = emulator.parts
     ends_s = scenario.span_s(span.start_s, span.duration_s, where="--start")
     t_ns = scenario.start_ns + (np.linspace(*ends_s, _STATIONS) * 1e9).astype(np.int64)
     sweeps = sweeps_of_scene(emulator, span.start_s, span.duration_s)
@@ -166,7 +186,8 @@ def source_of_scene(emulator: Emulator, span: Span, name: str) -> Source:
 def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> dict[str, Any]:
     """Draw the points of all revolutions, or of the first one from above, as PNG; return the contents of the picture.
 
-    InputError if there is no revolution, or none with such a layer; OutputError if the file cannot be written.
+    InputError if there is no revolution, or none with such a layer; OutputError if the file cannot be
+    written.
 
     Parameters
     ----------
@@ -201,11 +222,11 @@ def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> 
                 break
         number = f"{points / 1e6:.2f} million" if points >= _MILLIONS else f"{points:,}".replace(",", " ")
         of = " of a revolution" if from_above else ""
-        caption = (
-            f"{_time(span_s, first, is_one=from_above)}; {number} points{of}, {_SHOWN_BY.get(colour, f'by {colour}')}"
-        )
+        caption = f"{_time(span_s, first, is_one=from_above)}; {number} points{of}, {_SHOWN_BY.get(colour, f'by {colour}')}"
         bar_px = None if from_above else 10 * canvas.px_per_m
-        _small(_annotated(canvas.image(), (title, caption), entries, labels, bar_px)).save(file, "PNG", optimize=True)
+        _small(_annotated(canvas.image(), (title, caption), entries, labels, bar_px)).save(
+            file, "PNG", optimize=True
+        )
     made = {"file": str(path), "revolutions": revolutions, "points": points, "colour": colour}
     return made | {"bytes": path.stat().st_size, "interrupted": stop.is_set()}
 
@@ -224,14 +245,17 @@ def _slant(look: PictureLook, first: Sweep, way_m: F8 | None) -> Canvas:
     else:
         low = way_m.min(axis=0) - np.array([_AROUND_M, _AROUND_M, _BELOW_M])
         high = way_m.max(axis=0) + np.array([_AROUND_M, _AROUND_M, _ABOVE_M])
-    box_m, from_deg = np.stack([low, high]), _FROM_DEG if look.from_deg is None else look.from_deg
+    box_m = np.stack([low, high])
+    from_deg = _FROM_DEG if look.from_deg is None else look.from_deg
     return Canvas(box_m, from_deg, _ELEVATION_DEG, look.size)
 
 
 def _above(size: tuple[int, int], sweep: Sweep) -> Canvas:
     """Return a canvas for a sweep seen vertically from above, up to the range of most of its points."""
     width, height = size
-    corner_m = np.quantile(sweep.scan.distance_m, _SHARE) * np.array([width, height, height]) / min(width, height)
+    corner_m = (
+        np.quantile(sweep.scan.distance_m, _SHARE) * np.array([width, height, height]) / min(width, height)
+    )
     return Canvas(np.stack([-corner_m, corner_m]), 180.0, 90.0, size)
 
 
@@ -257,13 +281,18 @@ def _circles(canvas: Canvas) -> list[tuple[int, int, str]]:
 
 
 def _annotated(
-    drawn: U1, captions: tuple[str, str], entries: Entries, labels: list[tuple[int, int, str]], bar_px: float | None
+    drawn: U1,
+    captions: tuple[str, str],
+    entries: Entries,
+    labels: list[tuple[int, int, str]],
+    bar_px: float | None,
 ) -> "Image":
     """Return a picture with its two lines of captions, labels, legend or scale of colours, and a bar of ten metres `bar_px` long."""
     from PIL import Image, ImageDraw, ImageFont
 
     image, height, width = Image.fromarray(drawn), *drawn.shape[:2]
-    draw, em = ImageDraw.Draw(image, "RGBA"), max(_LEAST_EM_PX, height // _LINES)  # its colours cover by their alpha
+    draw = ImageDraw.Draw(image, "RGBA")  # its colours cover by their alpha
+    em = max(_LEAST_EM_PX, height // _LINES)
     font = ImageFont.load_default(em)
 
     def write(x: float, y: float, words: str, anchor: str) -> None:
@@ -288,7 +317,9 @@ def _annotated(
             y = 1.5 * em * number + 2 * em
             wide = 2 * em / len(colours)
             for part, rgb in enumerate(colours):
-                draw.rectangle((left + part * wide, y - em // 3, left + (part + 1) * wide - 1, y + em // 3), rgb)
+                draw.rectangle(
+                    (left + part * wide, y - em // 3, left + (part + 1) * wide - 1, y + em // 3), rgb
+                )
             draw.text((left + 2.5 * em, y), name, _INK, font, "lm")
         room = left - 2 * edge
     elif isinstance(entries, tuple):
@@ -316,7 +347,9 @@ def _draw_scale(
     from PIL import Image
 
     least, most, label = scale
-    left, top, tall = image.width - 4 * em, image.height // 4, image.height // 2
+    left = image.width - 4 * em
+    top = image.height // 4
+    tall = image.height // 2
     colours = colours_of_scale(np.linspace(most, least, tall), least, most)
     image.paste(Image.fromarray(np.repeat(colours[:, None], em, axis=1)), (left, top))
     write(left + em, top - em, label, "rs")
@@ -324,4 +357,6 @@ def _draw_scale(
     power = 10.0 ** math.floor(math.log10(rough))
     step = next(times * power for times in (1, 2, 5, 10) if times * power >= rough)
     for number in range(math.ceil(least / step), math.floor(most / step) + 1):
-        write(left - em // 2, top + tall * (most - number * step) / (most - least), f"{number * step:g}", "rm")
+        write(
+            left - em // 2, top + tall * (most - number * step) / (most - least), f"{number * step:g}", "rm"
+        )

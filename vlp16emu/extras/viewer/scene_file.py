@@ -26,7 +26,12 @@ def check_place(to: Path, inputs: Iterable[Path]) -> None:
 
 
 def write_scene(
-    to: Path, scene: Path, settings: Sequence[str], changed: Mapping[str, object], *, inputs: Iterable[Path] = ()
+    to: Path,
+    scene: Path,
+    settings: Sequence[str],
+    changed: Mapping[str, object],
+    *,
+    inputs: Iterable[Path] = (),
 ) -> None:
     """Write a scene with settings and changed keys into a file.
 

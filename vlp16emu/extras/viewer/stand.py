@@ -18,15 +18,21 @@ from vlp16emu.forest.tiles import TILE_M, TileKey
 from vlp16emu.types import F8, I8, U4, Mesh, PlantPart, ShapeKey
 
 _FACES = 300_000
-"""Approximate number of triangles of all plants and objects without stems: crowns look like crowns, and a browser
+"""Approximate number of triangles of all plants and objects without stems: crowns look like crowns, and a
+browser
 without a graphics card draws an image every second or two."""
-_FEWEST, _MOST = 6, 3_000  # faces of one mesh of one object; between these limits in proportion to its size
+# faces of one mesh of one object; between these limits in proportion to its size
+_FEWEST = 6
+_MOST = 3_000
 _MOST_GROWN = 3.5
-"""Greatest enlargement of a leaf in length: larger leaves look wrong, so a crown that needs them is drawn less dense."""
+"""Greatest enlargement of a leaf in length: larger leaves look wrong, so a crown that needs them is drawn
+less dense."""
 _BRANCHES = 0.25  # faces of branches as a share of the faces of leaves, which largely hide them
-_SIDES, _RINGS = 6, 7  # sides and rings of a stem
+_SIDES = 6  # sides and rings of a stem
+_RINGS = 7
 _DENSE_M = 6.0
-"""Ground cover is complete up to this distance from the path; beyond it thins out with the square of the distance."""
+"""Ground cover is complete up to this distance from the path; beyond it thins out with the square of the
+distance."""
 _GOLDEN = 0.618034
 _CELL_M = 1.0  # cell of the ground mesh
 _LEFT_OUT = PlantPart.ROOT_FLARE, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.DEAD_BRANCH
@@ -41,7 +47,8 @@ def pieces_of(seen: Survey) -> Iterator[tuple[str, dict[str, Any]]]:
     """
     if seen.hall is None:
         yield _piece("ground", _ground(seen), colour_of_kind("ground"), _ONE)
-    window, colours = seen.window, surface_colours(seen.window.surfaces, seen.species)
+    window = seen.window
+    colours = surface_colours(seen.window.surfaces, seen.species)
     path = Polyline(seen.path_m[:, :2])
     near, size_m = _drawn(seen, path)
     per_m = _FACES / max(float(size_m.sum()), 1.0)
@@ -50,7 +57,8 @@ def pieces_of(seen: Survey) -> Iterator[tuple[str, dict[str, Any]]]:
     order: list[int] = np.argsort(shapes, kind="stable").tolist()
     for which, group in groupby(order, key=shapes.__getitem__):
         index = np.array(list(group))
-        alike, key = near[index], window.shapes[which]
+        alike = near[index]
+        key = window.shapes[which]
         most = int(np.clip(per_m * size_m[index].mean(), _FEWEST, _MOST))
         row = int(window.first_surface[alike[0]])
         for number, mesh in enumerate(seen.world.shape(key)):
@@ -62,10 +70,14 @@ def pieces_of(seen: Survey) -> Iterator[tuple[str, dict[str, Any]]]:
                 foot_m = mesh.vertices_m[mesh.vertices_m[:, 2].argmin(), :2]
                 if path.distance_m(window.world_T_shape[alike, :2, 3] + foot_m)[0] > seen.radius_m:
                     continue
-            few, (red, green, blue) = _simple(mesh, key, part, most), colours[row + number].tolist()
+            few = _simple(mesh, key, part, most)
+            (red, green, blue) = colours[row + number].tolist()
             if len(alike) == 1:
-                turn, place_m = window.world_T_shape[alike[0], :, :3], window.world_T_shape[alike[0], :, 3]
-                single[red, green, blue].append(Mesh((few.vertices_m @ turn.T + place_m).astype(np.float32), few.faces))
+                turn = window.world_T_shape[alike[0], :, :3]
+                place_m = window.world_T_shape[alike[0], :, 3]
+                single[red, green, blue].append(
+                    Mesh((few.vertices_m @ turn.T + place_m).astype(np.float32), few.faces)
+                )
             else:
                 yield _piece(f"things/{which}_{number}", few, (red, green, blue), window.world_T_shape[alike])
     for count, (colour, meshes) in enumerate(single.items()):
@@ -118,13 +130,16 @@ def slim_stem(mesh: Mesh) -> Mesh:
     axis_m = np.stack([np.polyval(np.polyfit(along, place_m[:, k], 3), along) for k in (0, 1)], axis=1)
     aside_m = place_m[:, :2] - axis_m
     ring = np.rint(along * (_RINGS - 1)).astype(np.int64)
-    sector = np.rint(np.arctan2(aside_m[:, 1], aside_m[:, 0]) * _SIDES / (2 * np.pi)).astype(np.int64) % _SIDES
+    sector = (
+        np.rint(np.arctan2(aside_m[:, 1], aside_m[:, 0]) * _SIDES / (2 * np.pi)).astype(np.int64) % _SIDES
+    )
     return _merge_clusters(mesh, ring * _SIDES + sector, np.abs(along * (_RINGS - 1) - ring))
 
 
 def lump(mesh: Mesh) -> Mesh:
     """Simplify a small solid object to the outermost vertex of each third of its box: J. Rossignac and P. Borrel, 1993."""
-    low_m, size_m = mesh.vertices_m.min(axis=0), np.maximum(np.ptp(mesh.vertices_m, axis=0), 1e-6)
+    low_m = mesh.vertices_m.min(axis=0)
+    size_m = np.maximum(np.ptp(mesh.vertices_m, axis=0), 1e-6)
     place = (mesh.vertices_m - low_m) / size_m
     x, y, z = np.minimum(place * 3, 2).astype(np.int64).T
     return _merge_clusters(mesh, (x * 3 + y) * 3 + z, -np.linalg.norm(place - 0.5, axis=1))

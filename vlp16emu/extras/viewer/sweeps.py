@@ -24,11 +24,27 @@ from vlp16emu.scenario import Scenario, load
 from vlp16emu.types import F8, I8, Labels, Scan
 
 _TURNS = 2.2  # span in revolutions: it always contains a whole one, also with an error of the motor's speed
-_KEPT = 300  # sweeps of a capture in memory, some 300 MB; an earlier one is read again from the beginning of the file
+# sweeps of a capture in memory, some 300 MB; an earlier one is read again from the beginning of the file
+_KEPT = 300
 _MARKED = 10_000  # greatest number of findings of a rule that are shown; all are counted
 _ABOUT_POINTS = (
-    *(Rule.FLAG, Rule.FACTORY, Rule.AZIMUTH_RANGE, Rule.LOST_PACKETS, Rule.TIME_RANGE, Rule.TIME_STEP, Rule.DUPLICATE),
-    *(Rule.FROZEN, Rule.AZIMUTH_STEP, Rule.AZIMUTH_GAP, Rule.DISTANCE_CODE, Rule.DUAL_AZIMUTH, Rule.DUAL_ORDER),
+    *(
+        Rule.FLAG,
+        Rule.FACTORY,
+        Rule.AZIMUTH_RANGE,
+        Rule.LOST_PACKETS,
+        Rule.TIME_RANGE,
+        Rule.TIME_STEP,
+        Rule.DUPLICATE,
+    ),
+    *(
+        Rule.FROZEN,
+        Rule.AZIMUTH_STEP,
+        Rule.AZIMUTH_GAP,
+        Rule.DISTANCE_CODE,
+        Rule.DUAL_AZIMUTH,
+        Rule.DUAL_ORDER,
+    ),
 )  # rules whose findings are shown with a sweep; other faults, such as late packets, leave points correct
 
 
@@ -51,7 +67,9 @@ def placed(xyz_m: NDArray[np.floating], world_T_sensor: F8) -> F8:
     return world_m + world_T_sensor[:, :3, 3]
 
 
-def sweeps_of_scene(emulator: Emulator, start_s: float, duration_s: float | None, unit: int = 1) -> Iterator[Sweep]:
+def sweeps_of_scene(
+    emulator: Emulator, start_s: float, duration_s: float | None, unit: int = 1
+) -> Iterator[Sweep]:
     """Yield the revolutions of a scene's sensor with labels, until its windows are stopped."""
     with suppress(CancelledError):
         for scan in emulator.scans(start_s=start_s, duration_s=duration_s, unit=unit, truth=True):
@@ -64,19 +82,22 @@ def by_trajectory(scan: Scan, way: Trajectory | None) -> Sweep:
         return Sweep(scan, scan.xyz_m.astype(np.float64))
     world_T_sensor = np.tile(np.eye(4), (len(scan.t_ns) + 1, 1, 1))
     world_T_sensor[:, :3, :3], world_T_sensor[:, :3, 3] = way.poses_at(np.append(scan.t_ns, scan.start_ns))
-    pose, poses = world_T_sensor[-1], world_T_sensor[:-1]
+    pose = world_T_sensor[-1]
+    poses = world_T_sensor[:-1]
     return Sweep(replace(scan, world_T_sensor=pose), placed(scan.xyz_m, poses))
 
 
 class SceneSweeps:
     """Sweeps of a scene's sensor, with labels; InputError if there is no such unit.
 
-    `last_s` is the time from the start of the first sweep to the start of the last one, `step_s` the nominal time
+    `last_s` is the time from the start of the first sweep to the start of the last one, `step_s` the nominal
+    time
     between sweeps, both in seconds.
     """
 
     def __init__(self, emulator: Emulator, unit: int = 1) -> None:
-        self._emulator, self._unit = emulator, unit
+        self._emulator = emulator
+        self._unit = unit
         self.step_s = 60.0 / emulator.parts.units[emulator.number(unit)].section.rpm
         end_s = min(emulator.scenario.duration_s, emulator.parts.motion.run_time_s)
         self._span_s = min(_TURNS * self.step_s, end_s)
@@ -104,15 +125,19 @@ class CaptureSweeps:
     """
 
     def __init__(self, path: Path, truth: Path | None = None, unit: int = 1) -> None:
-        self._path, self._folder, self._number = path, truth, unit
+        self._path = path
+        self._folder = truth
+        self._number = unit
         self._way = None if truth is None else Trajectory(truth, unit)
         self._unit = chosen_unit(path, (self._way and self._way.sensor) or str(unit), where="--unit")
         found = verify_units(path, [self._unit], limit_per_rule=_MARKED)[0]
         self.health = [f"{rule}: {count}" for rule, count in found.counts.items()]
-        """Broken rules of `vlp16emu verify` with their counts, and the reason if the file cannot be read to its end."""
+        """Broken rules of `vlp16emu verify` with their counts, and the reason if the file cannot be read to
+        its end."""
         self.species = {} if truth is None else species_of(load(truth / "scenario.json"))
         """Names of species by number."""
-        packets, self._starts_ns = list[I8](), list[int]()
+        packets = list[I8]()
+        self._starts_ns = list[int]()
 
         def note(chunk: PacketChunk) -> Mapping[str, NDArray[Any]]:
             """Keep frame and time of the packets; return no labels."""
@@ -129,12 +154,15 @@ class CaptureSweeps:
         frame, t_ns = np.concatenate(packets, axis=1)
         after = np.minimum(np.searchsorted(frame, [one.packet for one in faults]), len(t_ns) - 1)
         self._faults = defaultdict[int, list[str]](list)  # by sweep
-        for sweep, fault in zip(np.searchsorted(self._starts_ns, t_ns[after], side="right"), faults, strict=True):
+        for sweep, fault in zip(
+            np.searchsorted(self._starts_ns, t_ns[after], side="right"), faults, strict=True
+        ):
             self._faults[int(sweep) - 1].append(str(fault))
         self.last_s = (self._starts_ns[-1] - self._starts_ns[0]) / 1e9
         self.step_s = self.last_s / max(len(self._starts_ns) - 1, 1) or 0.1
         self._reading: Generator[Scan] | None = None
-        self._next, self._held = len(self._starts_ns), dict[int, Scan]()
+        self._next = len(self._starts_ns)
+        self._held = dict[int, Scan]()
 
     def at(self, time_s: float) -> Sweep:
         """Return the first sweep that begins after a time."""
@@ -143,7 +171,8 @@ class CaptureSweeps:
         if wanted not in self._held and (self._reading is None or wanted < self._next):
             self.close()
             truth = None if self._folder is None else CaptureTruth(self._folder, self._number, None)
-            self._reading, self._next = self._scans(partial(_labels, truth)), 0
+            self._reading = self._scans(partial(_labels, truth))
+            self._next = 0
         while self._reading is not None and wanted not in self._held:
             self._held[self._next] = next(self._reading)
             self._next += 1

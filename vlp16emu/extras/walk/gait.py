@@ -15,7 +15,8 @@ AXES = 6  # fore-aft, sideways, vertical in the heading frame (m), then roll, pi
 _HEEL_SHARPNESS = 20.0
 """A heel strike lasts 40 ms at 1.8 steps per second: assumption, from the look of trunk accelerations."""
 _LINES = 12  # sinusoids of each slow process
-_SLOWEST_HZ, _FASTEST_HZ = 0.005, 0.5
+_SLOWEST_HZ = 0.005
+_FASTEST_HZ = 0.5
 """Equal power in each octave between these: stride times vary like 1/f noise, measured as f^-0.92 over nine
 minutes (Hausdorff et al.; PhysioNet, Fractal mechanisms in neural control, figure 9)."""
 _TIMING = AXES  # lane of the process that varies the step rate; those before it vary the amplitude of an axis
@@ -38,7 +39,8 @@ class Trunk:
     """
 
     def __init__(self, gait: Gait, speed_m_s: float, seed: int) -> None:
-        self._step_hz, self._variation = gait.step_hz or step_rate_hz(speed_m_s), gait.variation
+        self._step_hz = gait.step_hz or step_rate_hz(speed_m_s)
+        self._variation = gait.variation
         lengths_m = gait.fore_aft_m, gait.sideways_m, gait.vertical_m
         turns_rad = np.radians([gait.roll_deg, gait.pitch_deg, gait.yaw_deg])
         self._amplitude = np.array([*lengths_m, *turns_rad, gait.second_harmonic_m, gait.heel_strike_m])
@@ -82,13 +84,16 @@ def _band_noise_integral(lines: F8, t_s: float) -> float:
 
 
 @array_kernel
-def _fill(elapsed_s: F8, effort: F8, step_hz: float, variation: float, amplitude: F8, lines: F8, out: F8) -> None:
+def _fill(
+    elapsed_s: F8, effort: F8, step_hz: float, variation: float, amplitude: F8, lines: F8, out: F8
+) -> None:
     """Fill each row on its own; positive pitch is nose down, positive roll is right side down."""
     for i in range(elapsed_s.size):
         t_s = elapsed_s[i]
         strides = 0.5 * step_hz * (t_s + variation * _band_noise_integral(lines[_TIMING], t_s))
         stride = 2.0 * math.pi * (strides - math.floor(strides))
-        # The lowest point of a step and its heel strike are at 3/4 of its phase; the trunk is over the standing leg at 1/4.
+        # The lowest point of a step and its heel strike are at 3/4 of its phase; the trunk is over the
+        # standing leg at 1/4.
         step_cos, step_sin = cos_sin(2.0 * stride)
         lean_cos, lean_sin = cos_sin(stride + 0.25 * math.pi)
         sway = (step_cos, lean_sin, step_sin, -lean_sin, -step_sin, lean_cos)

@@ -19,7 +19,9 @@ from vlp16emu.units import S_NS
 _log = logging.getLogger(__name__)
 _NODES_PER_S = KNOTS_PER_S * NODES_PER_KNOT
 _NODE_NS = S_NS // _NODES_PER_S
-_TOGETHER = 128  # instants whose poses are computed together: intermediate results fit into the first-level cache
+_TOGETHER = (
+    128  # instants whose poses are computed together: intermediate results fit into the first-level cache
+)
 _TABLES_KEPT = 16  # seconds of motion kept, 0.3 MB each: workers of a run are never farther apart
 
 
@@ -30,7 +32,8 @@ class WalkMotion:
     the quintic Hermite interpolant of x, y, z, roll, pitch and yaw on this grid. It is twice continuously
     differentiable, so its derivatives are exact, and it is within a nanometre of the interpolated function.
 
-    At the cruise speed of the route the gait has its full amplitudes; they fade as the person slows down. `under` gives
+    At the cruise speed of the route the gait has its full amplitudes; they fade as the person slows down.
+    `under` gives
     the motion that carries the pack and the suspension: by default the trunk and the harness of the walk.
 
     Raises TrajectoryError if the straps would never stop swinging.
@@ -47,8 +50,11 @@ class WalkMotion:
         seed: int,
         under: tuple[Callable[[int, int], F8], Mast] | None = None,
     ) -> None:
-        self._walk, self._seed = walk, seed
-        self._route, self._start_ns, self._height_m = route, start_ns, walk.sensor_height_m
+        self._walk = walk
+        self._seed = seed
+        self._route = route
+        self._start_ns = start_ns
+        self._height_m = walk.sensor_height_m
         self._trunk = Trunk(walk.gait, route.speed_m_s, seed)
         self._pack = Pack(*(under or (self._trunk_samples, walk.harness))) if walk.gait.moves else None
         self._table = lru_cache(_TABLES_KEPT)(self._tabulate)
@@ -59,7 +65,8 @@ class WalkMotion:
         poses = Poses(t_ns, np.empty((len(t_ns), 3, 3)), np.empty((len(t_ns), 3)))
         room = np.empty((1 + 2 * AXES, _TOGETHER))
         for second, which in self._seconds(t_ns):
-            begin_ns, table = self._start_ns + second * S_NS, self._table(second)
+            begin_ns = self._start_ns + second * S_NS
+            table = self._table(second)
             _poses(table, t_ns, begin_ns, which, room, poses.world_R_body, poses.world_p_body_m)
         return poses
 
@@ -68,7 +75,8 @@ class WalkMotion:
         n = len(t_ns)
         out = Kinematics(t_ns, np.empty((n, 3, 3)), *(np.empty((n, 3)) for _ in range(5)))
         for second, which in self._seconds(t_ns):
-            begin_ns, pose = self._start_ns + second * S_NS, (out.world_R_body, out.world_p_body_m)
+            begin_ns = self._start_ns + second * S_NS
+            pose = (out.world_R_body, out.world_p_body_m)
             rates = out.world_v_body_m_s, out.world_a_body_m_s2, out.body_w_rad_s, out.body_alpha_rad_s2
             _kinematics(self._table(second), t_ns, begin_ns, which, *pose, *rates)
         return out
@@ -90,7 +98,10 @@ class WalkMotion:
 
     def _seconds(self, t_ns: I8) -> list[tuple[int, I8]]:
         """Return the seconds of the walk that contain instants (n,), and the indices of these instants."""
-        if len(t_ns) and t_ns.max() - self._start_ns < S_NS * (low := int(t_ns.min() - self._start_ns) // S_NS) + S_NS:
+        if (
+            len(t_ns)
+            and t_ns.max() - self._start_ns < S_NS * (low := int(t_ns.min() - self._start_ns) // S_NS) + S_NS
+        ):
             return [(low, np.arange(len(t_ns)))]  # nine blocks in ten
         seconds = (t_ns - self._start_ns) // S_NS
         order = np.argsort(seconds, kind="stable")
@@ -101,7 +112,9 @@ class WalkMotion:
         """Sample the trunk's motion (count, 6) as `_pack_samples` does."""
         elapsed_s = np.arange(first, first + count) / KNOTS_PER_S
         share = np.minimum(self._route.at(elapsed_s)[1] / self._route.speed_m_s, 1.0)
-        return self._trunk.at(elapsed_s, share * share * (3.0 - 2.0 * share))  # smooth: starts and stops jerk no pack
+        return self._trunk.at(
+            elapsed_s, share * share * (3.0 - 2.0 * share)
+        )  # smooth: starts and stops jerk no pack
 
     def _tabulate(self, second: int) -> F8:
         """Coefficients (1000, 6, 6) of x, y, z, roll, pitch, yaw by piece of a second, lowest power first."""
@@ -132,7 +145,8 @@ def _sit(pack: F8, nodes: F8) -> None:
         ahead, ahead1, ahead2 = pack[n, 0]
         left, left1, left2 = pack[n, 1]
         # Rates in axes that turn with the heading.
-        v_ahead, v_left = ahead1 - left * turn, left1 + ahead * turn
+        v_ahead = ahead1 - left * turn
+        v_left = left1 + ahead * turn
         a_ahead = ahead2 - left1 * turn - left * turn2 - v_left * turn
         a_left = left2 + ahead1 * turn + ahead * turn2 + v_ahead * turn
         c, s = cos_sin(yaw)
@@ -146,8 +160,14 @@ def _sit(pack: F8, nodes: F8) -> None:
 def _hermite(nodes: F8) -> F8:
     """Coefficients (n - 1, 6, 6) of the quintics through value, rate and acceleration at nodes (n, 6, 3)."""
     h_s = 1.0 / _NODES_PER_S
-    p, v, a = nodes[..., 0], nodes[..., 1] * h_s, nodes[..., 2] * (h_s * h_s)
-    rise, v0, v1, a0, a1 = p[1:] - p[:-1], v[:-1], v[1:], a[:-1], a[1:]
+    p = nodes[..., 0]
+    v = nodes[..., 1] * h_s
+    a = nodes[..., 2] * (h_s * h_s)
+    rise = p[1:] - p[:-1]
+    v0 = v[:-1]
+    v1 = v[1:]
+    a0 = a[:-1]
+    a1 = a[1:]
     cubic = 10.0 * rise - 6.0 * v0 - 4.0 * v1 - 1.5 * a0 + 0.5 * a1
     quartic = -15.0 * rise + 8.0 * v0 + 7.0 * v1 + 1.5 * a0 - a1
     quintic = 6.0 * rise - 3.0 * (v0 + v1) - 0.5 * (a0 - a1)
@@ -155,16 +175,23 @@ def _hermite(nodes: F8) -> F8:
 
 
 @kernel
-def _poses(table: F8, t_ns: I8, begin_ns: int, which: I8, room: F8, world_R_body: F8, world_p_body_m: F8) -> None:
+def _poses(
+    table: F8, t_ns: I8, begin_ns: int, which: I8, room: F8, world_R_body: F8, world_p_body_m: F8
+) -> None:
     """Fill the poses at the instants `which`, all within the second that begins at `begin_ns`.
 
-    Instants are done in groups that fit into `room` (13, n), so that the compiler vectorizes the loops over them.
+    Instants are done in groups that fit into `room` (13, n), so that the compiler vectorizes the loops over
+    them.
     """
-    x, q, cosine, sine = room[0], room[1:7], room[7:10], room[10:13]
+    x = room[0]
+    q = room[1:7]
+    cosine = room[7:10]
+    sine = room[10:13]
     done = ZERO
     while done < len(which):
         piece = (t_ns[which[done]] - begin_ns) // _NODE_NS
-        node_ns, count = begin_ns + piece * _NODE_NS, ZERO
+        node_ns = begin_ns + piece * _NODE_NS
+        count = ZERO
         while count < min(len(x), len(which) - done):
             since_ns = t_ns[which[done + count]] - node_ns
             if not 0 <= since_ns < _NODE_NS:
@@ -172,8 +199,12 @@ def _poses(table: F8, t_ns: I8, begin_ns: int, which: I8, room: F8, world_R_body
             x[count] = since_ns / _NODE_NS
             count += 1
         for axis in range(AXES):
-            c0, c1, c2 = table[piece, axis, 0], table[piece, axis, 1], table[piece, axis, 2]
-            c3, c4, c5 = table[piece, axis, 3], table[piece, axis, 4], table[piece, axis, 5]
+            c0 = table[piece, axis, 0]
+            c1 = table[piece, axis, 1]
+            c2 = table[piece, axis, 2]
+            c3 = table[piece, axis, 3]
+            c4 = table[piece, axis, 4]
+            c5 = table[piece, axis, 5]
             for n in range(count):
                 q[axis, n] = c0 + x[n] * (c1 + x[n] * (c2 + x[n] * (c3 + x[n] * (c4 + x[n] * c5))))
         for angle in range(3):
@@ -214,7 +245,9 @@ def _kinematics(
             q[2, axis] = 2 * c[2] + x * (6 * c[3] + x * (12 * c[4] + x * 20 * c[5]))
         q[1] *= per_s
         q[2] *= per_s * per_s
-        world_p_body_m[i], v_m_s[i], a_m_s2[i] = q[0, :3], q[1, :3], q[2, :3]
+        world_p_body_m[i] = q[0, :3]
+        v_m_s[i] = q[1, :3]
+        a_m_s2[i] = q[2, :3]
         rotate(q[0, 5], q[0, 4], q[0, 3], world_R_body[i])
         _body_rate(q[0, 3:], q[1, 3:], q[2, 3:], w_rad_s[i], alpha_rad_s2[i])
 
@@ -223,7 +256,8 @@ def _kinematics(
 def _body_rate(angle_rad: F8, rate_rad_s: F8, acceleration_rad_s2: F8, w_rad_s: F8, alpha_rad_s2: F8) -> None:
     """Fill angular rate and acceleration (3,), in body axes, from roll, pitch, yaw (3,) and their derivatives.
 
-    Source: the z-y-x Euler kinematic equations, for instance Diebel, "Representing Attitude", 2006, section 5.
+    Source: the z-y-x Euler kinematic equations, for instance Diebel, "Representing Attitude", 2006, section
+    5.
     """
     cr, sr = cos_sin(angle_rad[0])
     cp, sp = cos_sin(angle_rad[1])

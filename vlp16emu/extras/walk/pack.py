@@ -20,7 +20,9 @@ from vlp16emu.extras.walk.settings import Harness, Mast
 from vlp16emu.kernels.compiler import array_kernel
 from vlp16emu.types import F8
 
-KNOTS_PER_S = 200  # heel strikes last 40 ms; the spline follows them to 1 % of their depth, and all else to a nanometre
+KNOTS_PER_S = (
+    200  # heel strikes last 40 ms; the spline follows them to 1 % of their depth, and all else to a nanometre
+)
 NODES_PER_KNOT = 5  # instants per knot at which the pack's motion is returned: one per millisecond
 _REACH = 4  # samples needed before the first knot and after the last one of a second
 _FORGOTTEN = 39.14394658089878
@@ -42,9 +44,12 @@ _QUINTIC = (
     )
     / 120.0
 )
-"""Uniform quintic B-spline (de Boor, A Practical Guide to Splines, chapter IX): row p gives the coefficient of
+"""Uniform quintic B-spline (de Boor, A Practical Guide to Splines, chapter IX): row p gives the coefficient
+of
 tau^p between two knots from the six spline coefficients around."""
-_SHORT, _TERMS = 3, 14  # in an eighth of a radian the fourteenth term is below the last bit
+# in an eighth of a radian the fourteenth term is below the last bit
+_SHORT = 3
+_TERMS = 14
 
 
 class Pack:
@@ -59,22 +64,26 @@ class Pack:
     """
 
     def __init__(self, trunk: Callable[[int, int], F8], harness: Harness | Mast | None) -> None:
-        self._trunk, self._harness = trunk, harness
+        self._trunk = trunk
+        self._harness = harness
         if harness is None:
             return
-        frequency_hz, z = harness.frequency_hz, harness.damping_ratio
+        frequency_hz = harness.frequency_hz
+        z = harness.damping_ratio
         slowest = min(decay_per_s(hz, z) for hz in frequency_hz)
         if slowest * _LONGEST_S < _FORGOTTEN:
             swing = f"swings for {_FORGOTTEN / slowest:.0f} s after a push" if slowest else "swings for ever"
             raise TrajectoryError("harness", swing, f"at most {_LONGEST_S} s: more damping or stiffer straps")
         self._memory_s = math.ceil(_FORGOTTEN / slowest)
         offsets_s = np.arange(1, NODES_PER_KNOT + 1) / (NODES_PER_KNOT * KNOTS_PER_S)
-        # (6, 5, 2, 6): by axis and node, the map from stretch and rate at the knot, and the forcing, to stretch and rate.
+        # (6, 5, 2, 6): by axis and node, the map from stretch and rate at the knot, and the forcing, to
+        # stretch and rate.
         self._steps = np.array([[response(hz, z, s) for s in offsets_s] for hz in frequency_hz])
         # (6, 2, 2): free swing over a second.
         self._second = np.array([response(hz, z, 1.0)[:, :2] for hz in frequency_hz])
         omega = 2.0 * math.pi * np.array(frequency_hz)
-        self._stiffness, self._drag = omega * omega, 2.0 * z * omega
+        self._stiffness = omega * omega
+        self._drag = 2.0 * z * omega
         self._pushed = lru_cache(self._memory_s + 8)(self._push)
 
     def nodes(self, second: int) -> F8:
@@ -96,7 +105,8 @@ class Pack:
 
     def _pieces(self, second: int) -> F8:
         """Polynomials (200, 6, 6) of the trunk's motion in seconds since each knot of a second, lowest power first."""
-        samples, n = self._trunk(second * KNOTS_PER_S - _REACH, KNOTS_PER_S + 2 * _REACH + 1), KNOTS_PER_S
+        samples = self._trunk(second * KNOTS_PER_S - _REACH, KNOTS_PER_S + 2 * _REACH + 1)
+        n = KNOTS_PER_S
         spline = sum(share * samples[j : j + n + 5] for j, share in enumerate(_QUASI))
         powers = [sum(share * spline[j : j + n] for j, share in enumerate(row)) for row in _QUINTIC]
         return np.stack([KNOTS_PER_S**power * each for power, each in enumerate(powers)], axis=-1)
@@ -104,15 +114,19 @@ class Pack:
     def _state(self, second: int) -> F8:
         """Stretch and its rate (6, 2) at the start of a second, at rest until the first step.
 
-        It is the sum of the responses to each second within memory, so it does not depend on where a run begins.
+        It is the sum of the responses to each second within memory, so it does not depend on where a run
+        begins.
         """
         state = np.zeros((AXES, 2))
-        for past in range(max(0, second - self._memory_s), second):  # older swings have decayed below the last bit
+        for past in range(
+            max(0, second - self._memory_s), second
+        ):  # older swings have decayed below the last bit
             state = matvec(self._second, state) + self._pushed(past)
         return state
 
     def _push(self, second: int) -> F8:
-        state, out = np.zeros((AXES, 2)), np.zeros((KNOTS_PER_S + 1, AXES, 3))
+        state = np.zeros((AXES, 2))
+        out = np.zeros((KNOTS_PER_S + 1, AXES, 3))
         whole = np.ascontiguousarray(self._steps[:, -1:])  # from knot to knot
         _swing(self._pieces(second), whole, state, self._stiffness, self._drag, out)
         return state
@@ -121,7 +135,12 @@ class Pack:
 @array_kernel
 def _stretch(step: F8, state: F8, a: F8, row: int) -> float:
     """Stretch (row 0) or its rate (row 1) after a step from a state, under -u'' of the piece a."""
-    forced = step[row, 2] * a[2] * 2 + step[row, 3] * a[3] * 6 + step[row, 4] * a[4] * 12 + step[row, 5] * a[5] * 20
+    forced = (
+        step[row, 2] * a[2] * 2
+        + step[row, 3] * a[3] * 6
+        + step[row, 4] * a[4] * 12
+        + step[row, 5] * a[5] * 20
+    )
     return step[row, 0] * state[0] + step[row, 1] * state[1] - forced
 
 
@@ -137,7 +156,8 @@ def _swing(pieces: F8, steps: F8, state: F8, stiffness: F8, drag: F8, out: F8) -
                 y = _stretch(steps[axis, j], state[axis], pieces[k, axis], 0)
                 v = _stretch(steps[axis, j], state[axis], pieces[k, axis], 1)
                 if j == per_knot - 1:
-                    state[axis, 0], state[axis, 1] = y, v
+                    state[axis, 0] = y
+                    state[axis, 1] = v
             pull = out[n, axis, 2]
             out[n, axis, 0] += y
             out[n, axis, 1] += v
@@ -146,15 +166,18 @@ def _swing(pieces: F8, steps: F8, state: F8, stiffness: F8, drag: F8, out: F8) -
 
 def decay_per_s(frequency_hz: float, damping_ratio: float) -> float:
     """Return the rate, per second, at which the slowest part of a free swing decays."""
-    omega, z = 2.0 * math.pi * frequency_hz, damping_ratio
+    omega = 2.0 * math.pi * frequency_hz
+    z = damping_ratio
     return z * omega if z < 1.0 else omega / (z + math.sqrt((z - 1.0) * (z + 1.0)))
 
 
 def response(frequency_hz: float, damping_ratio: float, s: float) -> F8:
     """Return the linear map (2, 6) from (y, y', f0, f1, f2, f3) at 0 to (y, y') after s seconds, f = sum of fi t^i.
 
-    It is the matrix exponential of the oscillator and its forcing: a power series over a short time, doubled until the
-    time is s (Moler and Van Loan, "Nineteen dubious ways to compute the exponential of a matrix", SIAM Review 45, 2003,
+    It is the matrix exponential of the oscillator and its forcing: a power series over a short time, doubled
+    until the
+    time is s (Moler and Van Loan, "Nineteen dubious ways to compute the exponential of a matrix", SIAM Review
+    45, 2003,
     method 3).
     """
     omega = 2.0 * math.pi * frequency_hz
@@ -164,7 +187,9 @@ def response(frequency_hz: float, damping_ratio: float, s: float) -> F8:
     for i in range(3):
         system[2 + i, 3 + i] = 1.0 + i
     doublings = max(0, math.frexp(max(1.0, 2.0 * damping_ratio) * omega * s)[1] + _SHORT)
-    step, term, total = system * (s / 2.0**doublings), np.eye(6), np.eye(6)
+    step = system * (s / 2.0**doublings)
+    term = np.eye(6)
+    total = np.eye(6)
     for n in range(1, _TERMS):
         term = matmul(term, step) / n
         total = total + term

@@ -17,14 +17,19 @@ _LONGEST_M = 100_000.0  # more than a person walks in a day: a longer path is a 
 _FARTHEST_M = 1e6  # from the origin of the scene; up to there the ground is exact to a nanometre
 _SMALLEST_RADIUS_M = 0.1
 """Smallest turning radius: a person 0.4 m wide turns on the spot instead of on a smaller arc (assumption)."""
-_STEEPEST_DEG, _STEEPEST = 60.0, 1.7320508075688772
-"""Greatest slope of the ground along the path, and its tangent; people climb steeper ground with their hands (assumption)."""
+_STEEPEST_DEG = 60.0
+_STEEPEST = 1.7320508075688772
+"""Greatest slope of the ground along the path, and its tangent; people climb steeper ground with their hands
+(assumption)."""
 _KNOT_M = 0.25  # greatest distance between knots: resolves the ground under a walker, smoothed over a pace
 _KNOT_RAD = 0.125  # greatest turn between knots: keeps the parameter an arc length within 1e-4
-_KNOT_GROWTH = 0.2  # growth of the distance between knots per metre: neighbours stay within a factor of about 1.2
+_KNOT_GROWTH = (
+    0.2  # growth of the distance between knots per metre: neighbours stay within a factor of about 1.2
+)
 _SAMPLE_M = 0.05
 _FEWEST_SAMPLES = 16  # between two waypoints: fine enough to see each turn below the smallest radius
-_PACE_M = 0.7  # length of a pace at a common walking speed (Perry and Burnfield, "Gait Analysis", 2nd ed., chapter 20)
+# length of a pace at a common walking speed (Perry and Burnfield, "Gait Analysis", 2nd ed., chapter 20)
+_PACE_M = 0.7
 _HEIGHT_M = 0.1  # distance between the heights that are taken from the ground
 _GAUSS = (
     (-0.906179845938664, 0.23692688505618908),
@@ -43,7 +48,8 @@ class Path:
     The horizontal curve is the natural (if closed: periodic) cubic spline, resampled by arc length as a
     quintic, because the second time derivative of the heading needs three derivatives of the position.
 
-    Raises TrajectoryError if a waypoint is not finite or coincides with the one before it, and if the curve turns with
+    Raises TrajectoryError if a waypoint is not finite or coincides with the one before it, and if the curve
+    turns with
     a radius below 0.1 m, climbs by more than 60 degrees or is longer than 100 km.
 
     Parameters
@@ -84,17 +90,21 @@ class Path:
     def derivatives_at(self, s_m: F8) -> tuple[F8, F8]:
         """Return ground points (n, 3, 3) and headings (n, 3) at arc lengths (n,), each with its first and second derivative.
 
-        The middle axis of the points is the order of the derivative. Headings are continuous, in radians from east. Arc
+        The middle axis of the points is the order of the derivative. Headings are continuous, in radians from
+        east. Arc
         lengths beyond an end of an open path give its end.
         """
         lap, s_m = self._on_lap(s_m)
         powers, since_m = self._curve.within(s_m)
         *point_m, third = (polynomial(powers, since_m, order) for order in range(4))
         (x0, y0, _), (x1, y1, _), (x2, y2, _), (x3, y3, _) = powers[1], *point_m[1:], third
-        piece, heading_rad = self._curve.piece(s_m), np.empty((len(s_m), 3))
+        piece = self._curve.piece(s_m)
+        heading_rad = np.empty((len(s_m), 3))
         # Relative to the heading at the knot, which is continuous where atan2 is not.
         turn = atan2(x0 * y1 - y0 * x1, x0 * x1 + y0 * y1)
-        heading_rad[:, 0] = self._heading_rad[piece] + turn + lap * (self._heading_rad[-1] - self._heading_rad[0])
+        heading_rad[:, 0] = (
+            self._heading_rad[piece] + turn + lap * (self._heading_rad[-1] - self._heading_rad[0])
+        )
         run2 = x1 * x1 + y1 * y1
         heading_rad[:, 1] = rate = (x1 * y2 - y1 * x2) / run2
         heading_rad[:, 2] = (x1 * y3 - y1 * x3 - 2.0 * (x1 * x2 + y1 * y2) * rate) / run2
@@ -135,7 +145,9 @@ def _check_way_points(way_points_m: F8) -> None:
         if not np.isfinite(point).all():
             raise TrajectoryError(where, f"found {tuple(point.tolist())}", "finite coordinates")
         if np.abs(point).max() > _FARTHEST_M:
-            raise TrajectoryError(where, f"found {tuple(point.tolist())}", f"within {_FARTHEST_M:g} m of the origin")
+            raise TrajectoryError(
+                where, f"found {tuple(point.tolist())}", f"within {_FARTHEST_M:g} m of the origin"
+            )
         if i and norm(point - way_points_m[i - 1]) < _APART_M:
             expected = "at least 1 cm between waypoints"
             at_m = float(point[0]), float(point[1])
@@ -156,7 +168,8 @@ def _knots(cubic: Spline, u: F8, way_points_m: F8, closed: bool) -> tuple[F8, I8
     lengths_m = norm(steps)
     curvature = _curvature(steps, closed)
     _check_radius(curvature, cubic(fine) + way_points_m[0], np.searchsorted(at, np.arange(len(fine))))
-    # Curvature changes fastest where waypoints are near each other, and a spline is least determined at its ends.
+    # Curvature changes fastest where waypoints are near each other, and a spline is least determined at its
+    # ends.
     limit_m = np.minimum(_KNOT_M, lengths_m.sum() / 8.0)
     near_m = np.minimum(np.append(chords_m[0], chords_m), np.append(chords_m, chords_m[-1]))
     spacing_m = np.minimum(limit_m, _KNOT_RAD / np.maximum(curvature, 1e-9))
@@ -168,7 +181,8 @@ def _knots(cubic: Spline, u: F8, way_points_m: F8, closed: bool) -> tuple[F8, I8
         spacing_m[0] = spacing_m[-1] = min(spacing_m[0], spacing_m[-1])
         limit_slope(spacing_m, _KNOT_GROWTH * lengths_m)
     measure = np.concatenate([[0.0], np.cumsum(lengths_m * 2 / (spacing_m[1:] + spacing_m[:-1]))])
-    # A whole number of knot intervals between waypoints, so that the curve passes through them to the last bit.
+    # A whole number of knot intervals between waypoints, so that the curve passes through them to the last
+    # bit.
     pieces = np.ceil(np.diff(measure[at])).astype(np.int64)
     at_way_points = np.concatenate([[0], np.cumsum(pieces)])
     wanted = np.interp(np.arange(at_way_points[-1] + 1), at_way_points, measure[at])
@@ -178,7 +192,8 @@ def _knots(cubic: Spline, u: F8, way_points_m: F8, closed: bool) -> tuple[F8, I8
 def _curvature(steps: F8, closed: bool) -> F8:
     """Curvature (n,) at n samples, from the angles between the n - 1 steps; infinite at steps without length."""
     before, after = (np.roll(steps, 1, axis=0), steps) if closed else (steps[:-1], steps[1:])
-    ahead, aside = (before * after).sum(axis=1), before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
+    ahead = (before * after).sum(axis=1)
+    aside = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
     before_m, after_m = norm(before), norm(after)
     turn = np.where(np.minimum(before_m, after_m) > 1e-9, np.abs(atan2(aside, ahead)), np.inf)
     inner = turn / (before_m / 2 + after_m / 2)
@@ -205,7 +220,8 @@ def _spline(at: F8, points_m: F8, closed: bool) -> Spline:
 
 def _by_length(curve: Spline, knots: F8, closed: bool) -> tuple[Spline, F8]:
     """Return the curve with its arc length as the parameter: the spline and its knots."""
-    half, mean_speed = np.diff(knots) / 2, np.zeros(len(knots) - 1)
+    half = np.diff(knots) / 2
+    mean_speed = np.zeros(len(knots) - 1)
     for place, weight in _GAUSS:
         mean_speed += weight * norm(curve((knots[1:] - half) + half * place, 1))
     along_m = np.concatenate([[0.0], np.cumsum(half * mean_speed)])
@@ -244,7 +260,8 @@ def _check_slope(solid: Spline, along_m: F8, origin_m: F8) -> None:
     worst = int(slope.argmax())
     if slope[worst] > _STEEPEST:
         x_m, y_m, _ = solid(along_m[worst : worst + 1])[0] + origin_m
-        where, steep_deg = f"path at ({x_m:.2f}, {y_m:.2f}) m", math.degrees(atan2(float(slope[worst]), 1.0))
+        where = f"path at ({x_m:.2f}, {y_m:.2f}) m"
+        steep_deg = math.degrees(atan2(float(slope[worst]), 1.0))
         found = f"the ground rises or falls by {steep_deg:.0f} degrees"
         expected = f"at most {_STEEPEST_DEG:g} degrees"
         raise TrajectoryError(where, found, expected, at_m=(float(x_m), float(y_m)))

@@ -29,13 +29,18 @@ _HALVINGS = 24  # of the range of cruise speeds, if the run time is given
 class Route:
     """A path with the times at which a person is on it, `laps` times round if it is closed.
 
-    Arc length over time is a quintic B-spline with equal steps, four times continuously differentiable. The person
-    walks as fast as the limits of cruise speed, turn rate and acceleration allow together. The arc lengths at equal
-    times are the control points of the spline, so speed and acceleration are weighted means of the values before
-    smoothing: they keep the same limits, and the person never walks backwards. At both ends and at stops the person is
+    Arc length over time is a quintic B-spline with equal steps, four times continuously differentiable. The
+    person
+    walks as fast as the limits of cruise speed, turn rate and acceleration allow together. The arc lengths at
+    equal
+    times are the control points of the spline, so speed and acceleration are weighted means of the values
+    before
+    smoothing: they keep the same limits, and the person never walks backwards. At both ends and at stops the
+    person is
     at rest.
 
-    Raises TrajectoryError if an open path is to be walked more than once, a stop is not on the path, the run time is
+    Raises TrajectoryError if an open path is to be walked more than once, a stop is not on the path, the run
+    time is
     too short, or the walk would take more than two weeks.
 
     Parameters
@@ -56,11 +61,14 @@ class Route:
         stops += [(stop.at_m, stop.pause_s) for stop in walk.stops if stop.at_m is not None]
         # The end of one lap and the start of the next are equal to the last bit.
         laps = [
-            ((lap + at_m / path.length_m) * path.length_m, stop_s) for lap in range(walk.laps) for at_m, stop_s in stops
+            ((lap + at_m / path.length_m) * path.length_m, stop_s)
+            for lap in range(walk.laps)
+            for at_m, stop_s in stops
         ]
         bounds_m, pauses_s = _rests(laps, self.length_m)
         legs = [_Leg(start_m, end_m, path.turn_rad_m, walk) for start_m, end_m in pairwise(bounds_m.tolist())]
-        self._step_s, run_time_s = _KNOT_S, walk.run_time_s
+        self._step_s = _KNOT_S
+        run_time_s = walk.run_time_s
         self.speed_m_s = walk.speed_m_s  # cruise speed
         if run_time_s is not None:
             self.speed_m_s = _speed_for(run_time_s, legs, float(pauses_s.sum()), self.length_m)
@@ -81,15 +89,18 @@ class Route:
 
         Returns
         -------
-        (n, 6, 3) value, exact first and second time derivative of x, y, z, roll, pitch and yaw in the world, where roll and
-        pitch are 0 and the yaw is continuous, so it may pass pi; and (n,) speed along the path, never negative
+        (n, 6, 3) value, exact first and second time derivative of x, y, z, roll, pitch and yaw in the world,
+        where roll and
+        pitch are 0 and the yaw is continuous, so it may pass pi; and (n,) speed along the path, never
+        negative
         """
         steps = np.clip(elapsed_s - self._stand_s, 0.0, self._moves_s) / self._step_s
         along_m, rate, second = (self._along_m(steps, order)[:, 0] for order in range(3))
         speed_m_s = np.maximum(rate, 0.0) / self._step_s  # rounding at rest must not give a negative speed
         acceleration_m_s2 = second / (self._step_s * self._step_s)
         point_m, heading_rad = self.path.derivatives_at(along_m)
-        curve, speed = np.concatenate([point_m, heading_rad[..., None]], axis=2), speed_m_s[:, None]
+        curve = np.concatenate([point_m, heading_rad[..., None]], axis=2)
+        speed = speed_m_s[:, None]
         nodes = np.zeros((len(elapsed_s), AXES, 3))
         nodes[:, _PLACED, 0] = curve[:, 0]
         nodes[:, _PLACED, 1] = curve[:, 1] * speed
@@ -107,7 +118,9 @@ class _Leg:
     def __init__(self, start_m: float, end_m: float, turn_rad_m: Callable[[F8], F8], walk: Walk) -> None:
         cells = max(2, math.ceil((end_m - start_m) / _CELL_M))
         looked_m = np.linspace(start_m, end_m, 1 + _LOOKS * cells)
-        blocks = np.array_split(looked_m, 1 + len(looked_m) // _BLOCK)  # a path of 100 km has 20 million places
+        blocks = np.array_split(
+            looked_m, 1 + len(looked_m) // _BLOCK
+        )  # a path of 100 km has 20 million places
         turn = -_least_within(-np.abs(np.concatenate([*map(turn_rad_m, blocks)])), _LOOKS // 2)[::_LOOKS]
         yaw_rate_rad_s = math.radians(walk.yaw_rate_deg_s)
         self._turn_limit_m_s = yaw_rate_rad_s / np.maximum(turn, yaw_rate_rad_s / _MAX_SPEED_M_S)
@@ -118,7 +131,8 @@ class _Leg:
     def speeds_m_s(self, cruise_m_s: float) -> F8:
         """Return the speeds (n,) at the cells' edges before smoothing.
 
-        Smoothing mixes speeds over `2 * _REACH` time steps, so each limit holds as far as the person gets in them.
+        Smoothing mixes speeds over `2 * _REACH` time steps, so each limit holds as far as the person gets in
+        them.
         """
         reach = min(len(self.at_m), math.ceil(2 * _REACH * _KNOT_S * cruise_m_s / self._cell_m))
         limit = _least_within(self._turn_limit_m_s, reach)
@@ -140,7 +154,8 @@ def _least_within(values: F8, reach: int) -> F8:
 
     `scipy.ndimage.minimum_filter1d` does the same, but its import takes 40 ms of each start.
     """
-    least, width = np.pad(values, reach, mode="edge"), 1
+    least = np.pad(values, reach, mode="edge")
+    width = 1
     while 2 * width <= 2 * reach + 1:
         least = np.minimum(least[:-width], least[width:])
         width *= 2
@@ -168,7 +183,8 @@ def _speed_for(run_time_s: float, legs: Sequence[_Leg], pauses_s: float, length_
     def takes_s(speed_m_s: float) -> float:
         return pauses_s + _PADDING_S + sum(leg.times_s(leg.speeds_m_s(speed_m_s))[-1] for leg in legs)
 
-    high, fastest_s = _MAX_SPEED_M_S, takes_s(_MAX_SPEED_M_S)
+    high = _MAX_SPEED_M_S
+    fastest_s = takes_s(_MAX_SPEED_M_S)
     if fastest_s > run_time_s:
         expected = f"at least {fastest_s:.1f} s, with its stops, turns and starts"
         raise TrajectoryError("run time", f"found {run_time_s:g} s for {length_m:.1f} m", expected)
@@ -181,7 +197,9 @@ def _speed_for(run_time_s: float, legs: Sequence[_Leg], pauses_s: float, length_
 
 def _sampled(legs: Sequence[_Leg], pauses_s: F8, cruise_m_s: float) -> tuple[float, F8]:
     """Return the duration before smoothing and the control points (c,): arc lengths at equal times."""
-    begin_s, begins, runs = pauses_s[0], [], []
+    begin_s = pauses_s[0]
+    begins = []
+    runs = []
     for leg, pause_s in zip(legs, pauses_s[1:], strict=True):
         speeds = leg.speeds_m_s(cruise_m_s)
         times = leg.times_s(speeds)
@@ -190,7 +208,9 @@ def _sampled(legs: Sequence[_Leg], pauses_s: F8, cruise_m_s: float) -> tuple[flo
         begin_s += times[-1] + pause_s
     duration_s = begin_s
     if not duration_s <= _LONGEST_S:
-        raise TrajectoryError("run time", f"found {duration_s:g} s", f"at most {_LONGEST_S} s, with its stops")
+        raise TrajectoryError(
+            "run time", f"found {duration_s:g} s", f"at most {_LONGEST_S} s, with its stops"
+        )
     # Control point j is at (j - 2) steps, and the person sets off two steps after the start.
     count = math.ceil((duration_s + _PADDING_S) / _KNOT_S) + 6
     at_s = (np.arange(count) - 4) * _KNOT_S
@@ -199,7 +219,8 @@ def _sampled(legs: Sequence[_Leg], pauses_s: F8, cruise_m_s: float) -> tuple[flo
         first = int(np.searchsorted(at_s, begin))
         since = np.minimum(at_s[first:] - begin, times[-1])
         cell = np.minimum(np.searchsorted(times, since, side="right") - 1, len(times) - 2)
-        t, dt = since - times[cell], times[cell + 1] - times[cell]
+        t = since - times[cell]
+        dt = times[cell + 1] - times[cell]
         mean = speeds[cell] + (speeds[cell + 1] - speeds[cell]) * t / dt / 2
         control_m[first:] = np.where(since < times[-1], at_m[cell] + mean * t, at_m[-1])
     return duration_s, control_m

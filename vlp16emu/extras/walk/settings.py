@@ -80,7 +80,12 @@ class Gait(Preset):
     presets: ClassVar[Mapping[str, Mapping[str, float]]] = {
         "none": dict.fromkeys(_STRONG_GAIT, 0.0),
         # Two plain sines (Lu et al., LiDAR-Forest, module 4).
-        "paper": {**dict.fromkeys(_STRONG_GAIT, 0.0), "step_hz": 1.8, "vertical_m": 0.025, "sideways_m": 0.02},
+        "paper": {
+            **dict.fromkeys(_STRONG_GAIT, 0.0),
+            "step_hz": 1.8,
+            "vertical_m": 0.025,
+            "sideways_m": 0.02,
+        },
         "natural": {},
         "strong": _STRONG_GAIT,
     }
@@ -146,7 +151,8 @@ class Harness(Section):
 class Mast(Section):
     """Mast that carries the sensors above the pack and the inertial unit, and bends with each step.
 
-    A pole of aluminium with a sensor of 0.83 kg (63-9243 Rev D, appendix C) swings at about 8 Hz and hardly along
+    A pole of aluminium with a sensor of 0.83 kg (63-9243 Rev D, appendix C) swings at about 8 Hz and hardly
+    along
     itself; at walking pace it leans by a tenth of a degree (assumption).
     """
 
@@ -175,10 +181,12 @@ class Walk(MotionSection):
     lawn_mower: LawnMower | None = None
     """Parallel lines over a plot."""
     laps: Annotated[int, Field(ge=1, le=1000)] = 1
-    """Number of laps of a closed path, whose last waypoint is the first, or of any path with `back_and_forth`. A closed
+    """Number of laps of a closed path, whose last waypoint is the first, or of any path with
+    `back_and_forth`. A closed
     path closes smoothly."""
     back_and_forth: bool = False
-    """True if a lap is the way there and back, with a small loop behind each end where the person turns round."""
+    """True if a lap is the way there and back, with a small loop behind each end where the person turns
+    round."""
     speed_m_s: Annotated[float, Field(gt=0, le=10)] = 1.2
     """Speed along the path where nothing slows the person down."""
     run_time_s: Annotated[float, Field(gt=0, le=7 * 86400)] | None = None
@@ -190,21 +198,25 @@ class Walk(MotionSection):
     stops: list[Stop] = Field(default_factory=list)
     """Halts on each lap."""
     stand_s: Annotated[float, Field(ge=0, le=86_400)] = 0.0
-    """Time that the person stands still before the first step, as programs need that estimate gravity and biases first;
+    """Time that the person stands still before the first step, as programs need that estimate gravity and
+    biases first;
     not part of `run_time_s`."""
     kind: Literal["walk"]
     """Selects a walking person."""
     seed: Seed | None = None
-    """Seed of the variation of steps: scenes with the same seed and ground have the same walk; the scene's seed if not set."""
+    """Seed of the variation of steps: scenes with the same seed and ground have the same walk; the scene's
+    seed if not set."""
     sensor_height_m: Size = 2.0
-    """Height of the pack's origin over the ground under it; the origin is the sensor's centre unless it is mounted
+    """Height of the pack's origin over the ground under it; the origin is the sensor's centre unless it is
+    mounted
     elsewhere."""
     gait: Gait = Gait()
     """Motion of the person's trunk."""
     harness: Harness | None = None
     """Straps of the pack; without this table the pack is strapped tight."""
     mast: Mast | None = None
-    """Mast that carries the sensors but not the inertial unit; without this table the sensors are rigid on the pack."""
+    """Mast that carries the sensors but not the inertial unit; without this table the sensors are rigid on
+    the pack."""
 
     @model_validator(mode="after")
     def _given_once(self) -> Self:
@@ -216,7 +228,9 @@ class Walk(MotionSection):
             raise ValueError("stops given by at_m where lawn_mower makes the waypoints")
         return self
 
-    def carrier(self, site: "Site", *, gps: Gps, start_ns: int, seed: int, **_: object) -> "tuple[WalkMotion, F8]":
+    def carrier(
+        self, site: "Site", *, gps: Gps, start_ns: int, seed: int, **_: object
+    ) -> "tuple[WalkMotion, F8]":
         """Return the motion of the pack, and points (n, 2) of its path, which leads around obstacles.
 
         Raises TrajectoryError if a person cannot walk it.

@@ -17,7 +17,9 @@ from vlp16emu.motion.settings import Gps
 from vlp16emu.tables import Column, Table, read_table
 from vlp16emu.types import F8
 
-_POINTS_PER_QUARTER = 6  # waypoints in a quarter turn: the spline through them keeps within 0.2 % of the radius
+_POINTS_PER_QUARTER = (
+    6  # waypoints in a quarter turn: the spline through them keeps within 0.2 % of the radius
+)
 _LOOP_RADIUS_M = 0.5  # of the loop behind each end of a way back and forth (assumption)
 _LOOP_LENGTH_M = _LOOP_RADIUS_M * math.pi / 3 * 7  # least distance from end to end of a way back and forth
 _FARTHEST_M = 100_000.0  # from the scene's origin; farther away a plane map does not represent the earth
@@ -28,8 +30,10 @@ _CSV = {
     "stop_s": Column({"stop_s": 1.0}, 0.0, 1e6, is_needed=False, is_filled=False),
 }
 _TRIES = 300  # waypoints that are put beside an obstacle, or moved farther away from it
-_SPARE_M, _WIDER_M = 0.05, 0.05
-"""Added to the required distance, and its growth with each try at the same obstacle: the curve between waypoints cuts corners."""
+_SPARE_M = 0.05
+_WIDER_M = 0.05
+"""Added to the required distance, and its growth with each try at the same obstacle: the curve between
+waypoints cuts corners."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +62,9 @@ def way_points(walk: Walk, gps: Gps, origin_m: tuple[float, float]) -> WayPoints
     for stop in walk.stops:
         if stop.way_point is not None:
             if stop.way_point > len(points.pause_s):
-                raise TrajectoryError("stop", f"found waypoint {stop.way_point}", f"from 1 to {len(points.pause_s)}")
+                raise TrajectoryError(
+                    "stop", f"found waypoint {stop.way_point}", f"from 1 to {len(points.pause_s)}"
+                )
             points.pause_s[stop.way_point - 1] += stop.pause_s
     return _there_and_back(points) if walk.back_and_forth else points
 
@@ -66,7 +72,8 @@ def way_points(walk: Walk, gps: Gps, origin_m: tuple[float, float]) -> WayPoints
 def read_way_points(path: Path, gps: Gps, origin_m: tuple[float, float]) -> WayPoints:
     """Read waypoints from a file whose name ends in .csv or .gpx.
 
-    A CSV has the columns x_m and y_m, and optionally stop_s, the duration of a stop. From a GPX file the one track
+    A CSV has the columns x_m and y_m, and optionally stop_s, the duration of a stop. From a GPX file the one
+    track
     is read, or the one route if it has no track; its times and heights are ignored.
 
     Raises TrajectoryError if the file is not of this form, or lies more than 100 km from the scene's origin.
@@ -80,29 +87,39 @@ def read_way_points(path: Path, gps: Gps, origin_m: tuple[float, float]) -> WayP
     if kind == ".csv":
         expected = "a CSV with the columns x_m, y_m and, if wanted, stop_s"
         table = read_table(path, _CSV, expected, TrajectoryError)
-        return WayPoints(table.numbers("x_m", "y_m") - np.array(origin_m), np.nan_to_num(table.numbers("stop_s")))
+        return WayPoints(
+            table.numbers("x_m", "y_m") - np.array(origin_m), np.nan_to_num(table.numbers("stop_s"))
+        )
     if kind != ".gpx":
         raise TrajectoryError(str(path), f"found the ending {kind!r}", ".csv or .gpx")
     with readable(path, "a GPX file", TrajectoryError):
         points, count = _gpx_points(path)
-    tracks, routes = count["trk"], count["rte"]
+    tracks = count["trk"]
+    routes = count["rte"]
     if (tracks or routes) != 1:
         raise TrajectoryError(str(path), f"found {tracks} tracks and {routes} routes", "one of them")
     table = points["trkpt" if tracks else "rtept"]
     places = np.column_stack([table.numbers("lat", "lon"), np.full(len(table), gps.height_m)])
     xy_m = to_local(places, gps)[:, :2]
     for i in np.flatnonzero((away_m := norm(xy_m)) > _FARTHEST_M):
-        expected = f"at most {_FARTHEST_M / 1000:g} km from {gps.latitude_deg:g}, {gps.longitude_deg:g} degrees"
-        raise TrajectoryError(table.where(int(i)), f"lies {away_m[i] / 1000:.0f} km from the scene's origin", expected)
+        expected = (
+            f"at most {_FARTHEST_M / 1000:g} km from {gps.latitude_deg:g}, {gps.longitude_deg:g} degrees"
+        )
+        raise TrajectoryError(
+            table.where(int(i)), f"lies {away_m[i] / 1000:.0f} km from the scene's origin", expected
+        )
     return WayPoints(np.ascontiguousarray(xy_m), np.zeros(len(xy_m)))
 
 
 def _gpx_points(path: Path) -> tuple[dict[str, Table], Counter[str]]:
     """Return the points of a GPX file as a table by element, and the number of elements of each kind."""
-    parser, count = expat.ParserCreate(), Counter[str]()
+    parser = expat.ParserCreate()
+    count = Counter[str]()
     names = {axis: axis for axis in _GEODETIC}
     points = {
-        name: Table(path, TrajectoryError, _GEODETIC, names, [], {axis: [] for axis in names}, _has_commas=True)
+        name: Table(
+            path, TrajectoryError, _GEODETIC, names, [], {axis: [] for axis in names}, _has_commas=True
+        )
         for name in ("trkpt", "rtept")
     }
 
@@ -118,7 +135,8 @@ def _gpx_points(path: Path) -> tuple[dict[str, Table], Counter[str]]:
             for axis, cells in points[name].cells.items():
                 cells.append(attributes.get(axis, ""))
 
-    parser.StartDoctypeDeclHandler, parser.StartElementHandler = refuse, start
+    parser.StartDoctypeDeclHandler = refuse
+    parser.StartElementHandler = start
     try:
         parser.Parse(path.read_bytes(), True)
     except expat.ExpatError as error:
@@ -131,7 +149,8 @@ def _gpx_points(path: Path) -> tuple[dict[str, Table], Counter[str]]:
 
 def _there_and_back(points: WayPoints) -> WayPoints:
     """Return the way there and back, with a small loop behind each end; stops are made both ways, at the ends once."""
-    xy_m, pause_s = points.xy_m, points.pause_s
+    xy_m = points.xy_m
+    pause_s = points.pause_s
     if len(xy_m) < 2 or norm(xy_m[-1] - xy_m[0]) < _LOOP_LENGTH_M:
         found = f"found {len(xy_m)} waypoints, the last {norm(xy_m[-1] - xy_m[0]):.2f} m from the first"
         expected = f"at least 2, and {_LOOP_LENGTH_M:.1f} m; laps go round a closed path without it"
@@ -147,7 +166,8 @@ def _there_and_back(points: WayPoints) -> WayPoints:
 def _turning_loop(before_m: F8, end_m: F8) -> F8:
     """Waypoints (n, 2) of a loop that leads back to the end of a way in the opposite direction.
 
-    It is a sixth of a circle to the right, five sixths to the left round a centre straight ahead, and a sixth to the
+    It is a sixth of a circle to the right, five sixths to the left round a centre straight ahead, and a sixth
+    to the
     right, all with one radius, and has a waypoint at each sixth.
     """
     turns = math.pi / 3 * np.array([-1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0])
@@ -164,7 +184,8 @@ def lawn_mower(plot: LawnMower) -> F8:
 
     Raises TrajectoryError if the turns do not fit between two lines or along the plot.
     """
-    line_spacing_m, radius_m = plot.line_spacing_m, plot.turn_radius_m
+    line_spacing_m = plot.line_spacing_m
+    radius_m = plot.turn_radius_m
     room_m = min(line_spacing_m, plot.length_m)
     if 2 * radius_m > room_m:
         expected = f"above 0 and at most half of {room_m:g} m, line spacing or length"
@@ -189,7 +210,8 @@ def _rounded(corners_m: F8, radius_m: float, spacing_m: float) -> F8:
     """Points (n, 2) at about equal distances along right-angled corners (c, 2) that are cut by quarter circles."""
     ahead = np.diff(corners_m, axis=0)
     ahead /= norm(ahead)[:, None]
-    pieces, at = [], corners_m[0]
+    pieces = []
+    at = corners_m[0]
     for corner, before, after in zip(corners_m[1:-1], ahead[:-1], ahead[1:], strict=True):
         pieces.append(_straight(at, corner - radius_m * before, spacing_m))
         angle = np.arange(_POINTS_PER_QUARTER)[:, None] / _POINTS_PER_QUARTER * (math.pi / 2)
@@ -229,7 +251,9 @@ def around(points: WayPoints, places_m: F8, gaps_m: F8) -> WayPoints:
         if before is None:
             along_m = norm(np.diff(path.xy_m[: nearest + 1], axis=0)).sum()
             place = int(np.clip(np.searchsorted(path.way_points_at_m, along_m), 1, len(points.xy_m) - 1))
-            points = WayPoints(np.insert(points.xy_m, place, to_m, axis=0), np.insert(points.pause_s, place, 0.0))
+            points = WayPoints(
+                np.insert(points.xy_m, place, to_m, axis=0), np.insert(points.pause_s, place, 0.0)
+            )
         else:
             xy_m = np.where((points.xy_m == before).all(axis=1)[:, None], to_m, points.xy_m)
             points = WayPoints(xy_m, points.pause_s)

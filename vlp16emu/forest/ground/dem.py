@@ -1,8 +1,11 @@
 """Ground from a digital elevation model: ESRI ASCII grids, numpy arrays, and GeoTIFF if rasterio is installed.
 
-Monotone cubics interpolate between cell centres along x, and then along y (Steffen, "A simple method for monotonic
-interpolation in one dimension", Astronomy and Astrophysics 239, 1990): the surface passes through every height and stays
-within the four around. Where the ground bends little it equals the bicubic convolution of Keys (1981) with a = -1/2.
+Monotone cubics interpolate between cell centres along x, and then along y (Steffen, "A simple method for
+monotonic
+interpolation in one dimension", Astronomy and Astrophysics 239, 1990): the surface passes through every
+height and stays
+within the four around. Where the ground bends little it equals the bicubic convolution of Keys (1981) with a
+= -1/2.
 """
 
 import logging
@@ -24,8 +27,10 @@ from vlp16emu.kernels.compiler import array_kernel, inline_kernel
 from vlp16emu.types import F8, HeightField
 
 _MOST_CELLS = 50_000_000  # 7 km by 7 km at 1 m: a gigabyte while it is read; limits compressed files too
-_LOWEST_M, _HIGHEST_M = -500.0, 9000.0
-"""Limits of heights: the shore of the Dead Sea is at -440 m, Mount Everest at 8849 m; no-data values lie beyond."""
+_LOWEST_M = -500.0
+_HIGHEST_M = 9000.0
+"""Limits of heights: the shore of the Dead Sea is at -440 m, Mount Everest at 8849 m; no-data values lie
+beyond."""
 _METRES = (None, "", "m", "metre", "meter")
 _SIZE = ("ncols",), ("nrows",), ("cellsize",)
 _CORNER = ("xllcorner", "xllcenter"), ("yllcorner", "yllcenter")
@@ -48,8 +53,10 @@ class Grid:
 def read_grid(path: Path, *, cell_m: float | None, corner_m: tuple[float, float] | None) -> Grid:
     """Read a grid in the format of its suffix; cells with a non-finite value or the file's no-data value have no height.
 
-    The edge of a cell, and easting and northing of the outer corner of the south-western cell, are required for .npy, which
-    does not hold them, and None for the others. Raises GeometryError if the file is not such a grid, and MissingExtraError
+    The edge of a cell, and easting and northing of the outer corner of the south-western cell, are required
+    for .npy, which
+    does not hold them, and None for the others. Raises GeometryError if the file is not such a grid, and
+    MissingExtraError
     for a GeoTIFF without rasterio.
     """
     kind = path.suffix.lower()
@@ -69,7 +76,8 @@ def write_ascii(file: BinaryIO, height_m: HeightField, low_m: F8, high_m: F8, ce
 
     The grid covers the rectangle from `low_m` to `high_m` (2,), with edges at whole multiples of a cell.
     """
-    first, end = np.floor(low_m / cell_m), np.ceil(high_m / cell_m)
+    first = np.floor(low_m / cell_m)
+    end = np.ceil(high_m / cell_m)
     columns, rows = (end - first).astype(np.int64).tolist()
     west_m, south_m = (first * cell_m).tolist()
     head = f"ncols {columns}\nnrows {rows}\nxllcorner {west_m:.10g}\nyllcorner {south_m:.10g}\ncellsize {cell_m:g}\n"
@@ -117,7 +125,8 @@ def _read_npy(path: Path) -> F8:
 
 def _read_ascii(path: Path) -> Grid:
     # GDAL would read words as 0 and continue a short row in the next line.
-    header, line = dict[str, float](), (0, "")
+    header = dict[str, float]()
+    line = (0, "")
     opened = readable(path, "an ESRI ASCII grid", GeometryError, most_bytes=LARGEST_BYTES)
     with opened, path.open(encoding="utf-8-sig") as file:
         lines = ((number, text.strip()) for number, text in enumerate(file, start=1) if text.strip())
@@ -136,7 +145,9 @@ def _read_ascii(path: Path) -> Grid:
             header[key] = value
         for keys in (*_SIZE, *_CORNER):
             if not any(key in header for key in keys):
-                found = f"found {line[1]!r}" if header else "no header"  # a file of another kind is not quoted
+                found = (
+                    f"found {line[1]!r}" if header else "no header"
+                )  # a file of another kind is not quoted
                 raise GeometryError(f"{path}, line {line[0]}", found, f"{' or '.join(keys)} and a number")
 
         def cells(first: str) -> Iterator[str]:
@@ -156,7 +167,9 @@ def _read_ascii(path: Path) -> Grid:
         found = f"found {len(heights_m)} rows of {heights_m.shape[1]}"
         raise GeometryError(f"{path}, line {line[0]}", found, f"nrows = {rows:g}, ncols = {columns:g}")
     heights_m[heights_m == header.get(_NODATA)] = np.nan
-    west_m, south_m = (header[edge] if edge in header else header[centre] - cell_m / 2 for edge, centre in _CORNER)
+    west_m, south_m = (
+        header[edge] if edge in header else header[centre] - cell_m / 2 for edge, centre in _CORNER
+    )
     return _from_corner(path, heights_m, (west_m, south_m), cell_m)
 
 
@@ -188,12 +201,19 @@ def _check_map(path: Path, file: Any) -> None:
     width_m, skew, west_m, turn, minus_m, north_m = file.transform[:6]
     unit, factor = file.crs.units_factor if file.crs else ("metre", 1.0)
     unit = "degrees" if file.crs and file.crs.is_geographic else unit
-    size, kind = f"{file.height} rows of {file.width}", file.dtypes[0]
-    is_square = width_m == -minus_m > 0 and skew == turn == 0 and np.isfinite([west_m, north_m, width_m]).all()
+    size = f"{file.height} rows of {file.width}"
+    kind = file.dtypes[0]
+    is_square = (
+        width_m == -minus_m > 0 and skew == turn == 0 and np.isfinite([west_m, north_m, width_m]).all()
+    )
     cells = f"cells of {width_m:g} x {-minus_m:g}"
     cells += ", turned" if skew or turn else f" from ({west_m:g}, {north_m:g})"
     for is_right, found, expected in (
-        (file.count == 1 and np.dtype(kind).kind in "iuf", f"{file.count} bands of {kind}", "one height to a cell"),
+        (
+            file.count == 1 and np.dtype(kind).kind in "iuf",
+            f"{file.count} bands of {kind}",
+            "one height to a cell",
+        ),
         (file.height * file.width <= _MOST_CELLS, size, f"at most {_MOST_CELLS} cells"),
         (not file.transform.is_identity, "no place on a map", "a grid that says where it lies"),
         (factor == 1.0, f"a map in {unit}", "one in metres"),
@@ -227,7 +247,9 @@ class DemHeights:
         if (gaps := np.isnan(heights_m)).any():
             from scipy import ndimage
 
-            heights_m = heights_m[*ndimage.distance_transform_edt(gaps, return_distances=False, return_indices=True)]
+            heights_m = heights_m[
+                *ndimage.distance_transform_edt(gaps, return_distances=False, return_indices=True)
+            ]
         level_m = heights_m[::-1] - up
         self._nodes_m = np.pad(level_m, 1, mode="reflect", reflect_type="odd")
 
@@ -282,7 +304,8 @@ class DemHeights:
         places = np.column_stack([self._west_m + column * cell_m, self._north_m - row * cell_m])
         gap_m = distance_m(places, path_xy_m)
         if len(gap_m) and gap_m.min() < reach_m + _SUPPORT_CELLS * cell_m:
-            i, (east, north, _) = int(gap_m.argmin()), self._origin_m
+            i = int(gap_m.argmin())
+            (east, north, _) = self._origin_m
             px, py = places[i].tolist()
             on_map = f" (E {px + east:.1f}, N {py + north:.1f})" if (east, north) != (0.0, 0.0) else ""
             where = f"{self._grid.path}: row {row[i] + 1}, column {column[i] + 1}"
@@ -303,7 +326,8 @@ def _slope(before: float, after: float) -> float:
 def _between(a: float, b: float, c: float, d: float, t: float) -> float:
     """Height at share `t` of the way from b to c, for four heights at equal distances."""
     rise = c - b
-    start, end = _slope(b - a, rise), _slope(rise, d - c)
+    start = _slope(b - a, rise)
+    end = _slope(rise, d - c)
     return b + t * (start + t * (3 * rise - 2 * start - end + t * (start + end - 2 * rise)))
 
 

@@ -1,9 +1,12 @@
 """Ground with relief: a sum of plane waves and scattered mounds and pits, without edge and period.
 
-There are two bands of waves: hills, and roughness at the scale of a foot. Within a band the power spectrum falls
+There are two bands of waves: hills, and roughness at the scale of a foot. Within a band the power spectrum
+falls
 with the third power of the wave number (assumption; natural ground has exponents between 2.5 and 4).
-Mounds and hollows represent features that waves cannot: old stumps, stones under moss. Uprooted trees leave pits with
-a mound beside each, and machines leave ruts: smooth troughs under the wheels of either side, between low shoulders of
+Mounds and hollows represent features that waves cannot: old stumps, stones under moss. Uprooted trees leave
+pits with
+a mound beside each, and machines leave ruts: smooth troughs under the wheels of either side, between low
+shoulders of
 displaced soil, with a depth that varies along the trail.
 """
 
@@ -27,7 +30,8 @@ _WAVES = 48  # enough for a nearly normal sum; the cost is proportional to it
 def waves(rng: np.random.Generator, wavelengths_m: tuple[float, float], rms: float) -> F8:
     """Waves of a band (n, 4): wave vector x and y in rad/m, amplitude, phase; empty if flat.
 
-    They are spread evenly over log wavelength, with a variance proportional to the wavelength: the power spectrum falls
+    They are spread evenly over log wavelength, with a variance proportional to the wavelength: the power
+    spectrum falls
     with the third power of the wave number.
     """
     count = _WAVES if rms > 0 else 0
@@ -53,16 +57,23 @@ def sum_of_waves(out: F8, x: F8, y: F8, band: F8, gradient_x: float, gradient_y:
 
 
 _TRACK_M = (1.8, 2.2)
-"""Range of the distance between the centres of a trail's ruts: forwarders are 2.5 m to 3 m wide overall (assumption)."""
+"""Range of the distance between the centres of a trail's ruts: forwarders are 2.5 m to 3 m wide overall
+(assumption)."""
 _RUT_M = (0.5, 0.7)
-"""Range of a rut's width at the level of the ground beside it: a tyre's width (600/55-26.5 and 710/45-26.5 are usual)."""
-# Range of depth along a rut: 0.17, 0.22 and 0.35 m were measured on dry, moist and wet skidder trails (Jourgholami and
-# Majnounian, "Effects of wheeled cable skidder on rut formation in skid trail", J. Forestry Research 22, 2011).
+"""Range of a rut's width at the level of the ground beside it: a tyre's width (600/55-26.5 and 710/45-26.5
+are usual)."""
+# Range of depth along a rut: 0.17, 0.22 and 0.35 m were measured on dry, moist and wet skidder trails
+# (Jourgholami and
+# Majnounian, "Effects of wheeled cable skidder on rut formation in skid trail", J. Forestry Research 22,
+# 2011).
 _DEPTH_M = (0.05, 0.2)
 _SHOULDER = 1.5
-"""Distance of the end of a rut's shoulder over half the rut's width; the shoulder is a seventeenth of the depth high."""
+"""Distance of the end of a rut's shoulder over half the rut's width; the shoulder is a seventeenth of the
+depth high."""
 _WAVES_M = (7.0, 19.0)  # wavelengths of the depth along a rut; assumption
-_FREE_M = 2.0  # distance from the middle of a trail without trees: trails are 4 m wide (FSC and PEFC in Germany)
+_FREE_M = (
+    2.0  # distance from the middle of a trail without trees: trails are 4 m wide (FSC and PEFC in Germany)
+)
 _RUT = int(Growth.RUT)
 
 
@@ -70,10 +81,13 @@ class Trails:
     """Parallel trails over the whole plane, at an offset drawn from the seed."""
 
     def __init__(self, section: Terrain, *, seed: int) -> None:
-        self._spacing_m, towards = section.trail_spacing_m, math.radians(section.trail_towards_deg)
+        self._spacing_m = section.trail_spacing_m
+        towards = math.radians(section.trail_towards_deg)
         self._along = (cos(towards), sin(towards))
         self._seed = (np.uint32(seed & 0xFFFFFFFF), np.uint32(seed >> 32))
-        self.free_share = 1.0 - 2 * _FREE_M / self._spacing_m if self._spacing_m else 1.0  # of the ground, for trees
+        self.free_share = (
+            1.0 - 2 * _FREE_M / self._spacing_m if self._spacing_m else 1.0
+        )  # of the ground, for trees
 
     def are_free(self, xy_m: F8) -> NDArray[np.bool_]:
         """Return a mask (n,) of the points (n, 2) off all trails."""
@@ -93,12 +107,21 @@ class Trails:
 @array_kernel
 def _first_m(seed_low: np.uint32, seed_high: np.uint32, spacing_m: float) -> float:
     none = np.uint32(0)
-    return philox4x32(none, none, np.uint32(1), np.uint32(_RUT), seed_low, seed_high)[0] * 2.0**-32 * spacing_m
+    return (
+        philox4x32(none, none, np.uint32(1), np.uint32(_RUT), seed_low, seed_high)[0] * 2.0**-32 * spacing_m
+    )
 
 
 @array_kernel
 def _add_ruts(
-    out: F8, x: F8, y: F8, spacing_m: float, along_x: float, along_y: float, seed_low: np.uint32, seed_high: np.uint32
+    out: F8,
+    x: F8,
+    y: F8,
+    spacing_m: float,
+    along_x: float,
+    along_y: float,
+    seed_low: np.uint32,
+    seed_high: np.uint32,
 ) -> None:
     """Add to (n,) heights the ruts of the nearest trail of each point."""
     first = _first_m(seed_low, seed_high, spacing_m)
@@ -117,7 +140,8 @@ def _add_ruts(
         square = off * off
         if square < 1.0:
             # The phases of a rut's two waves take one half of the bits each.
-            phases, along_m = words[2] if aside > 0 else words[3], along_x * x[i] + along_y * y[i]
+            phases = words[2] if aside > 0 else words[3]
+            along_m = along_x * x[i] + along_y * y[i]
             one, other = (phases >> np.uint32(16)) * 2.0**-16, (phases & np.uint32(0xFFFF)) * 2.0**-16
             wave = cos_sin(2 * math.pi * (along_m / _WAVES_M[0] + one))[0]
             wave += cos_sin(2 * math.pi * (along_m / _WAVES_M[1] + other))[0]
@@ -130,15 +154,19 @@ _HILL_WAVELENGTHS_M = (30.0, 300.0)
 _ROUGH_WAVELENGTHS_M = (1.0, 12.0)
 _STEEPEST_DEG = 45.0  # rms of slopes; loose soil slides from 30 to 45 degrees on (angle of repose)
 _MOUND_CELL_M = 2.0
-"""Edge of a square that holds at most one mound: the widest mound, so that nine squares hold all relevant ones."""
+"""Edge of a square that holds at most one mound: the widest mound, so that nine squares hold all relevant
+ones."""
 _MOUND_WIDTH_M = (1.0, 2.0)
 _MOUND_HEIGHT_M = 0.15  # greatest height of mounds and depth of hollows; assumption, like their width
 _PIT_CELL_M = 4.0
-"""Edge of a square that holds at most one pit with its mound: more than their reach from their common centre."""
-_PIT_WIDTH_M, _PIT_DEPTH_M = (2.0, 3.0), (0.2, 0.4)
+"""Edge of a square that holds at most one pit with its mound: more than their reach from their common
+centre."""
+_PIT_WIDTH_M = (2.0, 3.0)
+_PIT_DEPTH_M = (0.2, 0.4)
 """Range of sizes; the mound is as wide and as high as the pit (assumption)."""
 _PIT_ASIDE = 0.8  # distance of pit and mound from their common centre over their radius; assumption
-_MOUND, _PIT = int(Growth.MOUND), int(Growth.PIT)
+_MOUND = int(Growth.MOUND)
+_PIT = int(Growth.PIT)
 
 
 class TerrainHeights:
@@ -149,13 +177,18 @@ class TerrainHeights:
 
     def __init__(self, section: Terrain, *, seed: int) -> None:
         bands = ((_HILL_WAVELENGTHS_M, section.hill_rms_m), (_ROUGH_WAVELENGTHS_M, section.rough_rms_m))
-        self._waves = np.concatenate([waves(generator(seed, Growth.TERRAIN, i), *band) for i, band in enumerate(bands)])
+        self._waves = np.concatenate(
+            [waves(generator(seed, Growth.TERRAIN, i), *band) for i, band in enumerate(bands)]
+        )
         number2 = np.square(self._waves[:, 0]) + np.square(self._waves[:, 1])
         steep = math.sqrt(float((np.square(self._waves[:, 2]) * number2).sum()) / 2)
         if (steep_deg := math.degrees(atan2(steep, 1.0))) > _STEEPEST_DEG:
             found = f"hill_rms_m = {section.hill_rms_m:g} and rough_rms_m = {section.rough_rms_m:g} slope by {steep_deg:.1f} degrees rms"
-            raise GeometryError("world.terrain", found, f"at most {_STEEPEST_DEG:g}: hills of 10 m, roughness of 0.4 m")
-        rise, towards = tan(math.radians(section.slope_deg)), math.radians(section.slope_towards_deg)
+            raise GeometryError(
+                "world.terrain", found, f"at most {_STEEPEST_DEG:g}: hills of 10 m, roughness of 0.4 m"
+            )
+        rise = tan(math.radians(section.slope_deg))
+        towards = math.radians(section.slope_towards_deg)
         self._gradient = (rise * cos(towards), rise * sin(towards))
         self._seed = (np.uint32(seed & 0xFFFFFFFF), np.uint32(seed >> 32))
         self._mound_share = section.mounds_per_ha * _MOUND_CELL_M * _MOUND_CELL_M / 10_000
@@ -178,7 +211,14 @@ class TerrainHeights:
 
 @array_kernel
 def _add(
-    out: F8, x: F8, y: F8, share: float, cell_m: float, purpose: int, seed_low: np.uint32, seed_high: np.uint32
+    out: F8,
+    x: F8,
+    y: F8,
+    share: float,
+    cell_m: float,
+    purpose: int,
+    seed_low: np.uint32,
+    seed_high: np.uint32,
 ) -> None:
     """Add to heights (n,) the mounds or pits of the squares around each point; `share` of all squares have one."""
     for i in range(out.shape[0]):
@@ -186,7 +226,9 @@ def _add(
         for ix in range(column - 1, column + 2):
             for iy in range(row - 1, row + 2):
                 column_word, row_word = np.uint32(ix & 0xFFFFFFFF), np.uint32(iy & 0xFFFFFFFF)
-                words = philox4x32(column_word, row_word, np.uint32(0), np.uint32(purpose), seed_low, seed_high)
+                words = philox4x32(
+                    column_word, row_word, np.uint32(0), np.uint32(purpose), seed_low, seed_high
+                )
                 if words[0] * 2.0**-32 >= share:
                     continue
                 east_m = x[i] - (ix + words[1] * 2.0**-32) * cell_m

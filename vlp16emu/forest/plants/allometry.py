@@ -18,7 +18,8 @@ Coefficients = tuple[float, ...]
 
 BREAST_HEIGHT_M = 1.3  # height of the diameter at breast height above the ground at the stem's axis
 US_BREAST_HEIGHT_M = 1.37  # the same in North America: 4.5 ft
-_INCH_CM, _FOOT_M = 2.54, 0.3048
+_INCH_CM = 2.54
+_FOOT_M = 0.3048
 _TRUNCATION_CM = 6.9  # left truncation of the diameter distributions (Nagel and Biging 1995)
 _LARGEST_DBH_RATIO = 1.6  # largest over quadratic mean diameter of a stand; assumption
 _STUMP_SHARE = 0.01  # stump height over tree height, as in Vonderach and Kaendler (2021)
@@ -41,7 +42,9 @@ def _uniform_height_m(coefficients: Coefficients, dbh_cm: F8, mean_dbh_cm: float
     return BREAST_HEIGHT_M + (mean_height_m - BREAST_HEIGHT_M) * exp(exponent)
 
 
-def _curtis_arney_height_m(coefficients: Coefficients, dbh_cm: F8, mean_dbh_cm: float, mean_height_m: float) -> F8:
+def _curtis_arney_height_m(
+    coefficients: Coefficients, dbh_cm: F8, mean_dbh_cm: float, mean_height_m: float
+) -> F8:
     """Curtis-Arney curve (Forest Vegetation Simulator, `htdbh`; P2, P3, P4 for inches and feet), stretched to the mean tree.
 
     Below 3 inches, where the equation is not valid, a straight line leads to breast height.
@@ -55,7 +58,8 @@ def _curtis_arney_height_m(coefficients: Coefficients, dbh_cm: F8, mean_dbh_cm: 
 def _bechtold_crown_width_m(coefficients: Coefficients, dbh_cm: F8) -> F8:
     """Crown width of forest-grown trees, Bechtold (2003), in inches and feet; a1, a2, a3, a4, crown ratio in percent.
 
-    It is proportional to diameter below 5 inches and constant above 50 inches, as in the Forest Vegetation Simulator.
+    It is proportional to diameter below 5 inches and constant above 50 inches, as in the Forest Vegetation
+    Simulator.
     """
     a1, a2, a3, a4, crown_ratio_percent = coefficients
     dbh_in = np.clip(dbh_cm / _INCH_CM, 5.0, 50.0)
@@ -72,7 +76,9 @@ def _logistic_crown_base(
     return size + c1 * larger_m2_per_ha + c2 * log(np.maximum(ccf_percent, 1.0))
 
 
-def _component_biomass_kg(coefficients: Coefficients, dbh_cm: F8, height_m: F8, upper_cm: F8, base_m: F8) -> F8:
+def _component_biomass_kg(
+    coefficients: Coefficients, dbh_cm: F8, height_m: F8, upper_cm: F8, base_m: F8
+) -> F8:
     """Sum of components a + b d^c h^d u^e s^f k^g (d h)^h; u is the diameter at 0.3 h, s the stump, k the crown base.
 
     A negative component, such as coarse wood of saplings, counts as 0. Source: Vonderach et al. (2018),
@@ -119,7 +125,8 @@ class CrownWidth(Equation):
     """Crown width of forest-grown trees as a function of diameter in cm."""
 
     known: ClassVar = {
-        # c0, c1 and c0, c1, c2, c3 of Doebbeler et al. (2002): a straight line, and a line with less width for thin trees.
+        # c0, c1 and c0, c1, c2, c3 of Doebbeler et al. (2002): a straight line, and a line with less width
+        # for thin trees.
         "linear": (2, lambda c, dbh_cm: c[0] + c[1] * dbh_cm),
         "saturating": (4, lambda c, dbh_cm: (c[0] + c[1] * dbh_cm) * -expm1(-power(dbh_cm / c[2], c[3]))),
         "bechtold": (5, _bechtold_crown_width_m),
@@ -130,7 +137,8 @@ class CrownWidth(Equation):
 class CrownBase(Equation):
     """Logit of the relative height of the lowest living branch.
 
-    Arguments are diameters in cm, heights, the basal area of larger trees in m2 per ha, and the crown competition factor in
+    Arguments are diameters in cm, heights, the basal area of larger trees in m2 per ha, and the crown
+    competition factor in
     percent: the sum of the crown projections that all trees would have if open-grown, over the ground area.
     """
 
@@ -146,7 +154,8 @@ class Biomass(Equation):
     """Dry mass above ground from diameters in cm, heights, diameters at 0.3 of the height, and crown base heights."""
 
     known: ClassVar = {
-        # b0, b1: Jenkins et al. (2003), Forest Science 49(1), table 4; b0, b1, b2: the form of Smith et al. (2014).
+        # b0, b1: Jenkins et al. (2003), Forest Science 49(1), table 4; b0, b1, b2: the form of Smith et al.
+        # (2014).
         "log_diameter": (2, lambda b, dbh_cm, *_: exp(b[0] + b[1] * log(dbh_cm))),
         "power": (3, lambda b, dbh_cm, height_m, *_: b[0] * power(dbh_cm, b[1]) * power(height_m, b[2])),
         "components": (6 * _COMPONENT_TERMS, _component_biomass_kg),
@@ -160,7 +169,8 @@ class Taper(Equation):
     known: ClassVar = {"laasasenaho": (8, None), "brink": (3, None)}  # see `_form`
     model: Literal["laasasenaho", "brink"]
     flare: Annotated[tuple[float, float], Field(strict=False)] = (0.0, 1.0)
-    """Butt swell: relative extra radius at the ground, and the height in m over which it falls by a factor of e."""
+    """Butt swell: relative extra radius at the ground, and the height in m over which it falls by a factor of
+    e."""
     top_share: Annotated[float, Field(ge=0.1, le=1)] = 1.0
     """Height of the stem over its unbroken height: 1, or less if the top has broken off."""
 
@@ -188,7 +198,9 @@ def _form(row: F8, height_m: float, above_ground_m: float) -> float:
             form += row[i] * now
     else:
         # Brink's function as in Schmidt (2001), with a radius of 1 at breast height.
-        i_share, p, q = row[4], row[5], row[6]
+        i_share = row[4]
+        p = row[5]
+        q = row[6]
         top = 1.0 - exp(q * (1.3 - whole_m))
         butt = 1.0 - exp(p * (1.3 - whole_m))
         # Two terms, exactly 1 at breast height and 0 at the tip.
@@ -203,7 +215,8 @@ def _form(row: F8, height_m: float, above_ground_m: float) -> float:
 def _radii(taper: F8, dbh_m: F8, height_m: F8, above_ground_m: F8) -> F8:
     out = np.empty_like(above_ground_m)
     for i in range(len(dbh_m)):
-        breast, more = _form(taper[i], height_m[i], 1.3), taper[i, 12]
+        breast = _form(taper[i], height_m[i], 1.3)
+        more = taper[i, 12]
         for j, z in enumerate(above_ground_m[i]):
             share = _form(taper[i], height_m[i], z) / breast
             if more != 0 and share > 0:
@@ -215,9 +228,12 @@ def _radii(taper: F8, dbh_m: F8, height_m: F8, above_ground_m: F8) -> F8:
 def taper_radius_m(taper: F8, dbh_m: F8, height_m: F8, above_ground_m: F8) -> F8:
     """Radius (n, r) over bark of stems (n,) at heights (n, r), half the DBH at breast height.
 
-    `taper` (n, 13) is the `Taper.row` of each stem. Its last number t is the tree's own: the curve's ratio of the radius to
-    the radius at breast height is raised to the power 1 + t, so a greater t tapers more. Below ground the radius is constant;
+    `taper` (n, 13) is the `Taper.row` of each stem. Its last number t is the tree's own: the curve's ratio of
+    the radius to
+    the radius at breast height is raised to the power 1 + t, so a greater t tapers more. Below ground the
+    radius is constant;
     at the tip it is 0 unless the top has broken off. Sources: Laasasenaho (1982), Schmidt (2001).
     """
-    dbh_m, height_m = np.ascontiguousarray(dbh_m), np.ascontiguousarray(height_m)
+    dbh_m = np.ascontiguousarray(dbh_m)
+    height_m = np.ascontiguousarray(height_m)
     return _radii(taper, dbh_m, height_m, np.ascontiguousarray(above_ground_m))

@@ -1,7 +1,9 @@
 """Branches of a crown and of the bole below it: their curves in space, and tubes around them.
 
-The crown frame has its origin on the stem's axis at the crown base and z along the axis. The crown base of inventories is
-the lowest whorl with three living branches (conifers) or the lowest branch that is not an epicormic shoot (broadleaves),
+The crown frame has its origin on the stem's axis at the crown base and z along the axis. The crown base of
+inventories is
+the lowest whorl with three living branches (conifers) or the lowest branch that is not an epicormic shoot
+(broadleaves),
 so single living branches can be below it.
 """
 
@@ -42,7 +44,8 @@ def pipe_faces(sides: int, rings: int, *, bottom: bool = True, top: bool = True)
     here = np.arange(sides)
     after = np.roll(here, -1)
     low = int(bottom) + (np.arange(rings - 1) * sides)[:, None]
-    high, last = low + sides, int(bottom) + (rings - 1) * sides
+    high = low + sides
+    last = int(bottom) + (rings - 1) * sides
     walls = [(low + here, low + after, high + after), (low + here, high + after, high + here)]
     triangles = [np.stack(corners, axis=-1).reshape(-1, 3) for corners in walls]
     if bottom:
@@ -54,7 +57,11 @@ def pipe_faces(sides: int, rings: int, *, bottom: bool = True, top: bool = True)
     return faces
 
 
-_NODES = {1: 9, 2: 5, 3: 3}  # nodes of a branch's curve, by order: odd, so that saplings can use every second node
+_NODES = {
+    1: 9,
+    2: 5,
+    3: 3,
+}  # nodes of a branch's curve, by order: odd, so that saplings can use every second node
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 """Angle between successive branches or whorls, so that none is directly above another."""
 _STEEPEST = np.radians(85.0)  # branches hang or rise no steeper; keeps the azimuth of a branch defined
@@ -106,7 +113,8 @@ def first_order(rng: np.random.Generator, habit: Habit, size_m: tuple[float, flo
     unit = curves(rng, base * 0, azimuth, elevation, np.ones(n), habit.crook_deg)
     branch_m = _lengths_m(habit, size_m, base[:, 2], unit) * rng.uniform(0.75, 1.05, n)
     nodes = base[:, None] + unit * branch_m[:, None, None]
-    # Pipe model: the total section of all branches is a multiple of the section of the stem that feeds them (Shinozaki et
+    # Pipe model: the total section of all branches is a multiple of the section of the stem that feeds them
+    # (Shinozaki et
     # al. 1964). Thickness is proportional to length, and limited by the stem at the branch's base.
     radius = stem_m[0] * np.sqrt(habit.branch_area) * branch_m / np.sqrt(np.square(branch_m).sum())
     here = np.interp(relative, np.linspace(0, 1, len(stem_m)), stem_m)
@@ -145,11 +153,13 @@ def side_branches(rng: np.random.Generator, twigs: Twigs, bearers: Branches, ord
 
 def ground_stems(rng: np.random.Generator, shrub: Shrub, height_m: float, width_m: float) -> Branches:
     """Stems of a shrub of a height and width, close together at the ground."""
-    stems, rise_deg = shrub.stems, shrub.rise_deg
+    stems = shrub.stems
+    rise_deg = shrub.rise_deg
     inward = (np.arange(stems) + rng.random(stems)) / stems
     azimuth = GOLDEN_ANGLE * np.arange(stems) + rng.normal(0.0, 0.3, stems)
     base = np.zeros((stems, 3))
-    base[:, 0], base[:, 1] = cos(azimuth), sin(azimuth)
+    base[:, 0] = cos(azimuth)
+    base[:, 1] = sin(azimuth)
     base *= (0.08 * width_m * np.sqrt(1 - inward))[:, None]
     way = (np.arange(_NODES[1] - 1) + 0.5) / (_NODES[1] - 1)
     rise = rise_deg[0] + (rise_deg[1] - rise_deg[0]) * inward + rng.normal(0.0, 4.0, stems)
@@ -189,11 +199,13 @@ def points_along(nodes_m: F8, branch: I8, way: F8) -> tuple[F8, F8]:
 def tubes(branches: Branches, sides: int, *, every: int = 1) -> Mesh:
     """Tapering tubes through every `every`-th node of the curves, open at the base inside the bearer, pointed at the tip.
 
-    A section has the perimeter of the round branch, so that the width of its silhouette, averaged over all directions, equals
+    A section has the perimeter of the round branch, so that the width of its silhouette, averaged over all
+    directions, equals
     the branch's diameter for any number of sides (Cauchy).
     """
     nodes = branches.nodes_m[:, ::every]
-    n, rings = nodes.shape[0], nodes.shape[1] - 1
+    n = nodes.shape[0]
+    rings = nodes.shape[1] - 1
     tangent = unit(np.gradient(nodes, axis=1)[:, :rings])
     across = np.stack([-sin(branches.azimuth), cos(branches.azimuth), np.zeros(n)], axis=-1)[:, None]
     across = unit(across - (across * tangent).sum(axis=-1, keepdims=True) * tangent)
@@ -213,8 +225,10 @@ def _lengths_m(habit: Habit, size_m: tuple[float, float], base_m: F8, unit: F8) 
     """Lengths (n,) at which branches from heights (n,) reach the envelope, along unit curves (n, m, 3)."""
     length_m, width_m = size_m
     away = hypot(unit[..., 0], unit[..., 1])
-    rows, outermost = np.arange(len(unit)), away.argmax(axis=1)
-    away, up = away[rows, outermost], unit[rows, outermost, 2]
+    rows = np.arange(len(unit))
+    outermost = away.argmax(axis=1)
+    away = away[rows, outermost]
+    up = unit[rows, outermost, 2]
     low, high = np.zeros(len(unit)), np.full(len(unit), length_m + width_m)
     least = habit.base_fraction
     for _ in range(_BISECTIONS):
@@ -228,14 +242,17 @@ def _lengths_m(habit: Habit, size_m: tuple[float, float], base_m: F8, unit: F8) 
     return low
 
 
-def curves(rng: np.random.Generator, base: F8, azimuth: F8, elevation: F8, length_m: F8, crook_deg: float) -> F8:
+def curves(
+    rng: np.random.Generator, base: F8, azimuth: F8, elevation: F8, length_m: F8, crook_deg: float
+) -> F8:
     """Curves (n, m, 3) from bases (n, 3) whose segments have the given elevations (n, m - 1), rad."""
     n, steps = elevation.shape
     drift = rng.normal(0.0, 0.15, (n, 1)) * (np.arange(steps) + 0.5) / steps
     bearing = azimuth[:, None] + drift
     if crook_deg > 0:
         crook = np.radians(crook_deg) * rng.standard_normal((2, n, steps))
-        bearing, elevation = bearing + crook[0], elevation + crook[1]
+        bearing = bearing + crook[0]
+        elevation = elevation + crook[1]
     elevation = np.clip(elevation, -_STEEPEST, _STEEPEST)
     flat = cos(elevation)
     step = np.stack([flat * cos(bearing), flat * sin(bearing), sin(elevation)], axis=-1)
@@ -248,36 +265,51 @@ def _taper(way: F8) -> F8:
 
 
 _FREE_M = 0.3
-"""Height of the branchless foot of the stem: 0.3 m on average in 4368 unpruned spruces of 45 stands (Forestry Studies 66,
+"""Height of the branchless foot of the stem: 0.3 m on average in 4368 unpruned spruces of 45 stands (Forestry
+Studies 66,
 2017, 10.1515/fsmu-2017-0005)."""
 _LEAST_REACH_M = 4.0
-"""Least depth below the crown base down to which dead branches remain: branches of the last ten years, if the crown base
-rises by 0.4 m a year; estimate. In silver birch of 11 to 22 years high density makes branches die early and slows the
+"""Least depth below the crown base down to which dead branches remain: branches of the last ten years, if the
+crown base
+rises by 0.4 m a year; estimate. In silver birch of 11 to 22 years high density makes branches die early and
+slows the
 shedding of dry ones (Niemisto 1995, Scandinavian Journal of Forest Research 10(3))."""
 _KEPT_AT_FOOT = 0.5
-"""Share of remaining branches at the lower end of the dead ones, over the share at the crown base; assumption. Whorls
+"""Share of remaining branches at the lower end of the dead ones, over the share at the crown base;
+assumption. Whorls
 lose from none to twice the mean, so that one in five whorls of four branches is bare there."""
 _LENGTH_AT_FOOT = 0.55
-"""Branch length near the ground over the length at the crown base, from the crown's width when the branch died: for spruce
-2.1 m at a DBH of 8 cm and 3.8 m at 24 cm (Doebbeler et al. 2002); 8 cm is an estimate of the DBH at canopy closure."""
+"""Branch length near the ground over the length at the crown base, from the crown's width when the branch
+died: for spruce
+2.1 m at a DBH of 8 cm and 3.8 m at 24 cm (Doebbeler et al. 2002); 8 cm is an estimate of the DBH at canopy
+closure."""
 _LENGTHS = (0.4, 1.0)
-"""Unbroken lengths within a whorl over the longest; assumption. Branches in a whorl of spruces get thinner by rank (Hein
+"""Unbroken lengths within a whorl over the longest; assumption. Branches in a whorl of spruces get thinner by
+rank (Hein
 et al. 2007, Forest Ecology and Management 242), and length follows thickness."""
 _STUB_M = 0.16
-"""Mode of the length of branch stubs outside the bark at the lower end of the dead branches, so that 90 % have 0.05 to
-0.39 m; estimate, no published distribution was found. The probability of breaking grows with the distance from the stem,
-where a branch is thinner, and with the square of the time since its death: lengths have a Rayleigh distribution, whose
+"""Mode of the length of branch stubs outside the bark at the lower end of the dead branches, so that 90 %
+have 0.05 to
+0.39 m; estimate, no published distribution was found. The probability of breaking grows with the distance
+from the stem,
+where a branch is thinner, and with the square of the time since its death: lengths have a Rayleigh
+distribution, whose
 mode falls with that time to the power 1.5."""
 _LIVING_DEPTH = 0.3
-"""Upper limit of `living_depth_m` over the height of the crown base: light falls faster below the short crowns of young
+"""Upper limit of `living_depth_m` over the height of the crown base: light falls faster below the short
+crowns of young
 trees; assumption."""
 _SLENDERNESS = 75.0
-"""Length of an unbroken branch over its diameter, which follows from its length (Karkkainen 1972, Silva Fennica 6(2),
+"""Length of an unbroken branch over its diameter, which follows from its length (Karkkainen 1972, Silva
+Fennica 6(2),
 2118 spruce branches); the number is an assumption."""
-_TWIGS_KEPT, _TWIG_AGE = 0.9, 0.4
-"""Share of a dead branch's twigs that remain at the crown base; and the decay time of twigs over the decay time of
+_TWIGS_KEPT = 0.9
+_TWIG_AGE = 0.4
+"""Share of a dead branch's twigs that remain at the crown base; and the decay time of twigs over the decay
+time of
 branches (to 1/e each); assumptions."""
-_BOLE_NODES, _DEAD_TWIG_ORDER = 9, 3
+_BOLE_NODES = 9
+_DEAD_TWIG_ORDER = 3
 """Nodes of the curves, as for other first-order branches; and the order whose fineness dead twigs have."""
 
 
@@ -286,10 +318,13 @@ def bole_branches(
 ) -> tuple[Branches, Branches, Branches]:
     """Branches below the crown, in the crown frame.
 
-    The probability that a branch lives falls with the light, by a factor of e for each `living_depth_m` below the crown base.
-    The crown base has risen at a constant rate past the dead branches, so the time since their death is proportional to their
+    The probability that a branch lives falls with the light, by a factor of e for each `living_depth_m` below
+    the crown base.
+    The crown base has risen at a constant rate past the dead branches, so the time since their death is
+    proportional to their
 
-    depth below it. `longest_m` is the length of branches at the crown base, and `stem_m` (s,) are radii from there to the
+    depth below it. `longest_m` is the length of branches at the crown base, and `stem_m` (s,) are radii from
+    there to the
     ground, evenly spaced. Returns living first-order branches, dead ones, and the twigs of the dead ones.
     """
     below_m = max(crown_base_m - _FREE_M, 0.0)
@@ -313,7 +348,9 @@ def bole_branches(
     whole = curves(rng, base, azimuth, elevation, whole_m, habit.crook_deg)
     # The inner part of a broken branch remains.
     way = np.outer(length_m / whole_m, np.linspace(0, 1, _BOLE_NODES))
-    nodes = points_along(whole, np.repeat(np.arange(n), _BOLE_NODES), way.ravel())[0].reshape(n, _BOLE_NODES, 3)
+    nodes = points_along(whole, np.repeat(np.arange(n), _BOLE_NODES), way.ravel())[0].reshape(
+        n, _BOLE_NODES, 3
+    )
     radius_m = np.maximum(whole_m / _SLENDERNESS / 2, THINNEST_M)
     all_branches = Branches(nodes, azimuth, length_m, radius_m)
     living, dead = (all_branches.of(np.flatnonzero(own)) for own in (lives, ~lives))

@@ -20,7 +20,10 @@ _MOST_LEAVES = 120_000
 """Greatest number of quads; beyond, quads become larger instead: limits the memory of very large crowns."""
 _HANG_SIGMA = np.radians(40.0)
 """One sigma of a blade's tip about the direction of steepest descent in its plane; assumption."""
-_SHOOT_ANGLE = (np.radians(15.0), np.radians(65.0))  # range of angles between a shoot and its twig; assumption
+_SHOOT_ANGLE = (
+    np.radians(15.0),
+    np.radians(65.0),
+)  # range of angles between a shoot and its twig; assumption
 
 
 def foliage_mesh(rng: np.random.Generator, foliage: Foliage, twigs: Branches, leaf_area_m2: float) -> Mesh:
@@ -36,7 +39,8 @@ def foliage_mesh(rng: np.random.Generator, foliage: Foliage, twigs: Branches, le
     way = np.clip(1 - (ends_m[twig] - position) / twigs.length_m[twig], 0.0, 1.0)
     way = foliage.bare_share + (1 - foliage.bare_share) * way
     place, tangent = points_along(twigs.nodes_m, twig, way)
-    length, width = foliage.length_m * size[:, None], foliage.width_m * size[:, None]
+    length = foliage.length_m * size[:, None]
+    width = foliage.width_m * size[:, None]
     if foliage.kind == "leaf":
         mu, nu = foliage.inclination
         in_ball = unit(rng.standard_normal((n, 3))) * power(rng.random((n, 1)), 1 / 3)
@@ -49,7 +53,8 @@ def foliage_mesh(rng: np.random.Generator, foliage: Foliage, twigs: Branches, le
 
 def _blades(rng: np.random.Generator, base: F8, mu_nu: tuple[float, float], length: F8, width: F8) -> F8:
     """Kites (n, 4, 3) whose normals have the measured inclinations and whose tips hang."""
-    n, (mu, nu) = len(base), mu_nu
+    n = len(base)
+    (mu, nu) = mu_nu
     tilt = rng.beta(nu, mu, n) * (np.pi / 2)
     towards = rng.uniform(0, 2 * np.pi, n)
     down = np.column_stack([cos(tilt) * cos(towards), cos(tilt) * sin(towards), -sin(tilt)])
@@ -84,7 +89,8 @@ _LEAF_WIDTH = 0.9  # width over length; assumption
 _AWAY_M = (0.02, 0.12)  # range of the distance of a leaf's base from the bark; assumption
 _TILT_DEG = (10.0, 60.0)  # range of the angle between a hanging blade and the stem; assumption
 _UPWARDS = 1.3  # power of a uniform number for a leaf's relative height: fewer leaves higher up; assumption
-_TONGUES, _SHORTER = 3, 0.35
+_TONGUES = 3
+_SHORTER = 0.35
 """Number of waves of the upper edge around the stem, and their relative depth; assumptions."""
 
 
@@ -99,7 +105,8 @@ class IvyKey:
 def ivy_tops_m(trees: Trees, share: float, height_m: tuple[float, float], *, seed: int) -> F8:
     """Height over the foot (n,) up to which ivy covers a stem, no higher than the crown base; 0 for stems without ivy.
 
-    A `share` of the stems has ivy; the height is within the range `height_m` and depends on the tree's position alone.
+    A `share` of the stems has ivy; the height is within the range `height_m` and depends on the tree's
+    position alone.
     """
     places_mm = np.round(1000 * places_m(trees, "xy")).astype(np.int64) & 0xFFFFFFFF
     counters = [(x & 0x7FFFFFFF) << 32 | y for x, y in places_mm.tolist()]
@@ -122,7 +129,8 @@ def ivy_meshes(
         rng = generator(seed, Growth.IVY, tile.ix, tile.iy, 1 + i)
         bark_m2 = np.pi * float(trees["dbh_m"][i]) * top_m
         count = round(_LEAF_PER_BARK * bark_m2 / mean_m2)
-        turn, way = rng.uniform(0, 2 * np.pi, count), power(rng.random(count), _UPWARDS)
+        turn = rng.uniform(0, 2 * np.pi, count)
+        way = power(rng.random(count), _UPWARDS)
         edge = 1 - _SHORTER * (0.5 + 0.5 * sin(_TONGUES * turn + rng.uniform(0, 2 * np.pi)))
         up_m = top_m * edge * way
         middle_m = stems.axis_m(up_m[None], np.array([i]))[0]
@@ -136,10 +144,12 @@ def ivy_meshes(
 
 def _leaves(rng: np.random.Generator, base: F8, outward: F8) -> F8:
     n = len(base)
-    tilt, aside = np.radians(rng.uniform(*_TILT_DEG, n))[:, None], rng.normal(0.0, 0.4, n)[:, None]
+    tilt = np.radians(rng.uniform(*_TILT_DEG, n))[:, None]
+    aside = rng.normal(0.0, 0.4, n)[:, None]
     across = np.cross([0.0, 0.0, 1.0], outward)
     along = sin(tilt) * outward - cos(tilt) * np.array([0.0, 0.0, 1.0])
     along, across = (cos(aside) * along + sin(aside) * across, cos(aside) * across - sin(aside) * along)
     length = rng.uniform(*_LEAF_M, n)[:, None]
-    middle, half = base + 0.4 * length * along, _LEAF_WIDTH / 2 * length * across
+    middle = base + 0.4 * length * along
+    half = _LEAF_WIDTH / 2 * length * across
     return np.stack([base, middle + half, base + length * along, middle - half], axis=1)

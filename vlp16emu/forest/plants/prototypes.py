@@ -30,7 +30,12 @@ from vlp16emu.types import F8, Mesh, PlantPart
 from vlp16emu.world.vectors import closed, places_m
 
 VARIANTS = 3  # crowns of the same species and diameter class, from short to long
-CROWN_PARTS = (PlantPart.BRANCH_FIRST_ORDER, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.LEAF, PlantPart.DEAD_BRANCH)
+CROWN_PARTS = (
+    PlantPart.BRANCH_FIRST_ORDER,
+    PlantPart.BRANCH_HIGHER_ORDER,
+    PlantPart.LEAF,
+    PlantPart.DEAD_BRANCH,
+)
 """Parts of the meshes of a crown, in order. A part that a crown lacks is a mesh without faces."""
 _SIDES = (6, 4, 3)  # number of sides of branches, by order
 _NOTHING = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint32))
@@ -104,7 +109,8 @@ def crown_placements(trees: Trees, crowns: Sequence[CrownKey]) -> F8:
     turn = np.radians(trees["crown_azimuth_deg"])
     stem_T = np.zeros((len(trees), 3, 3))
     stem_T[:, 0, 0] = stem_T[:, 1, 1] = wide * cos(turn)
-    stem_T[:, 1, 0], stem_T[:, 0, 1] = wide * sin(turn), -wide * sin(turn)
+    stem_T[:, 1, 0] = wide * sin(turn)
+    stem_T[:, 0, 1] = -wide * sin(turn)
     stem_T[:, 2, 2] = long
     base = places_m(trees) + lean[:, :, 2] * (trees["crown_base_m"] / upright)[:, None]
     return np.concatenate([matmul(lean, stem_T), base[..., None]], axis=2)
@@ -119,7 +125,8 @@ def _orders(
     at_m = np.append(*(np.linspace(key.crown_base_m, end_m, 16) for end_m in (key.height_m, 0.0)))
     taper = species.taper.row[None]
     stem_m = taper_radius_m(taper, np.array([key.dbh_m]), np.array([key.height_m]), at_m[None])[0]
-    habit, longest_m = species.crown, species.crown.base_fraction * key.crown_width_m / 2
+    habit = species.crown
+    longest_m = species.crown.base_fraction * key.crown_width_m / 2
     living, *dead = bole_branches(bole_rng, habit, key.crown_base_m, longest_m, stem_m[16:])
     crown = [first_order(rng, habit, (key.crown_length_m, key.crown_width_m), stem_m[:16])]
     below = [living]
@@ -132,15 +139,23 @@ def _orders(
 
 SAPLING_PARTS = (PlantPart.STEM, PlantPart.BRANCH_FIRST_ORDER, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.LEAF)
 """Parts of the meshes of a sapling, in order. A missing part is a mesh without faces."""
-SLENDERNESS = 80.0  # height of a sapling over its stem's diameter at the ground; the stem is a cone; assumptions
-CROWN_BASE_SHARE, CROWN_WIDTH_SHARE = 0.1, 0.5
+SLENDERNESS = (
+    80.0  # height of a sapling over its stem's diameter at the ground; the stem is a cone; assumptions
+)
+CROWN_BASE_SHARE = 0.1
+CROWN_WIDTH_SHARE = 0.5
 """Height of the lowest branch, and width of the crown, over the height; assumptions."""
 _LEAF_AREA_INDEX = 2.0  # leaf area index of a shaded sapling on its crown projection; assumption
 _FEWEST_WHORLS = 6  # fewest whorls of a sapling; assumption
-_STEM_SIDES, _BRANCH_SIDES = 6, 4
+_STEM_SIDES = 6
+_BRANCH_SIDES = 4
 _EVERY = 2  # every second node of a branch's curve is used
-_LEAN, _BOW, _SWAY, _LOPSIDED = 0.15, 0.08, 0.03, 0.5
-"""Upper limits for saplings: offset of the tip, simple and S-shaped bow of the stem, all over the height, and extra reach
+_LEAN = 0.15
+_BOW = 0.08
+_SWAY = 0.03
+_LOPSIDED = 0.5
+"""Upper limits for saplings: offset of the tip, simple and S-shaped bow of the stem, all over the height, and
+extra reach
 of the crown on one side; assumptions."""
 _CONE = (0.0, 0.12, 0.25, 0.38, 0.5, 0.62, 0.75, 0.88)  # relative heights of a stem's rings
 _BURIED_SHARE = 0.05  # depth of the stem in the ground over its height
@@ -156,11 +171,14 @@ class SaplingKey:
     season: Season
 
 
-def sapling_meshes(seed: int, key: SaplingKey, *, table: Table | None = None) -> tuple[Mesh, Mesh, Mesh, Mesh]:
+def sapling_meshes(
+    seed: int, key: SaplingKey, *, table: Table | None = None
+) -> tuple[Mesh, Mesh, Mesh, Mesh]:
     """Meshes of `SAPLING_PARTS`, in a frame with its origin on the ground and z along the stem."""
     species = (table or flora().trees)[key.species]
     rng = generator(seed, Growth.SAPLING, species.number, key.variant, round(key.height_m * 1e3))
-    base_m, width_m = CROWN_BASE_SHARE * key.height_m, CROWN_WIDTH_SHARE * key.height_m
+    base_m = CROWN_BASE_SHARE * key.height_m
+    width_m = CROWN_WIDTH_SHARE * key.height_m
     crown_m = key.height_m - base_m
     foot_m = key.height_m / SLENDERNESS / 2
     stem_m = foot_m * (1 - CROWN_BASE_SHARE) * np.linspace(1, 0, 16)
@@ -170,7 +188,8 @@ def sapling_meshes(seed: int, key: SaplingKey, *, table: Table | None = None) ->
     first = first_order(rng, habit, (crown_m, width_m), stem_m)
     second = side_branches(rng, habit.twigs, first, 2)
     crooked = partial(_crooked, key.height_m, rng.uniform(0.0, 1.0, 8))
-    leaves, foliage = NO_LEAVES, species.foliage
+    leaves = NO_LEAVES
+    foliage = species.foliage
     if foliage and foliage.is_borne(key.season):
         leaf_area_m2 = _LEAF_AREA_INDEX * np.pi / 4 * width_m * width_m
         leaves = foliage_mesh(rng, foliage, second, leaf_area_m2)
@@ -192,7 +211,8 @@ def _crooked(height_m: float, drawn: F8, mesh: Mesh) -> Mesh:
     x, y, z = at_m.T
     u = np.clip(z / height_m, 0.0, 1.0)
     lean, bow, sway, light = 2 * np.pi * drawn[:4]
-    away_m, lopsided = hypot(x, y), _LOPSIDED * drawn[4]
+    away_m = hypot(x, y)
+    lopsided = _LOPSIDED * drawn[4]
     # 0 at the stem, which stays round.
     reach = 1 + lopsided * cos(atan2(y, x) - light) * np.clip(away_m / (0.05 * height_m) - 0.3, 0, 1)
     shift_m = height_m * np.stack(
@@ -241,7 +261,9 @@ class ShrubKey:
     season: Season
 
 
-def shrub_meshes(seed: int, key: ShrubKey, *, table: Mapping[str, Shrub] | None = None) -> tuple[Mesh, Mesh, Mesh]:
+def shrub_meshes(
+    seed: int, key: ShrubKey, *, table: Mapping[str, Shrub] | None = None
+) -> tuple[Mesh, Mesh, Mesh]:
     """Meshes of `SHRUB_PARTS`, origin on the ground and z up, with its kind's leaf area index on the covered ground."""
     shrub = (table or flora().shrubs)[key.species]
     size = round(key.height_m * 1e3), round(key.width_m * 1e3)

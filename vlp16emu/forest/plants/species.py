@@ -16,7 +16,14 @@ from pydantic import Field, PrivateAttr, ValidationError, ValidationInfo, field_
 from vlp16emu.elementary import exp, log
 from vlp16emu.errors import GeometryError, readable
 from vlp16emu.explain import explain
-from vlp16emu.forest.plants.allometry import Biomass, CrownBase, CrownWidth, HeightCurve, Taper, taper_radius_m
+from vlp16emu.forest.plants.allometry import (
+    Biomass,
+    CrownBase,
+    CrownWidth,
+    HeightCurve,
+    Taper,
+    taper_radius_m,
+)
 from vlp16emu.forest.settings import Season
 from vlp16emu.settings import Fraction, Section, toml
 from vlp16emu.types import F8, I8
@@ -25,11 +32,14 @@ Pair = Annotated[tuple[float, float], Field(strict=False)]
 Text = Annotated[str, Field(min_length=1)]
 Length = Annotated[float, Field(ge=0.005, le=20)]
 Crook = Annotated[float, Field(ge=0, le=60)]
-_BIOMASS_AT = 0.3  # relative height of the upper diameter in component biomass equations (Vonderach et al. 2018)
+_BIOMASS_AT = (
+    0.3  # relative height of the upper diameter in component biomass equations (Vonderach et al. 2018)
+)
 
 
 _VOLUME_PER_TAPER = 0.45
-"""Decrease of the logarithm of a stem's volume per unit of `taper`: 0.4 to 0.5 for the species' taper curves."""
+"""Decrease of the logarithm of a stem's volume per unit of `taper`: 0.4 to 0.5 for the species' taper
+curves."""
 
 
 class Foliage(Section):
@@ -46,7 +56,8 @@ class Foliage(Section):
     bare_share: Annotated[float, Field(ge=0, le=0.95)] = 0.0
     """Share of a twig, from its base, without leaves: the remaining leaves form a tuft."""
     inclination: Annotated[tuple[float, ...], Field(strict=False, validate_default=True)] = ()
-    """Parameters mu and nu of the beta distribution of leaf inclination; none for shoots, which follow their twig."""
+    """Parameters mu and nu of the beta distribution of leaf inclination; none for shoots, which follow their
+    twig."""
 
     def is_borne(self, season: Season) -> bool:
         """Return whether the foliage is present in a season: blades fall, shoots stay."""
@@ -104,7 +115,8 @@ class Habit(Section):
     dead_reach: Fraction = 0.35
     """Share of the bole, from the crown base downwards, with remaining dead branches; at least 4 m."""
     living_depth_m: Annotated[float, Field(gt=0, le=50)] = 1.0
-    """Depth below the crown over which the share of living branches falls to 1/e; at most 0.3 of the height of the crown
+    """Depth below the crown over which the share of living branches falls to 1/e; at most 0.3 of the height
+    of the crown
     base."""
     twigs: Twigs
     twiglets: Twigs | None = None
@@ -115,7 +127,8 @@ class StemForm(Section):
     """Deviations of stems from a straight and round form: means over trees; all 0 for straight, round stems."""
 
     bow: Annotated[float, Field(ge=0, le=0.1)] = 0.0
-    """Greatest distance of the bole from the line between foot and crown base, over its length; at most half the DBH."""
+    """Greatest distance of the bole from the line between foot and crown base, over its length; at most half
+    the DBH."""
     butt_sweep_deg: Annotated[float, Field(ge=0, le=30)] = 0.0
     """Extra lean of the stem at the ground compared to above the butt."""
     fork_share: Fraction = 0.0
@@ -129,9 +142,11 @@ class StemForm(Section):
     surface_roots: Fraction = 0.0
     """Share of lobes from which a root runs over the ground, for trees with a DBH over 0.3 m."""
     bark_mm_per_cm: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """Depth of furrows, from ridge to bottom at breast height, per cm of DBH: bark becomes rougher with age."""
+    """Depth of furrows, from ridge to bottom at breast height, per cm of DBH: bark becomes rougher with
+    age."""
     bark_period_mm: Annotated[float, Field(ge=5, le=1000)] = 50.0
-    """Distance between bark ridges around the stem; coarser if the mesh has fewer than three vertices per ridge."""
+    """Distance between bark ridges around the stem; coarser if the mesh has fewer than three vertices per
+    ridge."""
 
     @property
     def row(self) -> F8:
@@ -190,7 +205,8 @@ class Species(Plant):
     crown_width: CrownWidth
     crown_base: CrownBase
     open_crown: Pair = (0.1783, 0.5665)
-    """Coefficients ln a and b of the open-grown crown width a dbh_cm^b, Hasenauer (1997); by default other broadleaves'."""
+    """Coefficients ln a and b of the open-grown crown width a dbh_cm^b, Hasenauer (1997); by default other
+    broadleaves'."""
     diameters: Annotated[tuple[float, float, float, float, float], Field(strict=False)]
     """Coefficients of `truncated_weibull_cm`."""
     taper: Taper
@@ -266,7 +282,10 @@ class Flora:
     @property
     def materials(self) -> tuple[str, ...]:
         """All materials by number: ground materials, then bark and leaf of each tree and shrub."""
-        return (*GROUND_MATERIALS, *(f"{name} {part}" for name in self.names.values() for part in ("bark", "leaf")))
+        return (
+            *GROUND_MATERIALS,
+            *(f"{name} {part}" for name in self.names.values() for part in ("bark", "leaf")),
+        )
 
     @cached_property
     def bark(self) -> I8:
@@ -291,7 +310,8 @@ def flora(path: Path | str | None = None) -> Flora:
             if name in trees or name in shrubs:
                 found = "a plant of that name is in the table already"
                 raise GeometryError(f"{path}: {name}", found, "another name")
-        trees, shrubs = trees | own_trees, shrubs | own_shrubs
+        trees = trees | own_trees
+        shrubs = shrubs | own_shrubs
     return Flora(MappingProxyType(trees), MappingProxyType(shrubs))
 
 
@@ -332,12 +352,16 @@ def known(names: Sequence[str], table: Mapping[str, _Kind], where: str) -> list[
 
     Raises GeometryError for a name that is not in the table.
     """
-    latin = {" ".join(_plain(row.scientific_name).split()[:2]): row for row in table.values()}  # without the author
+    latin = {
+        " ".join(_plain(row.scientific_name).split()[:2]): row for row in table.values()
+    }  # without the author
     rows = latin | {_plain(row.name): row for row in table.values()}
     for name in names:
         if _plain(name) not in rows:
             near = difflib.get_close_matches(_plain(name), rows, n=1)
-            expected = f"{rows[near[0]].name}, the nearest known one" if near else f"one of {', '.join(table)}"
+            expected = (
+                f"{rows[near[0]].name}, the nearest known one" if near else f"one of {', '.join(table)}"
+            )
             raise GeometryError(where, f"unknown species {name!r}", expected)
     return [rows[_plain(name)] for name in names]
 
@@ -356,5 +380,7 @@ def tapers(trees: Trees, *, table: Table | None = None) -> F8:
 
 GROUND_MATERIALS = ("litter", "stone", "dead wood", "grass", "herb", "fern", "dwarf shrub", "moss")
 """Names of the first materials."""
-BARK_SPREAD, LEAF_SPREAD = 0.08, 0.04
-"""Half-range of reflectance between plants; assumptions (Juola et al. 2020 find a wide spread in the near infrared)."""
+BARK_SPREAD = 0.08
+LEAF_SPREAD = 0.04
+"""Half-range of reflectance between plants; assumptions (Juola et al. 2020 find a wide spread in the near
+infrared)."""

@@ -1,6 +1,7 @@
 """Stems: two meshes per tree, root flare and stem, which together are closed and exact at breast height.
 
-A ring of vertices lies where a stem's axis is 1.3 m above the ground at its foot. Perpendicular to the axis, the mesh's
+A ring of vertices lies where a stem's axis is 1.3 m above the ground at its foot. Perpendicular to the axis,
+the mesh's
 cross-section there has exactly the area of a circle of the recorded diameter. A second leader is a closed
 part of the stem's mesh that begins within the first leader; its tip is the mesh's last vertex.
 """
@@ -24,16 +25,23 @@ from vlp16emu.world.vectors import places_m, unit
 
 _SIGMA_OVER_MEAN = np.sqrt(2 / np.pi)
 """Standard deviation of each component of a level vector over its mean length (Rayleigh's distribution)."""
-_MOST_BOW = 0.5  # greatest bow over the DBH: branches start on the straight axis, which must stay within the stem
+_MOST_BOW = (
+    0.5  # greatest bow over the DBH: branches start on the straight axis, which must stay within the stem
+)
 _S_SHARE = 0.4  # amplitude of the S-shaped bend over the bow; assumption
 _SWEEP_M = 0.6  # height over which the sweep of the butt falls to 1/e; assumption
-_LOBES, _LOBES_M = (3, 6), 0.45
-"""Range of the number of lobes of a butt, and the height over which they fall to 1/e: flutes are deeper at the butt than
+_LOBES = (3, 6)
+_LOBES_M = 0.45
+"""Range of the number of lobes of a butt, and the height over which they fall to 1/e: flutes are deeper at
+the butt than
 higher up (Singleton et al. 2003, Western Journal of Applied Forestry 18); the numbers are assumptions."""
 _EGG_SHARE = 0.2  # egg-shaped component of a section over the ovality; assumption
 _RIDGE_VERTICES = 3  # fewest mesh vertices per bark ridge
-_LEADER_SHARE, _LEADER_DEG, _LEADER_GAP = (0.3, 0.5), (15.0, 35.0), (0.1, 0.22)
-"""Ranges for a second leader: share of the section at the fork, angle to the first leader, and distance from it over the
+_LEADER_SHARE = (0.3, 0.5)
+_LEADER_DEG = (15.0, 35.0)
+_LEADER_GAP = (0.1, 0.22)
+"""Ranges for a second leader: share of the section at the fork, angle to the first leader, and distance from
+it over the
 crown width; assumptions."""
 _LEADER_TOP = 0.93  # height of its tip, as a share of the way from fork to tip; assumption
 _DIRECTIONS = 720  # directions for a tape measurement of a section: accurate to 1e-5
@@ -43,7 +51,8 @@ _DIRECTIONS = 720  # directions for a tape measurement of a section: accurate to
 class StemForms:
     """Forms of n stems.
 
-    A form bends the axis only below the crown, so that crowns are straight on the line from foot to tip. It changes the
+    A form bends the axis only below the crown, so that crowns are straight on the line from foot to tip. It
+    changes the
     outline of a section but not its area.
     """
 
@@ -52,9 +61,11 @@ class StemForms:
     oval: F8  # (n, 4) ovality, its direction and its twist per metre upwards, phase of the egg shape; rad
     lobes: F8  # (n, 3) number, amplitude at the ground over the radius, phase of lobes
     surface_roots: F8  # (n,) share of the lobes that have a surface root
-    bark: F8  # (n, 6) depth in m at breast height, ridges around the stem if the mesh can have them, four phases
+    # (n, 6) depth in m at breast height, ridges around the stem if the mesh can have them, four phases
+    bark: F8
     forks: F8
-    """(n, 6) fork: 1 if there is one, its height over the tree's height, share of the section of the second leader, slope and
+    """(n, 6) fork: 1 if there is one, its height over the tree's height, share of the section of the second
+    leader, slope and
     distance in m of that leader from the first, its direction in rad."""
 
     def aside_m(self, above_m: F8) -> F8:
@@ -70,10 +81,12 @@ class StemForms:
     def outline(self, angle: F8, above_m: F8, radius_m: F8, breast_m: F8) -> F8:
         """Distance (n, r, sides) of vertices from the axis, so that each polygon has the area of its circle.
 
-        Vertices are at evenly spaced angles (n, sides), circles have radii (n, r) at heights (n, r) over the foot; `breast_m`
+        Vertices are at evenly spaced angles (n, sides), circles have radii (n, r) at heights (n, r) over the
+        foot; `breast_m`
         (n,) is the radius at breast height.
         """
-        theta, z = angle[:, None], above_m[..., None]
+        theta = angle[:, None]
+        z = above_m[..., None]
         up = np.maximum(z, 0.0)
         ovality, towards, turn, egg = (self.oval[:, i, None, None] for i in range(4))
         shape = 1 + ovality / 2 * cos(2 * (theta - towards - turn * z))
@@ -120,7 +133,9 @@ def stem_forms(trees: NDArray[np.void], *, table: Table | None = None) -> StemFo
         bole_m=trees["crown_base_m"],
         bends=np.stack([bow_m[:, :2], _S_SHARE * bow_m[:, 2:], butt], axis=1),
         oval=np.column_stack([oval, turns[:, 2] / 2, 0.2 * (u[:, 3] - 0.5), turns[:, 4]]),
-        lobes=np.column_stack([np.floor(least + (most + 1 - least) * u[:, 5]), lobes * (0.5 + u[:, 6]), turns[:, 7]]),
+        lobes=np.column_stack(
+            [np.floor(least + (most + 1 - least) * u[:, 5]), lobes * (0.5 + u[:, 6]), turns[:, 7]]
+        ),
         surface_roots=roots,
         bark=np.column_stack([depth_m, ridges, turns[:, 8:12]]),
         forks=np.column_stack(
@@ -150,9 +165,18 @@ def tape_m(away_m: F8) -> F8:
 
 FLARE_TOP_M = 0.5  # height of the ring between root flare and stem, which both share; assumption
 _BURIED_M = 0.1  # depth of the foot below level ground, or below the lowest ground around it
-_SIDES, _THICKER_M = np.array([16, 24, 32, 40]), np.array([0.16, 0.3, 0.45])
-"""Sides of a stem's cross-section, and the DBH above which there are more; sides are 30 to 40 mm long on most stems."""
-_BUTT_M = (0.0, 0.12, 0.28, FLARE_TOP_M, 0.85, BREAST_HEIGHT_M)  # heights of rings from the ground to breast height
+_SIDES = np.array([16, 24, 32, 40])
+_THICKER_M = np.array([0.16, 0.3, 0.45])
+"""Sides of a stem's cross-section, and the DBH above which there are more; sides are 30 to 40 mm long on most
+stems."""
+_BUTT_M = (
+    0.0,
+    0.12,
+    0.28,
+    FLARE_TOP_M,
+    0.85,
+    BREAST_HEIGHT_M,
+)  # heights of rings from the ground to breast height
 _UPPER = (0.035, 0.1, 0.2, 0.33, 0.48, 0.64, 0.8, 0.93)
 """Further rings, as shares of the way from breast height to the tip."""
 _LEADER_CIRCLES = 9
@@ -176,9 +200,12 @@ def circles_of(
 ) -> NDArray[np.void]:
     """Return circles (n, r) `STEM_CIRCLE` of trees (n,): centres (n, r, 3) in the world, radii and branch numbers (n, r)."""
     circles = np.zeros(radius_m.shape, STEM_CIRCLE)
-    circles["tree"], circles["leader"], circles["part"] = trees["id"][:, None], leader, part
+    circles["tree"] = trees["id"][:, None]
+    circles["leader"] = leader
+    circles["part"] = part
     circles["x_m"], circles["y_m"], circles["z_m"] = np.moveaxis(at_m, -1, 0)
-    circles["radius_m"], circles["branch"] = radius_m, branch
+    circles["radius_m"] = radius_m
+    circles["branch"] = branch
     return circles
 
 
@@ -190,13 +217,16 @@ class Stems:
     above_ground_m : (n, r) height over the foot at which rings meet the axis; the first ring is buried
     radius_m : (n, r) radius of the circle with the ring's area; the first ring is as wide as the second
     sides : (n,) number of sides of the cross-section
-    forked, fork_m : (m,) indices of stems with a second leader, and the height of its first ring over the foot
+    forked, fork_m : (m,) indices of stems with a second leader, and the height of its first ring over the
+        foot
     """
 
     flare_rings = 2 + _BUTT_M.index(FLARE_TOP_M)  # number of rings of the root flare
 
     def __init__(self, trees: Trees, *, table: Table | None = None) -> None:
-        self.trees, self.forms, self._taper = trees, stem_forms(trees, table=table), tapers(trees, table=table)
+        self.trees = trees
+        self.forms = stem_forms(trees, table=table)
+        self._taper = tapers(trees, table=table)
         butt = np.broadcast_to((-_BURIED_M, *_BUTT_M), (len(trees), 1 + len(_BUTT_M)))
         upper = BREAST_HEIGHT_M + (trees["height_m"][:, None] - BREAST_HEIGHT_M) * np.array(_UPPER)
         self.above_ground_m = np.concatenate([butt, upper], axis=1)
@@ -223,7 +253,8 @@ class Stems:
     def axis_m(self, above_m: F8, which: I8 | slice = slice(None)) -> F8:
         """Points (k, r, 3) of the axes of selected stems (k,), by default all, relative to their feet, at heights (k, r)."""
         own = self.trees[which]
-        slope, towards = tan(np.radians(own["lean_deg"])), np.radians(own["lean_towards_deg"])
+        slope = tan(np.radians(own["lean_deg"]))
+        towards = np.radians(own["lean_towards_deg"])
         lean = (slope * np.array([cos(towards), sin(towards)])).T
         aside_m = self.forms.of(which).aside_m(above_m)
         return np.concatenate([above_m[..., None] * lean[:, None] + aside_m, above_m[..., None]], axis=2)
@@ -244,7 +275,9 @@ class Stems:
         height_m = self.trees["height_m"][self.forked]
         length_m = (self.fork_m + _LEADER_TOP * (height_m - self.fork_m)) - self.fork_m
         above_m = self.fork_m[:, None] + length_m[:, None] * shares
-        radius_m = self._radius_m(self.forked, above_m) * np.sqrt(self.forms.forks[self.forked, 2:3]) * (shares < 1)
+        radius_m = (
+            self._radius_m(self.forked, above_m) * np.sqrt(self.forms.forks[self.forked, 2:3]) * (shares < 1)
+        )
         return above_m, radius_m
 
     def circles(self) -> NDArray[np.void]:
@@ -265,38 +298,53 @@ class Stems:
 
     def angles(self, which: I8 | slice, sides: int) -> F8:
         """Angles (k, sides) of a ring's vertices around the axes of selected stems (k,), from east, counter-clockwise."""
-        return np.radians(self.trees["crown_azimuth_deg"][which])[:, None] + np.arange(sides) * 2 * np.pi / sides
+        return (
+            np.radians(self.trees["crown_azimuth_deg"][which])[:, None] + np.arange(sides) * 2 * np.pi / sides
+        )
 
     def outlines(self, which: I8 | slice, sides: int) -> F8:
         """Distances (k, r, sides) of the ring vertices of selected stems (k,) from their axes."""
-        above_m, radius_m = self.above_ground_m[which], self.radius_m[which]
+        above_m = self.above_ground_m[which]
+        radius_m = self.radius_m[which]
         breast_m = self.trees["dbh_m"][which] / 2
         return self.forms.of(which).outline(self.angles(which, sides), above_m, radius_m, breast_m)
 
 
 _STATIONS = np.array([0.0, 0.08, 0.2, 0.4, 0.65, 1.0])
-ROOT_SIDES, ROOT_RINGS = 6, len(_STATIONS)  # sides and rings of a root's mesh
+ROOT_SIDES = 6  # sides and rings of a root's mesh
+ROOT_RINGS = len(_STATIONS)
 _OLD_M = 0.3  # least DBH of trees with surface roots; assumption
 _MOST = 6  # most roots of a tree, at most one per lobe of its butt
-_LENGTH, _LENGTH_M = (2.0, 4.5), (0.5, 2.0)  # ranges of length over the DBH, and of length in m; assumptions
+# ranges of length over the DBH, and of length in m; assumptions
+_LENGTH = (2.0, 4.5)
+_LENGTH_M = (0.5, 2.0)
 _RADIUS = (0.09, 0.15)  # range of the radius at the butt over the DBH; assumption
-_THINNER, _RISE, _RISE_M = 0.7, 1.5, 0.2
-"""Share of its radius that a root loses along its length; its excess of height over width at the butt, and the length
+_THINNER = 0.7
+_RISE = 1.5
+_RISE_M = 0.2
+"""Share of its radius that a root loses along its length; its excess of height over width at the butt, and
+the length
 over which that falls to 1/e; assumptions."""
-_BURIED, _BEND, _ASIDE_RAD = 0.15, 0.12, 0.3
-"""Depth of a root's centre in the ground over its height before it dives; bends over its length; range of its direction
+_BURIED = 0.15
+_BEND = 0.12
+_ASIDE_RAD = 0.3
+"""Depth of a root's centre in the ground over its height before it dives; bends over its length; range of its
+direction
 about the lobe's direction; assumptions."""
 _TOP_M = 0.3
-"""Greatest height of a root over the foot, so that it is no part of a section at breast height: uphill it dives."""
+"""Greatest height of a root over the foot, so that it is no part of a section at breast height: uphill it
+dives."""
 
 
 def root_points(stems: Stems, height_m: HeightField) -> tuple[I8, F8]:
     """Roots of stems (n,), each from the seed of its stem's form.
 
-    Returns for each root (k,) the stem's index, and vertices (k, 1 + rings * sides + 1, 3) relative to the stem's foot: the
+    Returns for each root (k,) the stem's index, and vertices (k, 1 + rings * sides + 1, 3) relative to the
+    stem's foot: the
     centre of the end in the butt, rings from there, and the tip.
     """
-    trees, (number, _, lobe_phase) = stems.trees, stems.forms.lobes.T
+    trees = stems.trees
+    (number, _, lobe_phase) = stems.forms.lobes.T
     seeds = [int(seed) for seed in trees["form"]]
     draws = np.array([uniform(seed, Growth.ROOT, 0, 5 * _MOST) for seed in seeds]).reshape(-1, _MOST, 5)
     is_there = (draws[..., 0] < stems.forms.surface_roots[:, None]) & (np.arange(_MOST) < number[:, None])
@@ -307,7 +355,8 @@ def root_points(stems: Stems, height_m: HeightField) -> tuple[I8, F8]:
     length_m = np.clip(dbh_m * np.interp(long, (0, 1), _LENGTH), *_LENGTH_M)
     phase = 2 * np.pi * bend[:, None]
     aside_m = _BEND * length_m[:, None] * _STATIONS * (sin(5 * _STATIONS + phase) - sin(phase))
-    along_m, ahead = length_m[:, None] * _STATIONS, _unit(azimuth)
+    along_m = length_m[:, None] * _STATIONS
+    ahead = _unit(azimuth)
     line_m = along_m[..., None] * ahead + aside_m[..., None] * _unit(azimuth + np.pi / 2)
     line_m += 0.8 * stems.radius_m[stem, 1, None, None] * ahead
     wide_m = (dbh_m * np.interp(thick, (0, 1), _RADIUS))[:, None] * (1 - _THINNER * _STATIONS)
@@ -343,7 +392,8 @@ STEM_PARTS = (PlantPart.ROOT_FLARE, PlantPart.STEM)  # parts of the meshes of a 
 _SPLINTER_SHARE = 0.8
 """Offset of a broken stem's tip from the axis over the radius of the highest ring: a slanting break."""
 _WIDEST = 1.3  # reach of a butt's lobes over the radius of its circle
-_LEADER_SIDES, _LEADER_RINGS = 16, (0.0, 0.06, 0.15, 0.3, 0.5, 0.75, 0.92)
+_LEADER_SIDES = 16
+_LEADER_RINGS = (0.0, 0.06, 0.15, 0.3, 0.5, 0.75, 0.92)
 """Sides of a second leader, and its rings as shares of the way from fork to tip."""
 _STEP_M = 1e-3  # height difference for the slope of an axis
 
@@ -358,19 +408,26 @@ class StemKey:
 
 def lean_rotation(lean_deg: F8, towards_deg: F8) -> F8:
     """Rotations (n, 3, 3) that tilt the vertical by `lean_deg` towards an angle from east, without twist."""
-    tilt, towards = np.radians(lean_deg), np.radians(towards_deg)
-    c, s = cos(towards), sin(towards)
+    tilt = np.radians(lean_deg)
+    towards = np.radians(towards_deg)
+    c = cos(towards)
+    s = sin(towards)
     v, w = 1 - cos(tilt), sin(tilt)
     rows = [[1 - v * c * c, -v * c * s, w * c], [-v * c * s, 1 - v * s * s, w * s], [-w * c, -w * s, 1 - v]]
     return np.moveaxis(np.array(rows), -1, 0)
 
 
-def stem_meshes(trees: Trees, origin_m: F8, height_m: HeightField, *, table: Table | None = None) -> list[Mesh]:
+def stem_meshes(
+    trees: Trees, origin_m: F8, height_m: HeightField, *, table: Table | None = None
+) -> list[Mesh]:
     """Meshes of `STEM_PARTS` of a tile's trees, tree by tree, relative to the tile's origin (3,), with surface roots."""
     stems = Stems(trees, table=table)
     # Each foot is in the ground all around the flare, including lobes.
-    flare_m, around = _WIDEST * stems.radius_m[:, :1], np.arange(8) * (np.pi / 4)
-    ground_m = height_m(trees["x_m"][:, None] + flare_m * cos(around), trees["y_m"][:, None] + flare_m * sin(around))
+    flare_m = _WIDEST * stems.radius_m[:, :1]
+    around = np.arange(8) * (np.pi / 4)
+    ground_m = height_m(
+        trees["x_m"][:, None] + flare_m * cos(around), trees["y_m"][:, None] + flare_m * sin(around)
+    )
     slope = stem_slopes(stems.axis_m, np.zeros((len(trees), 1)))
     buried_m = _BURIED_M + (flare_m * norm(slope))[:, 0]
     stems.above_ground_m[:, 0] = -(buried_m - np.minimum(ground_m.min(axis=1) - trees["z_m"], 0.0))
@@ -406,8 +463,10 @@ def _meshes(stems: Stems, foot_m: F8) -> list[Mesh]:
     leader = pipe_faces(_LEADER_SIDES, len(_LEADER_RINGS))
     meshes: dict[int, tuple[Mesh, Mesh]] = {}
     for count in np.unique(stems.sides):
-        own, sides = np.flatnonzero(stems.sides == count), int(count)
-        above_m, away_m = stems.above_ground_m[own], stems.outlines(own, sides)
+        own = np.flatnonzero(stems.sides == count)
+        sides = int(count)
+        above_m = stems.above_ground_m[own]
+        away_m = stems.outlines(own, sides)
         pipes_m = _pipes(partial(stems.axis_m, which=own), above_m, away_m, stems.angles(own, sides))
         flare = pipe_faces(sides, stems.flare_rings, top=False)
         upper = pipe_faces(sides, above_m.shape[1] - stems.flare_rings + 1, bottom=False)
@@ -424,7 +483,8 @@ def _meshes(stems: Stems, foot_m: F8) -> list[Mesh]:
 def _leaders(stems: Stems) -> F8:
     """Vertices (m, v, 3) of the second leaders, relative to the foot, of stems that fork."""
     above_m, radius_m = stems.leaders(np.array([*_LEADER_RINGS, 1.0]))
-    angle, breast_m = stems.angles(stems.forked, _LEADER_SIDES), stems.trees["dbh_m"][stems.forked] / 2
+    angle = stems.angles(stems.forked, _LEADER_SIDES)
+    breast_m = stems.trees["dbh_m"][stems.forked] / 2
     away_m = stems.forms.of(stems.forked).outline(angle, above_m[:, :-1], radius_m[:, :-1], breast_m)
     pipes_m = _pipes(stems.leader_axis_m, above_m[:, :-1], away_m, angle)
     return np.concatenate([pipes_m, stems.leader_axis_m(above_m[:, -1:])], axis=1)
@@ -434,7 +494,8 @@ def _pipes(axis: Callable[[F8], F8], above_m: F8, away_m: F8, angle: F8) -> F8:
     """Vertices (n, 1 + rings * sides, 3): centre of the bottom, and rings across the axis at `away_m` (n, rings, sides)."""
     n, rings, sides = away_m.shape
     east, north = np.moveaxis(stem_slopes(axis, above_m), -1, 0)
-    tilt, towards = np.degrees(atan2(hypot(east, north), 1.0)), np.degrees(atan2(north, east))
+    tilt = np.degrees(atan2(hypot(east, north), 1.0))
+    towards = np.degrees(atan2(north, east))
     across = lean_rotation(tilt.ravel(), towards.ravel())[:, :, :2].reshape(n, rings, 3, 2)
     flat_m = away_m[..., None] * np.stack([cos(angle), sin(angle)], axis=-1)[:, None]
     middle_m = axis(above_m)

@@ -1,6 +1,7 @@
 """Shapes and labels of things on the ground: stones, dead wood, tufts of grass and low plants, all of unit size.
 
-They are grown once per variant and scaled where they are placed. The look of plants is an assumption, after pictures in
+They are grown once per variant and scaled where they are placed. The look of plants is an assumption, after
+pictures in
 floras; leaves are kites, two triangles each.
 """
 
@@ -29,7 +30,8 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 def fern(rng: Generator) -> Mesh:
     """Nine fronds that rise from a crown and arch outwards, with eight pairs of pinnae each."""
-    fronds, pairs = 9, 8
+    fronds = 9
+    pairs = 8
     towards = 2 * np.pi * (np.arange(fronds) + rng.uniform(-0.3, 0.3, fronds)) / fronds
     t = np.linspace(0.2, 1.0, pairs)
     rise = rng.uniform(0.75, 1.0, (fronds, 1)) * sin(0.64 * np.pi * t)
@@ -43,7 +45,8 @@ def fern(rng: Generator) -> Mesh:
 
 def herb(rng: Generator) -> Mesh:
     """Nine shoots with a whorl of four leaves each."""
-    shoots, leaves = 9, 4
+    shoots = 9
+    leaves = 4
     at = np.column_stack([_in_disc(rng, shoots, 0.4), rng.uniform(0.55, 1.0, shoots)])[:, None]
     towards = 2 * np.pi * (np.arange(leaves) / leaves + rng.random((shoots, 1)))
     leaf = np.stack([cos(towards), sin(towards), rng.uniform(-0.4, 0.4, towards.shape)], axis=-1)
@@ -62,13 +65,16 @@ def dwarf_shrub(rng: Generator) -> Mesh:
 
 def moss_cushion(rng: Generator) -> Mesh:
     """Bumpy dome, open below, with its rim in the ground."""
-    sides, away, high = 12, np.array([0.22, 0.38, 0.5]), np.array([0.9, 0.6, -0.4])
+    sides = 12
+    away = np.array([0.22, 0.38, 0.5])
+    high = np.array([0.9, 0.6, -0.4])
     angle = 2 * np.pi * np.arange(sides) / sides
     rim = 1 + 0.15 * cos(3 * angle + rng.uniform(0, 2 * np.pi)) * np.ones((3, 1))
     z = high[:, None] + 0.1 * rng.uniform(-1, 1, (3, sides)) * [[1.0], [1.0], [0.0]]
     ring = np.stack([away[:, None] * rim * cos(angle), away[:, None] * rim * sin(angle), z], axis=-1)
     vertices = np.concatenate([[[0.0, 0.0, 1.0]], ring.reshape(-1, 3)])
-    here, after = np.arange(sides), np.roll(np.arange(sides), -1)
+    here = np.arange(sides)
+    after = np.roll(np.arange(sides), -1)
     faces = [np.column_stack([np.zeros(sides, int), 1 + here, 1 + after])]
     for low in (1, 1 + sides):
         faces += [np.column_stack([low + here, low + sides + here, low + sides + after])]
@@ -78,7 +84,8 @@ def moss_cushion(rng: Generator) -> Mesh:
 
 def litter_heap(rng: Generator) -> Mesh:
     """Leaves on top of each other, and three twigs."""
-    leaves, twigs = 16, 3
+    leaves = 16
+    twigs = 3
     at = np.column_stack([_in_disc(rng, leaves + twigs, 0.36), rng.uniform(0.1, 0.9, leaves + twigs)])
     towards = rng.uniform(0, 2 * np.pi, leaves + twigs)
     tilt = rng.uniform(-0.8, 0.8, leaves + twigs)
@@ -89,14 +96,16 @@ def litter_heap(rng: Generator) -> Mesh:
 
 
 def _in_disc(rng: Generator, count: int, radius: float) -> F8:
-    towards, away = rng.uniform(0, 2 * np.pi, count), radius * np.sqrt(rng.random(count))
+    towards = rng.uniform(0, 2 * np.pi, count)
+    away = radius * np.sqrt(rng.random(count))
     return np.column_stack([away * cos(towards), away * sin(towards)])
 
 
 def _kites(base: F8, along: F8, wide: F8 | float) -> Mesh:
     """Leaves from bases (..., 3) along vectors (..., 3), level across; `wide` is width over length."""
     base, along = np.broadcast_arrays(base, along)
-    base, along = base.reshape(-1, 3), along.reshape(-1, 3)
+    base = base.reshape(-1, 3)
+    along = along.reshape(-1, 3)
     across = np.cross(_UP, along)
     middle = base + 0.45 * along
     half = 0.5 * np.reshape(wide, (-1, 1)) * across
@@ -114,26 +123,36 @@ def _unit(vertices: F8, faces: I8) -> Mesh:
 Mask = NDArray[np.bool_]
 FLOOR_VARIANTS = 6  # different shapes of each kind
 STUMP_DEPTH = 0.5  # depth of a stump in the ground over its height above it
-_STONE_SPLITS, _LARGE_STONE_SPLITS = 2, 3  # subdivisions of an icosahedron: 320 and 1280 faces
+_STONE_SPLITS = 2  # subdivisions of an icosahedron: 320 and 1280 faces
+_LARGE_STONE_SPLITS = 3
 _ICOSAHEDRON = (  # faces, counter-clockwise seen from outside; corners as in `_icosphere`
     *((0, 8, 4), (5, 0, 2), (2, 0, 4), (7, 3, 1), (8, 1, 6)),
     *((4, 8, 6), (1, 3, 6), (10, 1, 8), (10, 0, 5), (8, 0, 10)),
     *((10, 7, 1), (5, 7, 10), (11, 7, 5), (5, 2, 11), (3, 7, 11)),
     *((4, 6, 9), (9, 2, 4), (9, 6, 3), (9, 11, 2), (3, 11, 9)),
 )
-_LOBES, _LOBE_HEIGHT = 6, 0.05  # number of sines that shape a stone, and their amplitude over the radius; assumption
+# number of sines that shape a stone, and their amplitude over the radius; assumption
+_LOBES = 6
+_LOBE_HEIGHT = 0.05
 _ROUND_SIDES = 16  # sides of logs and stumps
 LOG_TAPER = 0.2
-"""Relative difference of a log's end diameters from its mean diameter; assumption: 1 cm per metre and broken tips."""
+"""Relative difference of a log's end diameters from its mean diameter; assumption: 1 cm per metre and broken
+tips."""
 _LOG_BOW = 0.5
 """Bow of a log, one sigma over its diameter; the S-shaped bend has half of it: assumptions."""
-_PIECE_TAPER, _PIECE_BOW = 0.1, 0.15  # taper and bow of half a log
-_LOG_SPLINTERS, _STUMP_SPLINTERS = 0.05, 0.45
-"""Half-range of the splinters at ends over the length of a log's piece, and over a broken stump's height; assumptions."""
-_PLATE_SIDES, _PLATE_ROOTS = 20, 10
+_PIECE_TAPER = 0.1  # taper and bow of half a log
+_PIECE_BOW = 0.15
+_LOG_SPLINTERS = 0.05
+_STUMP_SPLINTERS = 0.45
+"""Half-range of the splinters at ends over the length of a log's piece, and over a broken stump's height;
+assumptions."""
+_PLATE_SIDES = 20
+_PLATE_ROOTS = 10
 _PLATE_PROFILE = ((-0.8, 0.4), (-0.55, 0.75), (-0.25, 1.0), (0.0, 0.9), (0.15, 0.5))
-"""Profile of a root plate: position along the log over the plate's thickness, and distance from the axis over the radius.
-The root side is a paraboloid, as for birch (Forests 12(1), 2021, 20: elliptic); the stem side, once level ground, is flat."""
+"""Profile of a root plate: position along the log over the plate's thickness, and distance from the axis over
+the radius.
+The root side is a paraboloid, as for birch (Forests 12(1), 2021, 20: elliptic); the stem side, once level
+ground, is flat."""
 _PLATE_BUMPS = 0.08  # half-range of the surface over the thickness; assumption
 _REFLECTANCE = {
     "stone": 0.30,
@@ -142,7 +161,8 @@ _REFLECTANCE = {
     "moss": 0.35,
     **dict.fromkeys(("grass", "herb", "fern", "dwarf shrub"), 0.45),
 }
-"""Reflectance at 903 nm: rock, weathered wood as oak bark, dry leaves as the ground, green leaves as shrubs; assumptions."""
+"""Reflectance at 903 nm: rock, weathered wood as oak bark, dry leaves as the ground, green leaves as shrubs;
+assumptions."""
 _REFLECTANCE_SPREAD = 0.08  # half-range between things, as for the bark of trees; assumption
 _BLADES = 22  # blades of a tuft
 _BLADE_AREA = 0.012  # mean one-sided area of a blade over the square of the tuft's height; assumption
@@ -182,15 +202,23 @@ def floor_meshes(seed: int, key: FloorKey) -> tuple[Mesh]:
 
     A stone spans -0.5 to 0.5 in z, and its outline seen from above has the area of a circle of diameter
     1. A log, or a piece of a broken log, lies along x from -0.5 to 0.5 with mean diameter 1. A stump
-    is 1 high over the ground and 1 wide at the top. A root plate of diameter and thickness 1 stands across x, with its
-    roots at -x and the butt of its log at the origin. All others are 1 high and have their foot at the origin.
+    is 1 high over the ground and 1 wide at the top. A root plate of diameter and thickness 1 stands across x,
+    with its
+    roots at -x and the butt of its log at the origin. All others are 1 high and have their foot at the
+    origin.
     """
     rng = generator(seed, Growth.FLOOR_SHAPE, list(FloorKind).index(key.kind), key.variant)
     return (_stone(rng, _LARGE_STONE_SPLITS) if key.large else _SHAPES[key.kind].grow(rng),)
 
 
 def labelled(
-    kind: FloorKind, keep: Mask, world_T: F8, draws: F8, *, species: I8 | None = None, large: Mask | None = None
+    kind: FloorKind,
+    keep: Mask,
+    world_T: F8,
+    draws: F8,
+    *,
+    species: I8 | None = None,
+    large: Mask | None = None,
 ) -> PlacedThings:
     """Label the things (n,) selected by `keep`; draws (n, 2 or more) choose variant and brightness."""
     variants = (FLOOR_VARIANTS * draws[keep, 0]).astype(int).tolist()
@@ -198,7 +226,8 @@ def labelled(
     keys = [FloorKey(kind, *how) for how in zip(variants, larges, strict=True)]
     own = _SHAPES[kind]
     rows = np.zeros((len(variants), 1), SURFACE)
-    rows["semantic"], rows["part"] = own.semantic, own.part
+    rows["semantic"] = own.semantic
+    rows["part"] = own.part
     rows["material"] = GROUND_MATERIALS.index(own.material)
     rows["reflectance"] = _REFLECTANCE[own.material] + _REFLECTANCE_SPREAD * (2 * draws[keep, 1:2] - 1)
     if species is not None:
@@ -239,14 +268,16 @@ def _icosphere(splits: int) -> tuple[F8, NDArray[np.uint32]]:
     """Subdivide the faces of an icosahedron; return unit vectors (v, 3) and triangles (f, 3)."""
     golden = (1 + np.sqrt(5)) / 2
     corners = [np.roll((0.0, a, b * golden), axis) for axis in range(3) for a in (-1, 1) for b in (-1, 1)]
-    vertices, faces = np.array(corners) / hypot(1, golden), np.array(_ICOSAHEDRON)
+    vertices = np.array(corners) / hypot(1, golden)
+    faces = np.array(_ICOSAHEDRON)
     for _ in range(splits):
         edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
         pairs, index = np.unique(edges, axis=0, return_inverse=True)
         middle = len(vertices) + index.reshape(-1, 3)
         between = vertices[pairs].sum(axis=1)
         vertices = np.concatenate([vertices, unit(between)])
-        (a, b, c), (ab, bc, ca) = faces.T, middle.T
+        (a, b, c) = faces.T
+        (ab, bc, ca) = middle.T
         quarters = np.array([(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)])
         faces = quarters.transpose(0, 2, 1).reshape(-1, 3)
     return vertices, faces.astype(np.uint32)
@@ -261,7 +292,8 @@ def _log(rng: Generator, taper: float = LOG_TAPER, bow: float = _LOG_BOW, *, spl
             rings[end, :, 2] += splinters * rng.uniform(-1, 1, _ROUND_SIDES)
     mesh = closed(rings, ends)
     vertices = np.ascontiguousarray(mesh.vertices_m[:, [2, 0, 1]])
-    (aside, sway), x = rng.normal(0.0, bow, 2) * [1.0, 0.4], vertices[:, 0]
+    (aside, sway) = rng.normal(0.0, bow, 2) * [1.0, 0.4]
+    x = vertices[:, 0]
     vertices[:, 1] += aside * (1 / 3 - 4 * x * x) + sway * sin(2 * np.pi * x)
     return Mesh(vertices, mesh.faces)
 
@@ -278,7 +310,8 @@ def _stump(rng: Generator, *, splinters: float = 0.0) -> Mesh:
 
 def _root_plate(rng: Generator) -> Mesh:
     """Irregular disc of soil with protruding roots."""
-    sides, (along, away) = _PLATE_SIDES, np.array(_PLATE_PROFILE).T
+    sides = _PLATE_SIDES
+    (along, away) = np.array(_PLATE_PROFILE).T
     angle = 2 * np.pi * np.arange(sides) / sides
     rim = 1 + sum(s * cos(n * angle + rng.uniform(0, 2 * np.pi)) for n, s in ((2, 0.1), (3, 0.08), (7, 0.05)))
     radius = 0.5 * away[:, None] * rim
@@ -286,7 +319,8 @@ def _root_plate(rng: Generator) -> Mesh:
     soil = np.stack([radius * cos(angle), radius * sin(angle), z], axis=-1)
     pieces = [closed(soil, np.array([[0.0, 0.0, -0.95], [0.0, 0.0, 0.2]]))]
     for towards in rng.uniform(0, 2 * np.pi, _PLATE_ROOTS).tolist():
-        foot, tip = rng.uniform(0.2, 0.4), rng.uniform(0.35, 0.65)
+        foot = rng.uniform(0.2, 0.4)
+        tip = rng.uniform(0.35, 0.65)
         ends = np.array([[foot, -0.45], [tip, rng.uniform(-1.4, -0.6)]])
         ends = np.column_stack([ends[:, 0] * cos(towards), ends[:, 0] * sin(towards), ends[:, 1]])
         corners = np.stack([cos(angle[::4]), sin(angle[::4]), 0 * angle[::4]], axis=-1)
@@ -297,7 +331,8 @@ def _root_plate(rng: Generator) -> Mesh:
 
 def _drum(rng: Generator, at: F8, radius: F8, *, slant: float) -> tuple[F8, F8]:
     """Rings (r, sides, 3) about the z axis and centres (2, 3) of the ends, with weathered ribs and slanted ends."""
-    sides, angle = _ROUND_SIDES, 2 * np.pi * np.arange(_ROUND_SIDES) / _ROUND_SIDES
+    sides = _ROUND_SIDES
+    angle = 2 * np.pi * np.arange(_ROUND_SIDES) / _ROUND_SIDES
     ribs = sum(0.04 * cos(n * angle + rng.uniform(0, 2 * np.pi)) for n in (2, 3, 5))
     # Corners are placed so that the cross-section, with ribs, has the area of its circle.
     corner = radius[:, None] * (1 + ribs) * np.sqrt(2 * np.pi / sides / sin(2 * np.pi / sides) / 1.0024)
@@ -313,11 +348,14 @@ def _drum(rng: Generator, at: F8, radius: F8, *, slant: float) -> tuple[F8, F8]:
 def _tuft(rng: Generator) -> Mesh:
     """Blades that start together and bend outwards: a quad from the foot, and one to the tip."""
     n = _BLADES
-    towards, lean = rng.uniform(0, 2 * np.pi, n), rng.uniform(0.05, 0.45, n)
-    length, foot = rng.uniform(0.6, 1.0, n), rng.normal(0.0, 0.05, (n, 2))
+    towards = rng.uniform(0, 2 * np.pi, n)
+    lean = rng.uniform(0.05, 0.45, n)
+    length = rng.uniform(0.6, 1.0, n)
+    foot = rng.normal(0.0, 0.05, (n, 2))
     outward = np.stack([cos(towards), sin(towards), np.zeros(n)], axis=-1)
     across = np.stack([-sin(towards), cos(towards), np.zeros(n)], axis=-1)
-    lean, length = lean[:, None], length[:, None]
+    lean = lean[:, None]
+    length = length[:, None]
     base = np.column_stack([foot, np.zeros(n)])
     knee = base + length * (0.6 * _UP + 0.6 * lean * outward)
     tip = knee + length * (0.4 * (1 - lean) * _UP + 0.8 * lean * outward)
@@ -325,7 +363,8 @@ def _tuft(rng: Generator) -> Mesh:
     # Width from the tuft's leaf area, for blades that narrow to a fifth above the knee.
     lower, upper = (float(norm(b - a).sum()) for a, b in ((base, knee), (knee, tip)))
     half_width = _BLADE_AREA * _BLADES / (2 * lower + 1.2 * upper)
-    half, narrow = half_width * across, 0.2 * half_width * across
+    half = half_width * across
+    narrow = 0.2 * half_width * across
     corners = [base - half, base + half, knee + half, knee - half, tip + narrow, tip - narrow]
     vertices = np.stack(corners, axis=1).reshape(-1, 3).astype(np.float32)
     faces = (np.array([(0, 1, 2, 3), (3, 2, 4, 5)]) + 6 * np.arange(n)[:, None, None]).reshape(-1, 4)
@@ -353,7 +392,9 @@ _SHAPES = {
     FloorKind.DWARF_SHRUB: _Shape(dwarf_shrub, *_LEAVES, "dwarf shrub"),
     FloorKind.MOSS_CUSHION: _Shape(moss_cushion, Semantic.GROUND, PlantPart.NONE, "moss"),
     FloorKind.LITTER_HEAP: _Shape(litter_heap, Semantic.GROUND, PlantPart.NONE, "litter"),
-    FloorKind.BROKEN_LOG: _Shape(partial(_log, taper=_PIECE_TAPER, bow=_PIECE_BOW, splinters=_LOG_SPLINTERS), *_WOOD),
+    FloorKind.BROKEN_LOG: _Shape(
+        partial(_log, taper=_PIECE_TAPER, bow=_PIECE_BOW, splinters=_LOG_SPLINTERS), *_WOOD
+    ),
     FloorKind.BROKEN_STUMP: _Shape(partial(_stump, splinters=_STUMP_SPLINTERS), *_WOOD),
     FloorKind.ROOT_PLATE: _Shape(_root_plate, Semantic.DEADWOOD, PlantPart.ROOT_FLARE, "litter"),
 }

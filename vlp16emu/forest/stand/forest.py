@@ -28,14 +28,17 @@ from vlp16emu.types import F8, FIRST_FREE_INSTANCE, I8, Mesh, PlantPart, ShapeKe
 
 _NUMBERS_PER_TILE = 8192  # numbers reserved for the trees and things of a tile
 _DENSEST_PER_HA = 125_000
-"""Greatest density; a tile then holds 5000 things on average. Even in clusters of ten the number has a sigma below 240, and
+"""Greatest density; a tile then holds 5000 things on average. Even in clusters of ten the number has a sigma
+below 240, and
 with all possible patches below 500, far from `_NUMBERS_PER_TILE`."""
 _TILES_IN_GROWTH = 16
-"""Number of tiles whose stems are grown together, kept until all are taken: more than grow at the same time."""
+"""Number of tiles whose stems are grown together, kept until all are taken: more than grow at the same
+time."""
 _OVERHANG_M = 10.0  # greatest reach of crowns beyond the tile of their stem
 _ASIDE_M = 35.0  # greatest distance of a sensor from the path at which it sees numbered trees only
 _MARGIN_M = 80.0
-"""Margin of the numbered tiles beyond the reach of the path: distance of the sensor from the path, overhang of crowns, half
+"""Margin of the numbered tiles beyond the reach of the path: distance of the sensor from the path, overhang
+of crowns, half
 a tile's diagonal, and one tile, since voxels of a tile also depend on the tiles around it."""
 T = TypeVar("T")
 
@@ -54,8 +57,10 @@ class ForestWorld:
     Parameters
     ----------
     reach_m : range of the sensor
-    loose_stems : True if each stem has its own shape and so can be moved; else stems belong to the tile's shape
-    name, plants_name : digests of all inputs of the forest, with seed and path, and of the plants; empty if nothing is cached
+    loose_stems : True if each stem has its own shape and so can be moved; else stems belong to the tile's
+        shape
+    name, plants_name : digests of all inputs of the forest, with seed and path, and of the plants; empty if
+        nothing is cached
     """
 
     def __init__(
@@ -70,10 +75,17 @@ class ForestWorld:
         name: str = "",
         plants_name: str = "",
     ) -> None:
-        self.section, self.height_m, self.plants = section, land.height_m, land.plants
-        self.seed, self.near_m, self.name, self._plants_name = land.seed, near_m, name, plants_name
-        self.models, self._loose_stems = TreeModels(section.tree_models, self.plants, section.season), loose_stems
-        self._reach_m, self._layers = reach_m, layers_of(section, land, stems.species)
+        self.section = section
+        self.height_m = land.height_m
+        self.plants = land.plants
+        self.seed = land.seed
+        self.near_m = near_m
+        self.name = name
+        self._plants_name = plants_name
+        self.models = TreeModels(section.tree_models, self.plants, section.season)
+        self._loose_stems = loose_stems
+        self._reach_m = reach_m
+        self._layers = layers_of(section, land, stems.species)
         per_ha = stems.per_ha + sum(one.pattern.per_ha for one in self._layers if not one.kind.is_ground)
         if per_ha > _DENSEST_PER_HA:
             found = f"found {per_ha:.0f} trees and things per hectare"
@@ -88,7 +100,9 @@ class ForestWorld:
         self._crown = cache(stems.crown)
         self._stem_meshes = lru_cache(maxsize=_TILES_IN_GROWTH)(self._grow_stems)
         self._ivy_meshes = lru_cache(maxsize=_TILES_IN_GROWTH)(self._grow_ivy)
-        self._discs = lru_cache(maxsize=kept)(lambda ix, iy: foot_discs(self._trees(ix, iy), table=self.plants.trees))
+        self._discs = lru_cache(maxsize=kept)(
+            lambda ix, iy: foot_discs(self._trees(ix, iy), table=self.plants.trees)
+        )
 
     @property
     def materials(self) -> tuple[str, ...]:
@@ -97,7 +111,9 @@ class ForestWorld:
 
     def trees(self, track_m: F8) -> Trees:
         """Return the records (n,) `TREE` of all trees and saplings in the window of positions (m, 2 or 3)."""
-        return np.concatenate([np.zeros(0, TREE), *(self._tile(*name).trees for name in self._in_view(track_m))])
+        return np.concatenate(
+            [np.zeros(0, TREE), *(self._tile(*name).trees for name in self._in_view(track_m))]
+        )
 
     def window(self, track_m: F8) -> TiledWindow:
         """Return the window within reach of sensor positions (n, 3); raises GeometryError if they are too far from the path."""
@@ -109,7 +125,9 @@ class ForestWorld:
         return TiledWindow(
             origin_m=np.round(track_m.mean(axis=0)),
             shapes=tuple(index_of),
-            shape=np.concatenate([own[tile.shape] for own, tile in zip(index, tiles, strict=True)]).astype(np.int32),
+            shape=np.concatenate([own[tile.shape] for own, tile in zip(index, tiles, strict=True)]).astype(
+                np.int32
+            ),
             world_T_shape=np.concatenate([tile.world_T_shape for tile in tiles]),
             first_surface=np.concatenate(
                 [begin + tile.first_surface for begin, tile in zip(begins, tiles, strict=False)]
@@ -137,7 +155,8 @@ class ForestWorld:
         x, y = np.meshgrid(origin_m[0] + edge_m, origin_m[1] + edge_m, indexing="ij")
         own = np.flatnonzero(tile.far)[1:]  # without the first, the tile's own shape
         keys, shape = distinct([tile.keys[which] for which in tile.shape[own].tolist()])
-        begins, rows = np.append(np.unique(tile.first_surface), len(tile.surfaces)), tile.first_surface[own]
+        begins = np.append(np.unique(tile.first_surface), len(tile.surfaces))
+        rows = tile.first_surface[own]
         # One placement of each shape, for the number of its parts.
         some = rows[np.unique(shape, return_index=True)[1]]
         ends = begins[np.searchsorted(begins, some, side="right")]
@@ -147,7 +166,9 @@ class ForestWorld:
         ]
         trees = self._grown(ix, iy)
         stems = far_stems(trees[:0] if self._loose_stems else trees, 1, table=self.plants.trees)
-        modelled = self.models.far_stems([keys[i] for i in shape], tile.world_T_shape[own], tile.first_surface[own])
+        modelled = self.models.far_stems(
+            [keys[i] for i in shape], tile.world_T_shape[own], tile.first_surface[own]
+        )
         return FarTile(
             corner_m=corner_m,
             keys=keys,
@@ -189,7 +210,9 @@ class ForestWorld:
     def _grow_tile(self, ix: int, iy: int) -> Tile:
         column, row = ix - self._first_tile[0], iy - self._first_tile[1]
         if not (0 <= column < self._tiles_across[0] and 0 <= row < self._tiles_across[1]):
-            raise GeometryError("track", f"reaches tile ({ix}, {iy})", f"no more than {_ASIDE_M:g} m off the path")
+            raise GeometryError(
+                "track", f"reaches tile ({ix}, {iy})", f"no more than {_ASIDE_M:g} m off the path"
+            )
         key = TileKey(ix, iy)
         trees = self._trees(ix, iy).copy()
         number = 1 + (column * self._tiles_across[1] + row) * _NUMBERS_PER_TILE
@@ -202,12 +225,16 @@ class ForestWorld:
         world_T = prototypes.crown_placements(grown, crowns)
         rows = plant_surfaces(grown, prototypes.CROWN_PARTS, self.plants)
         placed = PlacedThings(crowns, world_T, rows, grown, is_exact=self._loose_stems)
-        groups, rooted = [placed, *modelled], grown
+        groups = [placed, *modelled]
+        rooted = grown
         if self._loose_stems:
             stems = self._in_tile(StemKey, key, np.arange(len(grown)), grown, STEM_PARTS)
-            groups, rooted = [stems, *groups], grown[:0]
+            groups = [stems, *groups]
+            rooted = grown[:0]
         if self.section.ivy.share:
-            groups.append(self._in_tile(IvyKey, key, np.flatnonzero(self._ivy_m(grown)), grown, (PlantPart.LEAF,)))
+            groups.append(
+                self._in_tile(IvyKey, key, np.flatnonzero(self._ivy_m(grown)), grown, (PlantPart.LEAF,))
+            )
         trunks = around(ix, iy, self._discs) if self._layers else np.zeros((0, 3))
         for layer in self._layers:
             groups.append(placed := layer.place(ix, iy, trunks))
@@ -233,14 +260,22 @@ class ForestWorld:
         return stem_meshes(self._grown(key.ix, key.iy), origin_m, self.height_m, table=self.plants.trees)
 
     def _grow_ivy(self, key: TileKey) -> list[Mesh]:
-        trees, origin_m = self._grown(key.ix, key.iy), tile_origin_m(key.ix, key.iy, self.height_m)
-        return ivy_meshes(trees, self._ivy_m(trees), origin_m, seed=self.seed, tile=key, table=self.plants.trees)
+        trees = self._grown(key.ix, key.iy)
+        origin_m = tile_origin_m(key.ix, key.iy, self.height_m)
+        return ivy_meshes(
+            trees, self._ivy_m(trees), origin_m, seed=self.seed, tile=key, table=self.plants.trees
+        )
 
     def _ivy_m(self, trees: Trees) -> F8:
         return ivy_tops_m(trees, self.section.ivy.share, self.section.ivy.height_m, seed=self.seed)
 
     def _in_tile(
-        self, kind: type[StemKey | IvyKey], key: TileKey, numbers: I8, trees: Trees, parts: tuple[PlantPart, ...]
+        self,
+        kind: type[StemKey | IvyKey],
+        key: TileKey,
+        numbers: I8,
+        trees: Trees,
+        parts: tuple[PlantPart, ...],
     ) -> PlacedThings:
         world_T_tile = np.column_stack([np.eye(3), tile_origin_m(key.ix, key.iy, self.height_m)])
         return PlacedThings(

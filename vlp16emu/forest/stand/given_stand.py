@@ -16,7 +16,15 @@ from vlp16emu.forest.plants.species import BARK_SPREAD, LEAF_SPREAD, Species, Tr
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import LEAST_SLENDERNESS, Plot
 from vlp16emu.forest.stand.points import Land
-from vlp16emu.forest.stand.stand import RIVALS_M, TREE, competition, foot_discs, in_the_way_m, path_gap_m, residuals
+from vlp16emu.forest.stand.stand import (
+    RIVALS_M,
+    TREE,
+    competition,
+    foot_discs,
+    in_the_way_m,
+    path_gap_m,
+    residuals,
+)
 from vlp16emu.forest.tiles import TILE_M
 from vlp16emu.random import generator
 from vlp16emu.tables import Column, Table, optional, read_table
@@ -46,18 +54,23 @@ def read_stem_list(
     """Read a stem list.
 
     The first line names the columns, in any order, between commas, semicolons or tabs: x and y (in m; also
-    `x_m`, `y_m`), `species` (a name of the species table, common or scientific), `dbh_cm` or `dbh_m`, `height_m`, and if known
+    `x_m`, `y_m`), `species` (a name of the species table, common or scientific), `dbh_cm` or `dbh_m`,
+    `height_m`, and if known
     `crown_base_m`, `crown_width_m`, `taper`, `lean_deg` and `lean_azimuth_deg` (clockwise from north) or
-    `lean_towards_deg` (counter-clockwise from east). So an inventory of a forest is also a stem list. Other columns
+    `lean_towards_deg` (counter-clockwise from east). So an inventory of a forest is also a stem list. Other
+    columns
     are ignored, as are heights above sea level: trees stand on the scene's ground.
 
     Cells from `height_m` on may be empty. Heights then follow the species' height curve through the
     quadratic mean diameter of its measured trees and their mean height; crown base and width follow the
-    species' equations, the neighbours, and a residual drawn by the seed, as are taper, reflectance and the azimuth of each
+    species' equations, the neighbours, and a residual drawn by the seed, as are taper, reflectance and the
+    azimuth of each
     crown about its stem; a stem without lean is upright.
 
-    Returns trees (n,) `TREE` in the order of the list, with id, z and form still 0; easting, northing and height of the origin
-    become (0, 0, 0) in the scene. Raises GeometryError, naming file, line and column, for a value that is missing, not a
+    Returns trees (n,) `TREE` in the order of the list, with id, z and form still 0; easting, northing and
+    height of the origin
+    become (0, 0, 0) in the scene. Raises GeometryError, naming file, line and column, for a value that is
+    missing, not a
     number, out of its limits, or no known species, and for a tree listed twice.
     """
     table = read_table(path, _COLUMNS, "a stem list in CSV", GeometryError)
@@ -68,28 +81,36 @@ def read_stem_list(
     names = table.texts("species")
     species = [known([name], all_species, table.where(row, "species"))[0] for row, name in enumerate(names)]
     trees = np.zeros(len(table), TREE)
-    trees["species"], trees["list_line"] = [one.number for one in species], table.lines
-    trees["x_m"], trees["y_m"] = table.numbers("x_m") - origin_m[0], table.numbers("y_m") - origin_m[1]
+    trees["species"] = [one.number for one in species]
+    trees["list_line"] = table.lines
+    trees["x_m"] = table.numbers("x_m") - origin_m[0]
+    trees["y_m"] = table.numbers("y_m") - origin_m[1]
     trees["dbh_m"] = table.numbers("dbh_m")
     trees["height_m"] = _with_heights(table, species)
     kinds = [one for one in all_species.values() if one.number in set(trees["species"].tolist())]
     _set_crowns(trees, table, kinds, seed)
     _set_looks(trees, kinds, seed)
     trees["lean_deg"] = np.nan_to_num(table.numbers("lean_deg"))
-    towards, azimuth = table.numbers("lean_towards_deg"), table.numbers("lean_azimuth_deg")
+    towards = table.numbers("lean_towards_deg")
+    azimuth = table.numbers("lean_azimuth_deg")
     trees["lean_towards_deg"] = np.nan_to_num(np.where(np.isnan(towards), 90.0 - azimuth, towards)) % 360
     _check(table, trees)
     return trees
 
 
 def _with_heights(table: Table, species: list[Species]) -> F8:
-    dbh_cm, height_m = 100 * table.numbers("dbh_m"), table.numbers("height_m")
-    of, unknown = np.array([one.number for one in species]), np.isnan(height_m)
+    dbh_cm = 100 * table.numbers("dbh_m")
+    height_m = table.numbers("height_m")
+    of = np.array([one.number for one in species])
+    unknown = np.isnan(height_m)
     for one in {one.number: one for one in species}.values():
-        missing, measured = (of == one.number) & unknown, (of == one.number) & ~unknown
+        missing = (of == one.number) & unknown
+        measured = (of == one.number) & ~unknown
         if missing.any() and not measured.any():
             found = f"no tree of {one.name} has a height"
-            raise GeometryError(f"{table.path}: height_m", found, "one at least, to draw its height curve through")
+            raise GeometryError(
+                f"{table.path}: height_m", found, "one at least, to draw its height curve through"
+            )
         if missing.any():
             mean_cm = float(np.sqrt(np.mean(np.square(dbh_cm[measured]))))
             curve_m = one.height_curve(dbh_cm[missing], mean_cm, float(height_m[measured].mean()))
@@ -101,11 +122,15 @@ def _set_crowns(trees: Trees, table: Table, kinds: list[Species], seed: int) -> 
     """Set taper and crowns; crown values that the list lacks follow from species, size and neighbours."""
     from scipy.spatial import cKDTree  # here: it takes a while to load
 
-    dbh_cm, height_m, xy_m = 100 * trees["dbh_m"], trees["height_m"], places_m(trees, "xy")
+    dbh_cm = 100 * trees["dbh_m"]
+    height_m = trees["height_m"]
+    xy_m = places_m(trees, "xy")
     for name in ("crown_base_m", "crown_width_m", "taper"):
         trees[name] = table.numbers(name)
     # One row of numbers to a tree: a tree more at the end of a list changes no other.
-    _, ratio, wide, taper = residuals(generator(seed, Growth.GIVEN_TREE, 1).standard_normal((len(trees), 4))).T
+    _, ratio, wide, taper = residuals(
+        generator(seed, Growth.GIVEN_TREE, 1).standard_normal((len(trees), 4))
+    ).T
     rival_m2 = np.zeros((len(trees), 2))
     for one in kinds:
         own = trees["species"] == one.number
@@ -114,12 +139,16 @@ def _set_crowns(trees: Trees, table: Table, kinds: list[Species], seed: int) -> 
     pressure = np.zeros((2, len(trees)))
     for i, near in enumerate(cKDTree(xy_m).query_ball_point(xy_m, RIVALS_M)):
         larger = (dbh_cm[near] > dbh_cm[i])[None]
-        pressure[:, i : i + 1] = competition(rival_m2[near], np.pi * RIVALS_M * RIVALS_M, larger, np.ones_like(larger))
+        pressure[:, i : i + 1] = competition(
+            rival_m2[near], np.pi * RIVALS_M * RIVALS_M, larger, np.ones_like(larger)
+        )
     for one in kinds:
         own = trees["species"] == one.number
         no_base, no_width = (own & np.isnan(trees[name]) for name in ("crown_base_m", "crown_width_m"))
         rivals = (pressure[0][no_base], pressure[1][no_base])
-        trees["crown_base_m"][no_base] = one.crown_base_m(dbh_cm[no_base], height_m[no_base], rivals, ratio[no_base])
+        trees["crown_base_m"][no_base] = one.crown_base_m(
+            dbh_cm[no_base], height_m[no_base], rivals, ratio[no_base]
+        )
         trees["crown_width_m"][no_width] = one.crown_width_m(dbh_cm[no_width], wide[no_width])
 
 
@@ -136,7 +165,9 @@ def _check(table: Table, trees: Trees) -> None:
     if (above := np.flatnonzero(trees["crown_base_m"] >= trees["height_m"])).size:
         i = int(above[0])
         found = f"found {trees['crown_base_m'][i]:g}"
-        raise GeometryError(table.where(i, "crown_base_m"), found, f"less than the height, {trees['height_m'][i]:g}")
+        raise GeometryError(
+            table.where(i, "crown_base_m"), found, f"less than the height, {trees['height_m'][i]:g}"
+        )
     places = places_m(trees, "xy")
     if pairs := sorted(cKDTree(places).query_pairs(_APART_M)):
         first, second = pairs[0]
@@ -144,8 +175,12 @@ def _check(table: Table, trees: Trees) -> None:
         raise GeometryError(table.where(second), found, f"trees at least {_APART_M:g} m apart")
 
 
-_CROWN_RATIOS = 0.4, 0.6  # limits between the variants of a class, so that no crown is stretched much along its stem
-_CLASS_BASE_M, _CLASS_RATIO = 0.3, 1.25
+_CROWN_RATIOS = (
+    0.4,
+    0.6,
+)  # limits between the variants of a class, so that no crown is stretched much along its stem
+_CLASS_BASE_M = 0.3
+_CLASS_RATIO = 1.25
 """Base of crown classes: class c has a DBH of about _CLASS_BASE_M * _CLASS_RATIO**c."""
 _NAMED = 20  # most trees in the way that an error names
 _log = logging.getLogger(__name__)
@@ -154,18 +189,22 @@ _log = logging.getLogger(__name__)
 class GivenStand:
     """Trees of a list, tile by tile; missing values, such as the azimuth of a crown about its stem, are drawn by the seed.
 
-    A crown is a prototype for the list's trees of that species and diameter class, scaled to the tree. Each tree has the
-    leaf area index of its species on its own crown projection, as the ground area of a tree does not follow from a list.
+    A crown is a prototype for the list's trees of that species and diameter class, scaled to the tree. Each
+    tree has the
+    leaf area index of its species on its own crown projection, as the ground area of a tree does not follow
+    from a list.
 
     Raises GeometryError for a faulty list, and for trees on the path unless they are dropped.
     """
 
     def __init__(self, section: Plot, land: Land) -> None:
-        self._source, plants = Path(section.stem_list), land.plants
+        self._source = Path(section.stem_list)
+        plants = land.plants
         trees = read_stem_list(self._source, plants.trees, section.origin_m, land.seed)
         self._species = [one for one in plants.trees.values() if one.number in set(trees["species"].tolist())]
         self.species = [one.name for one in self._species]
-        self._season, self._dead_branches = section.season, section.dead_branches
+        self._season = section.season
+        self._dead_branches = section.dead_branches
         if section.crooked_stems:
             trees["form"] = generator(land.seed, Growth.STEM_FORM).integers(1, 2**63, len(trees))
         trees = _clear_of_path(section, trees, plants.trees, land.path)
@@ -224,7 +263,8 @@ def stems_in_the_way(section: Plot, seed: int) -> tuple[F8, F8]:
 
     Raises GeometryError for a faulty list.
     """
-    table, trees = flora(section.species_file).trees, listed_trees(section, seed)
+    table = flora(section.species_file).trees
+    trees = listed_trees(section, seed)
     gap_m = foot_discs(trees, table=table)[:, 2] + section.path_clearance_m
     return np.concatenate(in_the_way_m(trees)), np.tile(gap_m, 2)
 
@@ -239,9 +279,12 @@ def _clear_of_path(section: Plot, trees: Trees, table: Mapping[str, Species], pa
         for tree, gap in zip(trees[in_the_way], gap_m[in_the_way], strict=True)
     ]
     more = f", and {len(named) - _NAMED} more" if len(named) > _NAMED else ""
-    found = f"nearer to the path than path_clearance_m = {path.clearance_m:g}: {'; '.join(named[:_NAMED])}{more}"
+    found = (
+        f"nearer to the path than path_clearance_m = {path.clearance_m:g}: {'; '.join(named[:_NAMED])}{more}"
+    )
     if section.on_conflict != "drop":
-        found, expected = f"{len(named)} of {len(trees)} trees {found}", 'none, or on_conflict = "drop" or "move_path"'
+        found = f"{len(named)} of {len(trees)} trees {found}"
+        expected = 'none, or on_conflict = "drop" or "move_path"'
         raise GeometryError(section.stem_list, found, expected)
     if in_the_way.all():
         raise GeometryError(section.stem_list, f"all trees {found}", "one that is left")
@@ -254,4 +297,7 @@ def _prototypes(trees: Trees) -> dict[tuple[int, int, int], tuple[float, ...]]:
     kinds = np.column_stack([trees["cohort"], trees["crown_class"], trees["crown_variant"]]).astype(np.int64)
     size = np.column_stack([trees[name] for name in ("dbh_m", "height_m", "crown_base_m", "crown_width_m")])
     names, of = np.unique(kinds, axis=0, return_inverse=True)
-    return {(c, k, v): tuple(size[of.ravel() == i].mean(axis=0).tolist()) for i, (c, k, v) in enumerate(names.tolist())}
+    return {
+        (c, k, v): tuple(size[of.ravel() == i].mean(axis=0).tolist())
+        for i, (c, k, v) in enumerate(names.tolist())
+    }

@@ -70,7 +70,9 @@ COPIED = tuple(name for name in INVENTORY.names or () if name in (TREE.names or 
 _DECIMALS = 4  # decimals of numbers in a file: a tenth of a millimetre, a tenth of a litre
 
 
-def inventory(trees: Trees, crowns: Sequence[CrownKey], *, seed: int, table: Table | None = None) -> NDArray[np.void]:
+def inventory(
+    trees: Trees, crowns: Sequence[CrownKey], *, seed: int, table: Table | None = None
+) -> NDArray[np.void]:
     """Return the inventory (n,) `INVENTORY` of trees (n,) `TREE`, in order; crowns are prototypes grown from the seed."""
     table = table or flora().trees
     rows = np.zeros(len(trees), INVENTORY)
@@ -85,7 +87,9 @@ def inventory(trees: Trees, crowns: Sequence[CrownKey], *, seed: int, table: Tab
     _measure_crowns(rows, span_m, trees, crowns, seed, table)
     rows["top_m"] = span_m[:, 1, 2]
     for axis, name in enumerate("xy"):
-        rows[f"{name}_min_m"], rows[f"{name}_max_m"] = (trees[f"{name}_m"] + end_m for end_m in span_m[..., axis].T)
+        rows[f"{name}_min_m"], rows[f"{name}_max_m"] = (
+            trees[f"{name}_m"] + end_m for end_m in span_m[..., axis].T
+        )
     rows["biomass_kg"] = np.nan
     for species in table.values():
         own = trees["species"] == species.number
@@ -110,11 +114,14 @@ def write_csv(file: BinaryIO, rows: NDArray[np.void], *, table: Table | None = N
 
 
 def _measure_sections(rows: NDArray[np.void], trees: Trees, table: Table) -> None:
-    stems, at = Stems(trees, table=table), (BREAST_HEIGHT_M, US_BREAST_HEIGHT_M)
+    stems = Stems(trees, table=table)
+    at = (BREAST_HEIGHT_M, US_BREAST_HEIGHT_M)
     middle_m = stems.axis_m(np.full((len(trees), 1), BREAST_HEIGHT_M))[:, 0]
-    rows["x_breast_m"], rows["y_breast_m"] = trees["x_m"] + middle_m[:, 0], trees["y_m"] + middle_m[:, 1]
+    rows["x_breast_m"] = trees["x_m"] + middle_m[:, 0]
+    rows["y_breast_m"] = trees["y_m"] + middle_m[:, 1]
     for i, sides in enumerate(stems.sides.tolist()):
-        (away_m,), above_m = stems.outlines(np.array([i]), sides), stems.above_ground_m[i]
+        (away_m,) = stems.outlines(np.array([i]), sides)
+        above_m = stems.above_ground_m[i]
         breast, us = np.array([[np.interp(z, above_m, side) for side in away_m.T] for z in at])
         rows["girth_over_pi_m"][i] = tape_m(breast[None])[0]
         rows["dbh_us_m"][i] = 2 * np.sqrt(polygon_m2(us, 2 * np.pi / sides) / np.pi)
@@ -145,12 +152,14 @@ def _measure_crowns(
             at_m = matvec(foot_T_crown[i, :, :3], corners_m) + foot_T_crown[i, :, 3]
             span_m[i, 0] = at_m.min(axis=0, initial=np.inf).clip(max=span_m[i, 0])
             span_m[i, 1] = at_m.max(axis=0, initial=-np.inf).clip(min=span_m[i, 1])
-        leaves, foliage = meshes[CROWN_PARTS.index(PlantPart.LEAF)], table[key.species].foliage
+        leaves = meshes[CROWN_PARTS.index(PlantPart.LEAF)]
+        foliage = table[key.species].foliage
         if foliage is not None and len(leaves.faces):
             # Area of planar quads after scaling across and along the axis.
             a, b, c, d = np.moveaxis(leaves.vertices_m[leaves.faces].astype(np.float64), 1, 0)
             x, y, z = (np.cross(c - a, d - b) / 2).T
-            level, steep = np.square(z), np.square(x) + np.square(y)
+            level = np.square(z)
+            steep = np.square(x) + np.square(y)
             stretches = zip(wide[which], long[which], strict=True)
             areas_m2 = [w * np.sqrt(level * w * w + steep * h * h).sum() for w, h in stretches]
             rows["leaf_m2"][which] = foliage.clumping * np.array(areas_m2)
@@ -172,7 +181,8 @@ def branch_circles(
 ) -> NDArray[np.void]:
     """Circles (k,) `STEM_CIRCLE` along the branches of the first order, tree by tree, each from the stem's axis to its tip.
 
-    The crowns of trees (n,) `TREE` are prototypes grown from the seed and scaled; a circle has the area of the scaled
+    The crowns of trees (n,) `TREE` are prototypes grown from the seed and scaled; a circle has the area of
+    the scaled
     branch's section.
     """
     prototypes = {key: crown_branches(seed, key, table=table) for key in dict.fromkeys(crowns)}
@@ -181,12 +191,14 @@ def branch_circles(
         number = 1
         both = PlantPart.BRANCH_FIRST_ORDER, PlantPart.DEAD_BRANCH
         for part, branches in zip(both, prototypes[key], strict=True):
-            world_A, nodes_m = world_T_crown[:, :3], branches.nodes_m
+            world_A = world_T_crown[:, :3]
+            nodes_m = branches.nodes_m
             along = np.gradient(nodes_m, axis=1)
             longer = norm(matvec(world_A, along)) / norm(along)
             # Area times length is volume, which scales with the determinant.
             radius_m = branches.node_radius_m * np.sqrt(determinant(world_A) / longer)
-            at_m, numbers = matvec(world_A, nodes_m) + world_T_crown[:, 3], number + np.arange(len(nodes_m))
+            at_m = matvec(world_A, nodes_m) + world_T_crown[:, 3]
+            numbers = number + np.arange(len(nodes_m))
             circles = circles_of(one, 1, part, at_m, radius_m, numbers[:, None])
             circles["above_foot_m"] = circles["z_m"] - one["z_m"]
             number += len(circles)
@@ -196,14 +208,16 @@ def branch_circles(
 
 def far_stems(trees: Trees, first_row: int, *, table: Table | None = None) -> NDArray[np.void]:
     """Stems of n trees as `STEM`, with circles in place of polygons, then second leaders; rows start at `first_row`."""
-    own, foot_m = Stems(trees, table=table), places_m(trees)
+    own = Stems(trees, table=table)
+    foot_m = places_m(trees)
     above_m = np.column_stack([own.above_ground_m, trees["height_m"]])
     first = profiles(foot_m, own.axis_m(above_m), np.column_stack([own.radius_m, own.tip_radius_m]), 1)
     first["flare_m"] = FLARE_TOP_M / first["axis"][:, 2]
     first["row"] = first_row + 2 * np.arange(len(trees))[:, None] + [0, 1]
     above_m, radius_m = own.leaders(np.linspace(0.0, 1.0, above_m.shape[1]))
     second = profiles(foot_m[own.forked], own.leader_axis_m(above_m), radius_m, 0)
-    second["flare_m"], second["row"] = -1.0, first["row"][own.forked]
+    second["flare_m"] = -1.0
+    second["row"] = first["row"][own.forked]
     return np.concatenate([first, second])
 
 
@@ -214,7 +228,9 @@ def profiles(foot_m: F8, middle_m: F8, radius_m: F8, begin: int) -> NDArray[np.v
     axis = unit(middle_m[:, -1] - from_m)
     along_m = (middle_m[..., 2] - from_m[:, None, 2]) / axis[:, 2:]
     stems["foot_m"] = foot_m + from_m
-    stems["axis"], stems["along_m"], stems["radius_m"] = axis, along_m, radius_m
+    stems["axis"] = axis
+    stems["along_m"] = along_m
+    stems["radius_m"] = radius_m
     aside_m = middle_m - from_m[:, None] - along_m[..., None] * axis[:, None]
     stems["aside_m"] = np.moveaxis(aside_m[..., :2], 2, 1)
     return stems

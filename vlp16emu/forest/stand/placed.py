@@ -59,7 +59,10 @@ def turned(azimuth_deg: F8) -> F8:
 
 def laid(towards: F8, slope: F8) -> F8:
     """Rotations (n, 3, 3) that turn the x axis towards an angle from east, rad, on a slope dz/ds; y stays level."""
-    flat, c, s, zero = 1 / hypot(1, slope), cos(towards), sin(towards), np.zeros(len(towards))
+    flat = 1 / hypot(1, slope)
+    c = cos(towards)
+    s = sin(towards)
+    zero = np.zeros(len(towards))
     along = np.stack([c * flat, s * flat, slope * flat], axis=-1)
     across = np.stack([-s, c, zero], axis=-1)
     return np.stack([along, across, np.cross(along, across)], axis=-1)
@@ -82,7 +85,8 @@ class Tile:
 def packed(key: TileKey, origin_m: F8, trees: Trees, groups: Sequence[PlacedThings], plants: Flora) -> Tile:
     """Put a tile together: first its own shape of ground and the stems of `trees`, then all placed groups."""
     ground = np.zeros(1, SURFACE)
-    ground["reflectance"], ground["semantic"] = _LITTER_REFLECTANCE, Semantic.GROUND
+    ground["reflectance"] = _LITTER_REFLECTANCE
+    ground["semantic"] = Semantic.GROUND
     own_T = np.concatenate([np.eye(3), origin_m[:, None]], axis=1)
     rows = np.concatenate([ground, plant_surfaces(trees, STEM_PARTS, plants).ravel()])
     groups = [PlacedThings([key], own_T[None], rows[None]), *groups]
@@ -109,7 +113,10 @@ def plant_surfaces(
     leaf = np.array(parts) == PlantPart.LEAF
     rows = np.zeros((len(plants), len(parts)), SURFACE)
     bright = np.where(leaf, plants["leaf_reflectance"][:, None], plants["bark_reflectance"][:, None])
-    rows["semantic"], rows["part"], rows["reflectance"] = semantic, parts, bright
-    rows["instance"], rows["species"] = plants["id"][:, None], plants["species"][:, None]
+    rows["semantic"] = semantic
+    rows["part"] = parts
+    rows["reflectance"] = bright
+    rows["instance"] = plants["id"][:, None]
+    rows["species"] = plants["species"][:, None]
     rows["material"] = table.bark[plants["species"]][:, None] + leaf
     return rows

@@ -38,13 +38,16 @@ class Land:
     trails: Trails | None = None  # trails without trees and shrubs
 
 
-_SPACING_SHARE = 0.4  # hard-core distance over 1 / sqrt(density); assumption, gives a Clark-Evans index near 1.25
+_SPACING_SHARE = (
+    0.4  # hard-core distance over 1 / sqrt(density); assumption, gives a Clark-Evans index near 1.25
+)
 _JITTER_M = 0.15  # half-range of the error of planting along and across a row; assumption
 _LARGEST_DISTANCE_M = 5.0  # upper limit of the hard-core distance; assumption
 _TILES_KEPT = 1024  # tiles whose points are kept for their neighbours: more than a window with its border has
 _PATCH_WAVELENGTHS_M = (6.0, 20.0)
 """Scale of patches: herbs under oaks are most uneven at about 10 m (Plant Biosystems 133(3), 1999,
-10.1080/11263509909381559), patches of a spring flower are 7.5 to 10 m apart (Huh 2023, Erythronium at Mt. Geumjeong)."""
+10.1080/11263509909381559), patches of a spring flower are 7.5 to 10 m apart (Huh 2023, Erythronium at Mt.
+Geumjeong)."""
 _DENSEST_PATCH = 9.0
 """Limit of the density over its mean; it cuts 0.3 % of the ground and lowers the mean by 0.5 %."""
 
@@ -66,8 +69,10 @@ def scattered(*, seed: int, purpose: Growth, per_ha: float) -> PointPattern:
 def patchy(*, seed: int, purpose: Growth, even_per_ha: float, patchy_per_ha: float) -> PointPattern:
     """Scatter points, a part of them in patches (Cox process), like plants that spread by runners or follow light.
 
-    The density in patches follows the square of normal noise: a quarter of the ground has less than a tenth of the mean, and
-    a twelfth more than three times the mean. `even_per_ha` points are independent of patches, `patchy_per_ha` are in them.
+    The density in patches follows the square of normal noise: a quarter of the ground has less than a tenth
+    of the mean, and
+    a twelfth more than three times the mean. `even_per_ha` points are independent of patches, `patchy_per_ha`
+    are in them.
     """
     band = waves(generator(seed, purpose, 0, 0, 2), _PATCH_WAVELENGTHS_M, 1.0)
     most_per_ha = even_per_ha + _DENSEST_PATCH * patchy_per_ha
@@ -103,7 +108,8 @@ def hard_core(*, seed: int, purpose: Growth, per_ha: float) -> PointPattern:
         return found
 
     def points(ix: int, iy: int) -> F8:
-        own, rivals = candidates(ix, iy), around(ix, iy, candidates)
+        own = candidates(ix, iy)
+        rivals = around(ix, iy, candidates)
         dx, dy = (own[:, None, axis] - rivals[:, axis] for axis in (0, 1))
         beaten = (dx * dx + dy * dy < distance_m * distance_m) & (rivals[:, 2] < own[:, None, 2])
         return own[~beaten.any(axis=1), :2]
@@ -128,18 +134,24 @@ def clustered(section: Clusters, *, seed: int, purpose: Growth, per_ha: float) -
     return PointPattern(per_ha, lambda ix, iy: _inside(around(ix, iy, members), ix, iy))
 
 
-def planted(section: Plantation, *, seed: int, purpose: Growth, per_ha: float, free_share: float = 1.0) -> PointPattern:
+def planted(
+    section: Plantation, *, seed: int, purpose: Growth, per_ha: float, free_share: float = 1.0
+) -> PointPattern:
     """Plant rows and keep a random share of the trees; `free_share` of the ground is off trails.
 
     Raises GeometryError if the density off trails exceeds the planted density.
     """
-    row_spacing_m, tree_spacing_m = section.row_spacing_m, section.tree_spacing_m
+    row_spacing_m = section.row_spacing_m
+    tree_spacing_m = section.tree_spacing_m
     whole_per_ha = 10_000 / (row_spacing_m * tree_spacing_m)
     if per_ha > whole_per_ha:
-        rows = f"{whole_per_ha * free_share:.0f}, which rows of {row_spacing_m:g} m x {tree_spacing_m:g} m hold"
+        rows = (
+            f"{whole_per_ha * free_share:.0f}, which rows of {row_spacing_m:g} m x {tree_spacing_m:g} m hold"
+        )
         where = " off the trails" if free_share < 1 else ""
         raise GeometryError("stems_per_ha", f"found {per_ha * free_share:g}", f"at most {rows}{where}")
-    spacing_m, towards = np.array([tree_spacing_m, row_spacing_m]), math.radians(section.azimuth_deg)
+    spacing_m = np.array([tree_spacing_m, row_spacing_m])
+    towards = math.radians(section.azimuth_deg)
     # Rows of the matrix: along and across the planted rows.
     row_R_world = np.array([[cos(towards), sin(towards)], [-sin(towards), cos(towards)]])
 

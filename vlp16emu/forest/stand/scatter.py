@@ -1,6 +1,7 @@
 """Plants and things under the trees, scattered over the ground: one layer per section of a scene.
 
-Positions come from a point pattern, sizes and appearance from random numbers of the tile; things in the way of the path
+Positions come from a point pattern, sizes and appearance from random numbers of the tile; things in the way
+of the path
 or of a trunk are left out.
 """
 
@@ -30,7 +31,15 @@ from vlp16emu.forest.plants.prototypes import (
 from vlp16emu.forest.plants.species import BARK_SPREAD, LEAF_SPREAD, known
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS, LOG_TAPER, FloorKind, labelled
-from vlp16emu.forest.stand.placed import PlacedThings, between, laid, placements, plant_surfaces, together, turned
+from vlp16emu.forest.stand.placed import (
+    PlacedThings,
+    between,
+    laid,
+    placements,
+    plant_surfaces,
+    together,
+    turned,
+)
 from vlp16emu.forest.stand.points import Land, PointPattern, patchy, pattern_of, scattered
 from vlp16emu.forest.stand.stand import REGENERATION, TREE, class_scale
 from vlp16emu.forest.tiles import tile_distance_m
@@ -40,8 +49,10 @@ from vlp16emu.types import F8, I8, HeightField, Semantic
 from vlp16emu.world.vectors import places_m
 
 _CLASS_RATIO = 1.4  # ratio of the heights of neighbouring prototypes: none is scaled by more than a fifth
-_ROOM_SHARE, _MOST_ROOM_M = 0.15, 0.5
-"""Distance of a sapling from a tree, bark to bark, over its height, and its upper limit: assumption; none grows through
+_ROOM_SHARE = 0.15
+_MOST_ROOM_M = 0.5
+"""Distance of a sapling from a tree, bark to bark, over its height, and its upper limit: assumption; none
+grows through
 the foot of another."""
 _FOOT_SHARE = 0.1  # radius of the foot of a shrub's stems over its width
 
@@ -56,7 +67,9 @@ class LayerKind:
     name: str  # key of the section
     purpose: Growth  # purpose of its random numbers
     draws: tuple[int, ...]  # numbers drawn for each thing, in groups
-    lay: Callable[..., PlacedThings]  # makes things from the layer, trunks, positions (n, 2) and draws (n, draws)
+    lay: Callable[
+        ..., PlacedThings
+    ]  # makes things from the layer, trunks, positions (n, 2) and draws (n, draws)
     shape: FloorKind | None = None  # shape of ground cover
     spread: float = 1.0  # width over height, for a tuft already in its shape; assumption
     reach_m: float = math.inf
@@ -71,7 +84,8 @@ class LayerKind:
 class Layer:
     """Plants or things of one section of a scene, off the trails.
 
-    A section without species uses the canopy's species, for saplings the living ones. Raises GeometryError for a species that
+    A section without species uses the canopy's species, for saplings the living ones. Raises GeometryError
+    for a species that
     is not in the table, and for saplings without any species.
     """
 
@@ -79,7 +93,9 @@ class Layer:
         self, section: Section, land: Land, *, season: settings.Season = "leaf_on", canopy: Sequence[str] = ()
     ) -> None:
         self.section: Any = section
-        self.kind, self.season, self.land = _KINDS[type(section)], season, land
+        self.kind = _KINDS[type(section)]
+        self.season = season
+        self.land = land
         self.species: Sequence[Any] = []  # species of the plants, living or dead
         plants = land.plants
         match section:
@@ -93,14 +109,18 @@ class Layer:
                 self.species = known(section.species, plants.shrubs, "shrubs.species")
             case settings.Logs() | settings.Stumps():
                 self.species = known(section.species or canopy, plants.trees, f"{self.kind.name}.species")
-        self.pattern = _pattern(section, self.kind, land)  # before things on the path and in trunks are left out
+        self.pattern = _pattern(
+            section, self.kind, land
+        )  # before things on the path and in trunks are left out
 
     def place(self, ix: int, iy: int, trunks: F8) -> PlacedThings:
         """Place the things of a tile clear of trunks (m, 3): x, y and radius at the ground of stems on it and its neighbours."""
         near = tile_distance_m((ix, iy), self.land.path) < self.kind.reach_m
         xy_m = self.pattern.points(ix, iy) if near else np.zeros((0, 2))
         rng = generator(self.land.seed, self.kind.purpose, ix, iy, 1)
-        return self.kind.lay(self, trunks, xy_m, *(rng.random((len(xy_m), count)) for count in self.kind.draws))
+        return self.kind.lay(
+            self, trunks, xy_m, *(rng.random((len(xy_m), count)) for count in self.kind.draws)
+        )
 
     def are_clear(self, trunks: F8, xy_m: F8, reach_m: F8, foot_m: F8) -> Mask:
         """Return a mask (n,) of points (n, 2) that keep `reach_m` (n,) away from the path, and `foot_m` (n,) from all trunks."""
@@ -120,7 +140,8 @@ def layers_of(section: settings.Woods, land: Land, canopy: Sequence[str]) -> lis
 
 def _lay_plants(layer: Layer, trunks: F8, xy_m: F8, draws: F8) -> PlacedThings:
     """Place young trees, or bushes of several stems."""
-    own, kind = layer.section, (len(layer.species) * draws[:, 1]).astype(int)
+    own = layer.section
+    kind = (len(layer.species) * draws[:, 1]).astype(int)
     is_shrub = isinstance(own, settings.Shrubs)
     if is_shrub:
         low_m, high_m, wide = np.array([(*one.height_m, one.width_share) for one in layer.species])[kind].T
@@ -132,11 +153,15 @@ def _lay_plants(layer: Layer, trunks: F8, xy_m: F8, draws: F8) -> PlacedThings:
         width_m = CROWN_WIDTH_SHARE * height_m
         foot_m = height_m / SLENDERNESS / 2 + np.minimum(_ROOM_SHARE * height_m, _MOST_ROOM_M)
     keep = layer.are_clear(trunks, xy_m, width_m / 2, foot_m)
-    xy_m, height_m, kind, draws = xy_m[keep], height_m[keep], kind[keep], draws[keep]
+    xy_m = xy_m[keep]
+    height_m = height_m[keep]
+    kind = kind[keep]
+    draws = draws[keep]
     plants = np.zeros(len(xy_m), TREE)
     plants["x_m"], plants["y_m"] = xy_m.T
     plants["z_m"] = layer.land.height_m(*xy_m.T)
-    plants["height_m"], plants["crown_azimuth_deg"] = height_m, 360 * draws[:, 2]
+    plants["height_m"] = height_m
+    plants["crown_azimuth_deg"] = 360 * draws[:, 2]
     plants["crown_class"] = np.round(log(height_m) / log(_CLASS_RATIO))
     plants["crown_variant"] = VARIANTS * draws[:, 3]
     looks = [(one.number, one.bark_reflectance, one.leaf_reflectance) for one in layer.species]
@@ -146,13 +171,21 @@ def _lay_plants(layer: Layer, trunks: F8, xy_m: F8, draws: F8) -> PlacedThings:
     prototype_m = [class_scale(_CLASS_RATIO, number) for number in plants["crown_class"].tolist()]
     size = np.repeat((height_m / np.array(prototype_m))[:, None], 3, axis=1)
     world_T = placements(places_m(plants), turned(plants["crown_azimuth_deg"]), size)
-    prototypes = zip((layer.species[i] for i in kind), plants["crown_variant"].tolist(), prototype_m, strict=True)
+    prototypes = zip(
+        (layer.species[i] for i in kind), plants["crown_variant"].tolist(), prototype_m, strict=True
+    )
     if is_shrub:
-        shrubs = [ShrubKey(one.name, variant, m, one.width_share * m, layer.season) for one, variant, m in prototypes]
-        return PlacedThings(shrubs, world_T, plant_surfaces(plants, SHRUB_PARTS, layer.land.plants, Semantic.SHRUB))
+        shrubs = [
+            ShrubKey(one.name, variant, m, one.width_share * m, layer.season)
+            for one, variant, m in prototypes
+        ]
+        return PlacedThings(
+            shrubs, world_T, plant_surfaces(plants, SHRUB_PARTS, layer.land.plants, Semantic.SHRUB)
+        )
     plants["storey"] = plants["cohort"] = REGENERATION
     plants["dbh_m"] = np.maximum(height_m - BREAST_HEIGHT_M, 0.0) / SLENDERNESS
-    plants["crown_base_m"], plants["crown_width_m"] = CROWN_BASE_SHARE * height_m, CROWN_WIDTH_SHARE * height_m
+    plants["crown_base_m"] = CROWN_BASE_SHARE * height_m
+    plants["crown_width_m"] = CROWN_WIDTH_SHARE * height_m
     saplings = [SaplingKey(one.name, variant, m, layer.season) for one, variant, m in prototypes]
     return PlacedThings(saplings, world_T, plant_surfaces(plants, SAPLING_PARTS, layer.land.plants), plants)
 
@@ -163,16 +196,24 @@ _SUNK = 0.25  # share of its half height that a sound log has sunk into the grou
 _DECAY = (0.3, 1.0)
 """Range of decay of a rotten log: from round to oval, the third of five classes, to lying wholly on the
 ground (decay class system for coarse woody debris in Ann. For. Sci. 67(8), 2010, f09374, table I)."""
-_DECAYED_LOWER, _DECAYED_WIDER, _DECAYED_SUNK = 0.5, 0.2, 0.5
-"""Decrease of height and increase of width of a log's section at decay 1, and its extra sinking; assumptions."""
-_BREAK_AT, _BREAK_GAP, _BREAK_TURN = (0.35, 0.65), (0.02, 0.1), np.radians(12.0)
-"""Range of the position of a break and of its gap, over the length, and half-range of the angle between the pieces;
+_DECAYED_LOWER = 0.5
+_DECAYED_WIDER = 0.2
+_DECAYED_SUNK = 0.5
+"""Decrease of height and increase of width of a log's section at decay 1, and its extra sinking;
 assumptions."""
-_PLATE_M, _PLATE_PER_DIAMETER = 1.0, 4.0
+_BREAK_AT = (0.35, 0.65)
+_BREAK_GAP = (0.02, 0.1)
+_BREAK_TURN = np.radians(12.0)
+"""Range of the position of a break and of its gap, over the length, and half-range of the angle between the
+pieces;
+assumptions."""
+_PLATE_M = 1.0
+_PLATE_PER_DIAMETER = 4.0
 """Diameter of a root plate: intercept, and slope over the mean diameter of the log; assumption."""
 _PLATE_THICKNESS = 0.25  # over its diameter; assumption
 _PLATE_AXIS = 0.3
-"""Height of the butt over the ground over the plate's diameter; the plate's lower part is in its pit; assumption."""
+"""Height of the butt over the ground over the plate's diameter; the plate's lower part is in its pit;
+assumption."""
 _PLATE_STATIONS = np.linspace(-0.4, 0.4, 5)
 """Stations across a plate at which the distance from the path and from trunks is sampled."""
 
@@ -200,7 +241,8 @@ def _lay_logs(layer: Layer, trunks: F8, xy_m: F8, draws: F8, fate: F8) -> Placed
     """Place trunks along the ground, some with their root plate, some broken in two, some rotten."""
     own = layer.section
     diameter_m = between(own.diameter_m, draws[:, 0])
-    is_uprooted, is_broken = fate[:, 0] < own.uprooted, fate[:, 1] < own.broken
+    is_uprooted = fate[:, 0] < own.uprooted
+    is_broken = fate[:, 1] < own.broken
     # A log with a standing root plate is young.
     decay = np.where((fate[:, 2] < own.decayed) & ~is_uprooted, between(_DECAY, fate[:, 3]), 0.0)
     whole = _Pieces(
@@ -216,14 +258,17 @@ def _lay_logs(layer: Layer, trunks: F8, xy_m: F8, draws: F8, fate: F8) -> Placed
     )
     pieces = _broken(whole, is_broken, fate[:, 4:])
     world_T = _laid_down(pieces, layer.land.height_m)
-    along_m, sideways = pieces.along_m(), pieces.towards + np.pi / 2
+    along_m = pieces.along_m()
+    sideways = pieces.towards + np.pi / 2
     across_m = _line_m(along_m[:, 0], sideways, pieces.plate_m[:, None] * _PLATE_STATIONS)
     keep = _are_clear(layer, trunks, along_m, pieces.wide_m / 2)
     keep &= _are_clear(layer, trunks, across_m, _PLATE_THICKNESS * pieces.plate_m)
     keep = np.bincount(pieces.log, ~keep, len(xy_m))[pieces.log] == 0
-    species, looks = _sampled_species(layer, draws)[pieces.log], draws[pieces.log]
+    species = _sampled_species(layer, draws)[pieces.log]
+    looks = draws[pieces.log]
     log_looks = np.where(pieces.is_top[:, None], looks[:, [6, 5]], looks[:, 4:6])
-    in_two, has_plate = is_broken[pieces.log], pieces.plate_m > 0
+    in_two = is_broken[pieces.log]
+    has_plate = pieces.plate_m > 0
     # Plates stand at the butts, across the logs.
     along = world_T[:, :, 0] / pieces.length_m[:, None]
     across = laid(pieces.towards, along[:, 2] / hypot(along[:, 0], along[:, 1]))
@@ -239,8 +284,10 @@ def _lay_logs(layer: Layer, trunks: F8, xy_m: F8, draws: F8, fate: F8) -> Placed
 
 
 def _lay_stumps(layer: Layer, trunks: F8, xy_m: F8, draws: F8) -> PlacedThings:
-    own, species = layer.section, _sampled_species(layer, draws)
-    diameter_m, height_m = between(own.diameter_m, draws[:, 0]), between(own.height_m, draws[:, 1])
+    own = layer.section
+    species = _sampled_species(layer, draws)
+    diameter_m = between(own.diameter_m, draws[:, 0])
+    height_m = between(own.height_m, draws[:, 1])
     keep = layer.are_clear(trunks, xy_m, 0.8 * diameter_m, 0.8 * diameter_m)
     place_m = np.column_stack([xy_m, layer.land.height_m(*xy_m.T)])
     size = np.column_stack([diameter_m, diameter_m, height_m])
@@ -258,17 +305,23 @@ def _sampled_species(layer: Layer, draws: F8) -> I8:
 def _broken(whole: _Pieces, is_broken: Mask, draws: F8) -> _Pieces:
     """Break some of the logs (n,) in two; draws (n, 3) give position, gap and angle."""
     log = np.append(whole.log, np.flatnonzero(is_broken))
-    is_top, towards, whole_m = np.arange(len(log)) >= len(whole.log), whole.towards[log], whole.length_m[log]
-    at, gap = between(_BREAK_AT, draws[log, 0]), between(_BREAK_GAP, draws[log, 1])
+    is_top = np.arange(len(log)) >= len(whole.log)
+    towards = whole.towards[log]
+    whole_m = whole.length_m[log]
+    at = between(_BREAK_AT, draws[log, 0])
+    gap = between(_BREAK_GAP, draws[log, 1])
     share = np.where(is_top, 1 - at - gap, np.where(is_broken[log], at, 1.0))
     middle = np.where(is_top, at / 2, -0.5 + share / 2)
     thick = np.where(is_broken[log], 1 - 2 * LOG_TAPER * middle, 1.0)
     length_m = share * whole_m
-    xy_m = _line_m(whole.xy_m[log], towards, (np.where(is_top, at + gap - 0.5, middle) * whole_m)[:, None])[:, 0]
+    xy_m = _line_m(whole.xy_m[log], towards, (np.where(is_top, at + gap - 0.5, middle) * whole_m)[:, None])[
+        :, 0
+    ]
     # The upper piece is turned about its lower end.
     towards = towards + np.where(is_top, _BREAK_TURN * (2 * draws[log, 2] - 1), 0.0)
     xy_m[is_top] = _line_m(xy_m[is_top], towards[is_top], length_m[is_top, None] / 2)[:, 0]
-    wide_m, high_m = thick * whole.wide_m[log], thick * whole.high_m[log]
+    wide_m = thick * whole.wide_m[log]
+    high_m = thick * whole.high_m[log]
     plate_m = np.where(is_top, 0.0, whole.plate_m[log])
     return _Pieces(log, is_top, xy_m, towards, length_m, wide_m, high_m, whole.sunk[log], plate_m)
 
@@ -327,13 +380,16 @@ def normal_quantile(probability: F8) -> F8:
 
 
 _STONE_M = (0.1, 1.5)  # range of the length of a stone; assumption
-_STONE_MEDIAN_M, _STONE_SIGMA = 0.22, 0.6
+_STONE_MEDIAN_M = 0.22
+_STONE_SIGMA = 0.6
 """Parameters of the log-normal distribution of lengths, before truncation at both ends; assumptions."""
 _STONE_SHARES = (0.0944070172326103, 0.999311242465033)
 """Shares of the untruncated distribution below the least and the greatest length."""
 _STONE_BURIED = (0.3, 0.6)  # range of the buried share of a stone's height; assumption
 _STONE_WIDTH, _STONE_HEIGHT = 0.8, 0.6  # width and height over length; assumptions
-_LARGE_STONE_M = 0.4  # longer stones have four times the faces; the faces of shorter ones are off by less than 3 mm
+_LARGE_STONE_M = (
+    0.4  # longer stones have four times the faces; the faces of shorter ones are off by less than 3 mm
+)
 _MOST_IN_PATCHES_PER_M2 = 4.0  # mean density; with more plants in patches a tile could run out of numbers
 _SLOPE_M = 0.2  # distance to either side for the slope under a cushion or heap
 
@@ -341,11 +397,14 @@ _SLOPE_M = 0.2  # distance to either side for the slope under a cushion or heap
 def plants_per_ha(section: settings.Cover, spread: float, *, patches: bool) -> tuple[float, float]:
     """Plants per hectare, even ones and ones in patches, to cover a share c of the ground, overlaps counted once.
 
-    Discs of area a in patches of mean density d leave (1 + 2 a d)^(-1/2) of the plane bare: the mean of exp(-a d n^2) over
-    normal noise n. It is assumed to be 1 / (1 + c (1 - c)): most plants are in patches at low cover, and few at closed cover.
+    Discs of area a in patches of mean density d leave (1 + 2 a d)^(-1/2) of the plane bare: the mean of
+    exp(-a d n^2) over
+    normal noise n. It is assumed to be 1 / (1 + c (1 - c)): most plants are in patches at low cover, and few
+    at closed cover.
     Even ones cover the rest. Heights are uniform between least and greatest, `spread` is width over height.
     """
-    (low, high), cover = section.height_m, section.cover
+    (low, high) = section.height_m
+    cover = section.cover
     area_m2 = math.pi / 4 * spread * spread * (low * low + low * high + high * high) / 3
     in_patches = min(cover * (1 - cover), _MOST_IN_PATCHES_PER_M2 * area_m2) if patches else 0.0
     patchy = in_patches + in_patches * in_patches / 2
@@ -362,11 +421,14 @@ def _pattern(section: Section, kind: LayerKind, land: Land) -> PointPattern:
         case settings.Cover():
             even, in_patches = plants_per_ha(section, kind.spread, patches=not kind.is_ground)
             if in_patches:
-                return patchy(seed=land.seed, purpose=kind.purpose, even_per_ha=even, patchy_per_ha=in_patches)
+                return patchy(
+                    seed=land.seed, purpose=kind.purpose, even_per_ha=even, patchy_per_ha=in_patches
+                )
         case settings.Grass():
             even = 10_000 * section.tufts_per_m2
         case settings.Stones():
-            # Overlaps counted once, scattered discs of mean area a and density d leave exp(-a d) of the plane bare
+            # Overlaps counted once, scattered discs of mean area a and density d leave exp(-a d) of the plane
+            # bare
             # (Boolean model; Chiu et al., Stochastic Geometry, section 3.1).
             even = -log1p(-section.cover) / _stone_area_m2() * 10_000
         case settings.Logs() | settings.Stumps():
@@ -401,7 +463,8 @@ def _lay_stones(layer: Layer, trunks: F8, xy_m: F8, draws: F8) -> PlacedThings:
 
 def _lay_low(layer: Layer, trunks: F8, xy_m: F8, draws: F8) -> PlacedThings:
     """Place low ground cover beside the path; moss and litter, which are ground, follow the slope."""
-    height_m, kind = between(layer.section.height_m, draws[:, 0]), layer.kind
+    height_m = between(layer.section.height_m, draws[:, 0])
+    kind = layer.kind
     keep = layer.land.path.distance_m(xy_m) < kind.reach_m
     world_R_thing = turned(360 * draws[:, 1])
     if kind.is_ground:
@@ -412,7 +475,9 @@ def _lay_low(layer: Layer, trunks: F8, xy_m: F8, draws: F8) -> PlacedThings:
         world_R_ground = matmul(laid(towards, hypot(east, north)), turned(np.degrees(-towards)))
         world_R_thing = matmul(world_R_ground, world_R_thing)
     else:
-        keep[keep] = layer.are_clear(trunks, xy_m[keep], kind.spread * height_m[keep] / 2, np.zeros(keep.sum()))
+        keep[keep] = layer.are_clear(
+            trunks, xy_m[keep], kind.spread * height_m[keep] / 2, np.zeros(keep.sum())
+        )
     place_m = np.column_stack([xy_m, layer.land.height_m(*xy_m.T)])
     size = height_m[:, None] * [kind.spread, kind.spread, 1.0]
     assert kind.shape is not None

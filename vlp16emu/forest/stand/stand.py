@@ -47,22 +47,34 @@ TREE = np.dtype(  # one tree
     ]
 )
 REGENERATION = 255  # storey of saplings: DBH below 5 cm, or 0 if lower than breast height
-_CLASS_RATIO = 1.5  # ratio of diameters of neighbouring crown classes: no crown is scaled by more than a quarter
-_OPEN_GROWN = 1.5  # upper limit of the ground area whose leaves one crown carries, over its projection; assumption
+_CLASS_RATIO = (
+    1.5  # ratio of diameters of neighbouring crown classes: no crown is scaled by more than a quarter
+)
+_OPEN_GROWN = (
+    1.5  # upper limit of the ground area whose leaves one crown carries, over its projection; assumption
+)
 RIVALS_M = 10.0
-"""Distance to which trees compete. Hasenauer and Monserud (1996) use angle counts, which reach as far for 40 cm stems."""
-_WIDTH_BY_HEIGHT, _WIDTH_BY_RATIO = -0.2, 0.23
-"""Correlation of crown width residuals with height and crown ratio residuals: pooled from [B] in the species table."""
+"""Distance to which trees compete. Hasenauer and Monserud (1996) use angle counts, which reach as far for 40
+cm stems."""
+_WIDTH_BY_HEIGHT = -0.2
+_WIDTH_BY_RATIO = 0.23
+"""Correlation of crown width residuals with height and crown ratio residuals: pooled from [B] in the species
+table."""
 _LEVELS = np.linspace(-1.2, 1.2, VARIANTS)
-"""Crown ratio residuals of the prototypes of a class, in sigmas, so that no crown is stretched much along its stem."""
-_MOST_SIGMAS = 2.5  # limit of residuals: larger ones are likely measuring errors; keeps crowns near their prototypes
+"""Crown ratio residuals of the prototypes of a class, in sigmas, so that no crown is stretched much along its
+stem."""
+_MOST_SIGMAS = (
+    2.5  # limit of residuals: larger ones are likely measuring errors; keeps crowns near their prototypes
+)
 _LEAN_SIGMA_DEG = 1.5  # one sigma of lean along each horizontal axis; assumption
 _HEAD_ROOM_M = 2.5  # height up to which a leaning stem must stay clear of the path: above a walker's head
 _STEM_GAP_M = 0.05  # least gap between two stems at the ground; assumption
 _TILES_KEPT = 1024  # tiles whose trees are kept for their neighbours: more than a window with its border has
 _MOST_BASAL_M2_PER_HA = 350.0
-"""Greatest basal area of all storeys. Coast redwoods, the densest known, reportedly have 343 (Fujimori 1977, Journal of the
-Japanese Forestry Society 59, not accessible; Busing and Fujimori 2005, 10.1007/s11258-005-2322-8, give that stand 3000 to
+"""Greatest basal area of all storeys. Coast redwoods, the densest known, reportedly have 343 (Fujimori 1977,
+Journal of the
+Japanese Forestry Society 59, not accessible; Busing and Fujimori 2005, 10.1007/s11258-005-2322-8, give that
+stand 3000 to
 5200 t of stems per ha)."""
 _STOREYS = (Growth.STAND, Growth.SECOND_STOREY, Growth.THIRD_STOREY)
 
@@ -71,7 +83,8 @@ class _Cohort:
     """The trees of one species in a stand: diameters, and the sizes that follow from a diameter."""
 
     def __init__(self, share: SpeciesShare, plants: Flora) -> None:
-        self.share, self.species = share, known([share.species], plants.trees, "species")[0]
+        self.share = share
+        self.species = known([share.species], plants.trees, "species")[0]
         midpoints = (np.arange(4096) + 0.5) / 4096
         raw_cm = truncated_weibull_cm(self.species.diameters, midpoints, share.dbh_cm)
         self._scale = share.dbh_cm / math.sqrt(float(np.mean(np.square(raw_cm))))
@@ -98,14 +111,19 @@ class _Cohort:
         return trees
 
 
-def competition(rivals: F8, area_m2: float, larger: NDArray[np.bool_], near: NDArray[np.bool_]) -> tuple[F8, F8]:
+def competition(
+    rivals: F8, area_m2: float, larger: NDArray[np.bool_], near: NDArray[np.bool_]
+) -> tuple[F8, F8]:
     """Basal area of larger trees in m2 per ha, and crown competition factor in percent, each (n,).
 
-    `rivals` (m, 2) are sections at breast height and open-grown crown projections in m2; `area_m2` is the area around each of
+    `rivals` (m, 2) are sections at breast height and open-grown crown projections in m2; `area_m2` is the
+    area around each of
     n trees; `larger` and `near` (n, m) are true if a rival is thicker, and within that area.
     """
     basal_m2, crown_m2 = rivals.T
-    return 1e4 / area_m2 * (larger * near * basal_m2).sum(axis=1), 100 / area_m2 * (near * crown_m2).sum(axis=1)
+    return 1e4 / area_m2 * (larger * near * basal_m2).sum(axis=1), 100 / area_m2 * (near * crown_m2).sum(
+        axis=1
+    )
 
 
 def residuals(normal: F8) -> F8:
@@ -165,12 +183,14 @@ def _stem_m2(storey: Storey) -> float:
 class Stand:
     """A mixed stand on a terrain, without edge, with path and trails free of stems.
 
-    If two stems would overlap, the thicker one remains. Raises GeometryError for a species that is not in the table,
+    If two stems would overlap, the thicker one remains. Raises GeometryError for a species that is not in the
+    table,
     and for too many stems.
     """
 
     def __init__(self, section: Forest, land: Land) -> None:
-        self._section, self._land = section, land
+        self._section = section
+        self._land = land
         storeys: list[Storey] = [section, *section.storeys]
         self._patterns = [
             pattern_of(storey.pattern, land, purpose=purpose, per_ha=density_per_ha(storey))
@@ -183,10 +203,13 @@ class Stand:
         basal_m2 = sum(density_per_ha(storey) * _stem_m2(storey) for storey in storeys)
         if basal_m2 > _MOST_BASAL_M2_PER_HA:
             found = f"found a basal area of {basal_m2:.0f} m2 per ha"
-            raise GeometryError("stems_per_ha", found, f"at most {_MOST_BASAL_M2_PER_HA:g}: fewer or thinner stems")
+            raise GeometryError(
+                "stems_per_ha", found, f"at most {_MOST_BASAL_M2_PER_HA:g}: fewer or thinner stems"
+            )
         samples = [_sample(*storey) for storey in zip(self._patterns, self._cohorts, strict=True)]
         self._rivals_cm, per_ha_m2 = (np.concatenate(column) for column in zip(*samples, strict=True))
-        self._rivals_m2, cover = per_ha_m2[:, :2], float(per_ha_m2[:, 2].sum()) / 10_000
+        self._rivals_m2 = per_ha_m2[:, :2]
+        cover = float(per_ha_m2[:, 2].sum()) / 10_000
         self._ground_per_crown = 1 / max(cover, 1 / _OPEN_GROWN)
         self._crown = cache(self.crown)
         self._sown = lru_cache(maxsize=_TILES_KEPT)(self._sow)
@@ -205,7 +228,11 @@ class Stand:
         pressure = competition(rivals[:, 4:6], np.pi * RIVALS_M * RIVALS_M, thicker, near)
         for i, cohort in enumerate(self._all_cohorts):
             which = trees["cohort"] == i
-            sizes = 100 * trees["dbh_m"][which], trees["height_m"][which], tuple(one[which] for one in pressure)
+            sizes = (
+                100 * trees["dbh_m"][which],
+                trees["height_m"][which],
+                tuple(one[which] for one in pressure),
+            )
             trees["crown_base_m"][which] = cohort.species.crown_base_m(*sizes, own[which, 6])
         kinds, of = np.unique(trees[["cohort", "crown_class"]], return_inverse=True)
         crowns = [self._crown(*kind, variant) for kind in kinds.tolist() for variant in range(VARIANTS)]
@@ -218,7 +245,8 @@ class Stand:
     def _sow(self, ix: int, iy: int) -> tuple[Trees, F8]:
         """Trees sown on a tile, without crown bases, and (n, 7) values of each.
 
-        The values are x, y, radius at the ground, DBH, the two competition areas, and the residual of the crown ratio.
+        The values are x, y, radius at the ground, DBH, the two competition areas, and the residual of the
+        crown ratio.
         """
         storeys = [self._sow_storey(number, ix, iy) for number in range(len(self._patterns))]
         trees, ratio = (np.concatenate(column) for column in zip(*storeys, strict=True))
@@ -233,7 +261,8 @@ class Stand:
     def _sow_storey(self, number: int, ix: int, iy: int) -> tuple[Trees, F8]:
         position = self._patterns[number].points(ix, iy)
         rng = generator(self._land.seed, Growth.TREE, ix, iy, number)
-        uniform, normal = rng.random((len(position), 5)), rng.standard_normal((len(position), 6))
+        uniform = rng.random((len(position), 5))
+        normal = rng.standard_normal((len(position), 6))
         trees = np.zeros(len(position), TREE)
         trees["x_m"], trees["y_m"] = position.T
         trees["z_m"] = self._land.height_m(trees["x_m"], trees["y_m"])
@@ -257,7 +286,8 @@ class Stand:
     def crown(self, cohort: int, crown_class: int, variant: int) -> CrownKey:
         """Return the key of the crown prototype of a diameter class; variants have short to long crowns.
 
-        Each species has its leaf area index on its share of the ground, divided among trees by their crown projection.
+        Each species has its leaf area index on its share of the ground, divided among trees by their crown
+        projection.
         """
         own = self._all_cohorts[cohort]
         dbh_cm = np.array([own.share.dbh_cm * class_scale(_CLASS_RATIO, crown_class)])
@@ -278,10 +308,13 @@ def _sample(pattern: PointPattern, cohorts: list[_Cohort]) -> tuple[F8, F8]:
     whole = sum(cohort.share.share for cohort in cohorts)
     areas_m2 = []
     for cohort in cohorts:
-        species, dbh_cm = cohort.species, cohort.sample_cm
+        species = cohort.species
+        dbh_cm = cohort.sample_cm
         # Ratio of the mean of squares to the square of the mean.
         wider = exp(species.spread.crown_width * species.spread.crown_width)
-        area_m2 = np.column_stack([species.rival_m2(dbh_cm), wider * _projection_m2(species.crown_width_m(dbh_cm))])
+        area_m2 = np.column_stack(
+            [species.rival_m2(dbh_cm), wider * _projection_m2(species.crown_width_m(dbh_cm))]
+        )
         areas_m2.append(pattern.per_ha * cohort.share.share / whole / len(dbh_cm) * area_m2)
     return np.concatenate([cohort.sample_cm for cohort in cohorts]), np.concatenate(areas_m2)
 

@@ -40,7 +40,9 @@ class Cutter:
     def __init__(self, vertices_m: Sequence[F8], faces: Sequence[Faces]) -> None:
         first = np.cumsum([0, *map(len, vertices_m)])
         self.vertices_m = np.concatenate(vertices_m)
-        corners = np.concatenate([own.astype(np.int64) + begin for own, begin in zip(faces, first, strict=False)])
+        corners = np.concatenate(
+            [own.astype(np.int64) + begin for own, begin in zip(faces, first, strict=False)]
+        )
         # Numbers of vertices from 0, equal at equal positions.
         order = np.lexsort(self.vertices_m.T)
         apart = (self.vertices_m[order[1:]] != self.vertices_m[order[:-1]]).any(axis=1)
@@ -60,8 +62,10 @@ class Cutter:
         faces = self.faces[: np.searchsorted(self._low_m, at_m)]
         above = self.vertices_m[faces, 2] > at_m
         met = above.any(axis=1)
-        faces, above = faces[met], above[met]
-        start, end = faces, np.roll(faces, -1, axis=1)
+        faces = faces[met]
+        above = above[met]
+        start = faces
+        end = np.roll(faces, -1, axis=1)
         crosses = above != np.roll(above, -1, axis=1)  # two edges of each face
         low, high = np.minimum(start, end)[crosses], np.maximum(start, end)[crosses]
         edges, of = np.unique(low * len(self.vertices_m) + high, return_inverse=True)
@@ -98,7 +102,9 @@ def _measured(ring_m: F8) -> Outline:
 
 
 _FOOT_SHARE = 0.01  # relative height of the section whose centre is the foot
-_BOLE, _BOLE_M = 1.5, 0.02  # stem faces farther from the axis than this many radii plus this distance are not bole
+# stem faces farther from the axis than this many radii plus this distance are not bole
+_BOLE = 1.5
+_BOLE_M = 0.02
 _TILTS = 1024  # classes of leaf faces by their tilt
 _KEPT_CUTS = 16_384  # cached sections of a model: more than there are trees in a window
 _AROUND = np.array([cos(np.arange(36) * np.pi / 36), sin(np.arange(36) * np.pi / 36)])
@@ -108,15 +114,19 @@ _AROUND = np.array([cos(np.arange(36) * np.pi / 36), sin(np.arange(36) * np.pi /
 class TreeModel:
     """A tree model from the user, with its foot at the origin.
 
-    The foot is the centre of the stem at the file's height 0, or at the stem's lower end if it does not reach 0. Deciduous
-    leaves are left out in the leaf-off season. Raises GeometryError for a part that the file does not have, or a stem without
+    The foot is the centre of the stem at the file's height 0, or at the stem's lower end if it does not reach
+    0. Deciduous
+    leaves are left out in the leaf-off season. Raises GeometryError for a part that the file does not have,
+    or a stem without
     a closed section at breast height.
     """
 
     def __init__(self, section: TreeModelFile, species: Species, season: Season) -> None:
-        self.path, self.species = Path(section.file), species
+        self.path = Path(section.file)
+        self.species = species
         mesh = door("load_mesh")(self.path, unit=section.unit, up=section.up)
-        own, names = {part.name: part.part for part in section.parts}, [name for name, _ in mesh.parts]
+        own = {part.name: part.part for part in section.parts}
+        names = [name for name, _ in mesh.parts]
         for name in own.keys() - set(names):
             raise GeometryError(f"{self.path}: parts", f"found {name!r}", f"one of {', '.join(names)}")
         parts = [PlantPart[own.get(name, "stem").upper()] for name in names]
@@ -144,7 +154,8 @@ class TreeModel:
             left = own_faces[:0] if sheds and part == PlantPart.LEAF else own_faces
             rows += self._meshes(part, vertices - foot_m, left)
         self.parts, self.far_parts, self.meshes = zip(*rows, strict=True)
-        """Parts of each mesh, for labels of points and for the far medium; branches of a stem part are a separate mesh."""
+        """Parts of each mesh, for labels of points and for the far medium; branches of a stem part are a
+        separate mesh."""
         self._keep_measures()
         text = f"{section.model_dump_json(exclude={'file'})} {sheds}"
         self.content = hashlib.sha256(self.path.read_bytes() + text.encode()).hexdigest()[:32]
@@ -154,7 +165,8 @@ class TreeModel:
         across = norm(world_T_model[:, :, 0])
         middle_m = matvec(world_T_model[:, None, :, :3], self._profile_m[:, :3])
         stems = profiles(world_T_model[:, :, 3], middle_m, across[:, None] * self._profile_m[:, 3], 0)
-        stems["flare_m"], stems["row"] = -1.0, rows[:, None] + self.far_parts.index(EXACT)
+        stems["flare_m"] = -1.0
+        stems["row"] = rows[:, None] + self.far_parts.index(EXACT)
         return stems
 
     def outline(self, height_m: float, above_m: float) -> Outline:
@@ -164,9 +176,11 @@ class TreeModel:
     def circles(self, trees: Trees) -> NDArray[np.void]:
         """Circles `STEM_CIRCLE` along the stems of trees (n,), from the ground to the tip, tree by tree."""
         profile_m = self._profile_m[self._profile_m[:, 2] >= 0.0]
-        world_T, across = self.world_T_model(trees), self.scale(trees)[:, 0]
+        world_T = self.world_T_model(trees)
+        across = self.scale(trees)[:, 0]
         up_m = matvec(world_T[:, None, :, :3], profile_m[:, :3])
-        at_m, radius_m = places_m(trees)[:, None] + up_m, across[:, None] * profile_m[:, 3]
+        at_m = places_m(trees)[:, None] + up_m
+        radius_m = across[:, None] * profile_m[:, 3]
         circles = circles_of(trees, 1, PlantPart.STEM, at_m, radius_m)
         circles["above_foot_m"] = up_m[..., 2]
         return circles.ravel()
@@ -174,7 +188,9 @@ class TreeModel:
     def scale(self, trees: Trees) -> F8:
         """Scale (n, 2) for trees: across, to match their DBH, and along the axis."""
         upright = cos(np.radians(trees["lean_deg"]))
-        own_m = [self.outline(height_m, BREAST_HEIGHT_M).diameter_m for height_m in trees["height_m"].tolist()]
+        own_m = [
+            self.outline(height_m, BREAST_HEIGHT_M).diameter_m for height_m in trees["height_m"].tolist()
+        ]
         return np.column_stack([trees["dbh_m"] / own_m, trees["height_m"] / upright / self.height_m])
 
     def world_T_model(self, trees: Trees) -> F8:
@@ -187,22 +203,28 @@ class TreeModel:
 
     def measure(self, row: np.void, tree: Trees) -> None:
         """Fill in the fields of a row `INVENTORY` that follow from the meshes of one tree (1,)."""
-        (world_T,), height_m = self.world_T_model(tree), float(tree["height_m"][0])
-        turn, foot_m, (across, along) = world_T[:, :3], world_T[:, 3], self.scale(tree)[0].tolist()
+        (world_T,) = self.world_T_model(tree)
+        height_m = float(tree["height_m"][0])
+        turn = world_T[:, :3]
+        foot_m = world_T[:, 3]
+        (across, along) = self.scale(tree)[0].tolist()
         breast, us = (self.outline(height_m, at_m) for at_m in (BREAST_HEIGHT_M, US_BREAST_HEIGHT_M))
         middle_m = np.append(breast.middle_m, BREAST_HEIGHT_M * self.height_m / height_m)
         row["x_breast_m"], row["y_breast_m"] = (matvec(turn, middle_m) + foot_m)[:2]
-        row["dbh_us_m"], row["girth_over_pi_m"] = across * us.diameter_m, across * breast.tape_m
+        row["dbh_us_m"] = across * us.diameter_m
+        row["girth_over_pi_m"] = across * breast.tape_m
         whole_m, crown_m = (matvec(turn, corners_m) for corners_m in (self._corners_m, self._crown_corners_m))
         for axis, name in enumerate("xy"):
             row[f"{name}_min_m"] = foot_m[axis] + whole_m[:, axis].min()
             row[f"{name}_max_m"] = foot_m[axis] + whole_m[:, axis].max()
-        row["top_m"], row["crown_base_m"] = whole_m[:, 2].max(), row["height_m"]
+        row["crown_base_m"] = row["height_m"]
+        row["top_m"] = whole_m[:, 2].max()
         if len(crown_m):
             row["crown_base_m"] = crown_m[:, 2].min()
             row["crown_width_m"] = np.ptp(matvec(_AROUND.T, crown_m[:, :2]), axis=0).mean()
         size = across * across * along
-        row["stem_m3"], row["wood_m3"] = size * self._stem_m3, size * self._wood_m3
+        row["stem_m3"] = size * self._stem_m3
+        row["wood_m3"] = size * self._wood_m3
         # Faces across the axis scale with the square of the width, upright ones with width and height.
         level_m2, upright_m2 = self._leaf_m2
         row["leaf_m2"] = hypot(across * across * level_m2, across * along * upright_m2).sum()
@@ -222,7 +244,8 @@ class TreeModel:
         faces_m = [mesh.vertices_m.astype(np.float64)[mesh.faces] for mesh in leaves]
         sides = [np.cross(face[:, 1] - face[:, 0], face[:, 2] - face[:, 0]) / 2 for face in faces_m]
         side_m2 = np.concatenate([np.zeros((0, 3)), *sides])
-        level_m2, upright_m2 = np.abs(side_m2[:, 2]), hypot(side_m2[:, 0], side_m2[:, 1])
+        level_m2 = np.abs(side_m2[:, 2])
+        upright_m2 = hypot(side_m2[:, 0], side_m2[:, 1])
         tilt = (atan2(level_m2, upright_m2) * (_TILTS / np.pi * 2.0)).astype(int).clip(max=_TILTS - 1)
         self._leaf_m2 = [np.bincount(tilt, m2, _TILTS) for m2 in (level_m2, upright_m2)]
 
@@ -230,7 +253,9 @@ class TreeModel:
         """Centres and radii (16, 4) of the stem, denser at the butt; interpolated linearly if it cannot be cut."""
         share = np.square(np.linspace(0.0, 1.0, 16))
         at_m = low_m + share * (high_m - low_m)
-        cuts = [self._stem.cut(low_m + own * (high_m - low_m)) for own in share.clip(1e-3, 1.0 - 1e-3).tolist()]
+        cuts = [
+            self._stem.cut(low_m + own * (high_m - low_m)) for own in share.clip(1e-3, 1.0 - 1e-3).tolist()
+        ]
         there = [i for i, cut in enumerate(cuts) if cut is not None]
         found = np.array([[*cut.middle_m, cut.diameter_m / 2] for cut in cuts if cut is not None])
         x_m, y_m, radius_m = (np.interp(at_m, at_m[there], column) for column in found.T)
@@ -281,7 +306,9 @@ class TreeModels:
     ) -> None:
         self._plants = plants or flora()
         keys = [f"world.tree_models.{i}.species" for i in range(len(files))]
-        species = [known([file.species], self._plants.trees, key)[0] for file, key in zip(files, keys, strict=True)]
+        species = [
+            known([file.species], self._plants.trees, key)[0] for file, key in zip(files, keys, strict=True)
+        ]
         self._models = [TreeModel(file, one, season) for file, one in zip(files, species, strict=True)]
         self._species = [model.species.number for model in self._models]
 
@@ -294,7 +321,8 @@ class TreeModels:
         placed = []
         for i, own in self._by_model(trees):
             model = self._models[i]
-            keys, rows = [ModelKey(i, model.content)] * len(own), plant_surfaces(own, model.parts, self._plants)
+            keys = [ModelKey(i, model.content)] * len(own)
+            rows = plant_surfaces(own, model.parts, self._plants)
             placed.append(PlacedThings(keys, model.world_T_model(own), rows, own, is_exact=is_exact))
         return placed
 
@@ -309,13 +337,16 @@ class TreeModels:
     def far_stems(self, keys: Sequence[ShapeKey], world_T_shape: F8, rows: I8) -> NDArray[np.void]:
         """Stems as `STEM` of the placements (n,) that are models, by their first surfaces."""
         of = np.array([key.number if isinstance(key, ModelKey) else -1 for key in keys], np.int64)
-        stems = (model.far_stems(world_T_shape[of == i], rows[of == i]) for i, model in enumerate(self._models))
+        stems = (
+            model.far_stems(world_T_shape[of == i], rows[of == i]) for i, model in enumerate(self._models)
+        )
         return np.concatenate([np.zeros(0, STEM), *stems])
 
     def inventory(self, trees: Trees) -> NDArray[np.void]:
         """Return the inventory (n,) `INVENTORY` of trees that all have models, from their meshes.
 
-        The crown begins with the lowest leaf, or branch where there are no leaves; its width is the mean over all
+        The crown begins with the lowest leaf, or branch where there are no leaves; its width is the mean over
+        all
         directions. One side of each leaf face counts.
         """
         rows = np.zeros(len(trees), INVENTORY)
@@ -340,6 +371,8 @@ class TreeModels:
         fits = [i for i, number in enumerate(self._species) if number == tree["species"][0]]
         if len(fits) == 1:
             return fits[0]
-        stretch = [abs(float(log(across / along))) for i in fits for across, along in self._models[i].scale(tree)]
+        stretch = [
+            abs(float(log(across / along))) for i in fits for across, along in self._models[i].scale(tree)
+        ]
         good = [i for i, own in zip(fits, stretch, strict=True) if own <= min(stretch) + log(_ALIKE)]
         return good[int(tree["crown_azimuth_deg"][0] * 1e6) % len(good)]

@@ -34,7 +34,8 @@ class Thing:
     """`sapling`, or the `FloorKind` of things on the ground, or else the semantic class in lower case."""
     place_m: F8  # (3,) origin of its shape in the world
     size_m: tuple[float, float, float]
-    """Size along the axes of its shape: for stones length, width and height; for logs length and mean diameter; for
+    """Size along the axes of its shape: for stones length, width and height; for logs length and mean
+    diameter; for
     stumps the diameter at the top and the height; for anything else its extent."""
 
 
@@ -43,7 +44,8 @@ def things_near(
 ) -> list[Thing]:
     """Things within a radius of a path, in the order of the window, without the instances of `trees` (n,)."""
     grounds = (
-        isinstance(key, TileKey) or (isinstance(key, FloorKey) and key.kind in GROUND_KINDS) for key in window.shapes
+        isinstance(key, TileKey) or (isinstance(key, FloorKey) and key.kind in GROUND_KINDS)
+        for key in window.shapes
     )
     is_thing = ~np.fromiter(grounds, np.bool_)[window.shape]
     no_tree = ~np.isin(window.surfaces["instance"][window.first_surface], trees)
@@ -52,13 +54,16 @@ def things_near(
     unit_m = cache(lambda key: np.ptp(np.concatenate([mesh.vertices_m for mesh in shape(key)]), axis=0))
     found = []
     for i in np.flatnonzero(is_thing & no_tree & near).tolist():
-        key, world_T_shape = window.shapes[window.shape[i]], window.world_T_shape[i]
+        key = window.shapes[window.shape[i]]
+        world_T_shape = window.world_T_shape[i]
         row = window.surfaces[window.first_surface[i]]
         scale = norm(world_T_shape[:, :3].T)
         size_m = tuple((scale if isinstance(key, FloorKey) else unit_m(key) * scale).tolist())
         kind = key.kind.value if isinstance(key, FloorKey) else Semantic(row["semantic"]).name.lower()
         kind = "sapling" if isinstance(key, SaplingKey) else kind
-        found.append(Thing(int(row["instance"]), int(row["species"]), kind, world_T_shape[:, 3].copy(), size_m))
+        found.append(
+            Thing(int(row["instance"]), int(row["species"]), kind, world_T_shape[:, 3].copy(), size_m)
+        )
     return found
 
 
@@ -94,7 +99,8 @@ def write_glb(
     Parameters
     ----------
     places_m : by instance, (3,) origin of its node in the world
-    inside : the area; None to write the whole window; nodes of instances without a place are then at their placement
+    inside : the area; None to write the whole window; nodes of instances without a place are then at their
+        placement
     species : names by number
     colours : (m, 3) sRGB of the window's surfaces
     """
@@ -137,12 +143,19 @@ def _cropped(ground: Mesh, corner_m: F8, inside: Inside) -> Mesh:
 
 class _Twin:
     def __init__(
-        self, window: Window, species: Mapping[int, str], colours: NDArray[np.uint8], places_m: Mapping[int, F8]
+        self,
+        window: Window,
+        species: Mapping[int, str],
+        colours: NDArray[np.uint8],
+        places_m: Mapping[int, F8],
     ) -> None:
         import trimesh  # here: it takes a while to load
 
         self.trimesh = trimesh
-        self._window, self._species, self._colours, self._places_m = window, species, colours, places_m
+        self._window = window
+        self._species = species
+        self._colours = colours
+        self._places_m = places_m
         self._materials: dict[str, Any] = {}
         self._nodes: dict[str, int] = {}  # number of uses of each name
         self.scene = trimesh.Scene(metadata={"unit": "m"})
@@ -153,8 +166,10 @@ class _Twin:
         window = self._window
         surface = int(window.first_surface[placement]) + number
         row = window.surfaces[surface]
-        which, parent = int(window.shape[placement]), _ROOT
-        vertices_m, world_T_shape = mesh.vertices_m, np.eye(4)
+        which = int(window.shape[placement])
+        parent = _ROOT
+        vertices_m = mesh.vertices_m
+        world_T_shape = np.eye(4)
         world_T_shape[:3] = window.world_T_shape[placement]
         if row["instance"] and row["part"]:
             place_m = self._places_m.get(int(row["instance"]), window.world_T_shape[placement, :, 3])
