@@ -202,7 +202,9 @@ def test_the_settings_of_the_documents_are_taken(command, tmp_path, monkeypatch)
 
 def test_the_page_of_the_paper_has_the_commands_of_its_tool(tool_named):
     """`tools/results/paper.md` has the rows of `tools/paper`, in their order, each with a result."""
-    lines = [line for line in DOCUMENTS["tools/results/paper.md"].splitlines() if re.match(r"\|.*`vlp16emu", line)]
+    lines = [
+        line for line in DOCUMENTS["tools/results/paper.md"].splitlines() if re.match(r"\|.*`vlp16emu", line)
+    ]
     cells = [line.strip("| ").split(" | ") for line in lines]
     rows = [(row.part, row.what, f"`{row.command}`") for row in tool_named("paper").ROWS]
     assert [tuple(line[:3]) for line in cells] == rows
