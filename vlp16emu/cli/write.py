@@ -258,7 +258,12 @@ def _gigabytes(number_of_bytes: int) -> str:
 
 def picture(
     scene: args.SceneOrCapture,
-    out: Annotated[Path, Option("File to write; overwritten if it exists.", name="OUT.png")],
+    out: Annotated[
+        Path,
+        Option(
+            "File to write: .png, or .gif for a film of the walk; overwritten if it exists.", name="OUT.png"
+        ),
+    ],
     look: PictureLook,
     span: Span,
     changes: args.SceneOptions,
@@ -270,10 +275,17 @@ def picture(
 
     Points of whole revolutions of the first sensor are accumulated; a capture without --trajectory shows its
     first
-    revolution in the sensor's frame. Needs the extra 'picture'.
+    revolution in the sensor's frame. A film has a frame for each revolution, ten per second. Needs the extra
+    'picture'.
     """
     from vlp16emu.captures.capture import is_capture_name
-    from vlp16emu.extras.viewer.picture import check_suffix, draw_picture, source_of_capture, source_of_scene
+    from vlp16emu.extras.viewer.picture import (
+        check_suffix,
+        draw_picture,
+        is_film,
+        source_of_capture,
+        source_of_scene,
+    )
 
     check_suffix(out)
     if look.from_deg is not None and look.view != "slant":
@@ -285,7 +297,8 @@ def picture(
         stop = stack.enter_context(stop_on_ctrl_c())
         _ = stack.enter_context(Progress(0.0, "drawing"))
         if is_capture:
-            source = source_of_capture(Path(scene), trajectory, span)
+            in_sensor = is_film(out) and look.view != "slant"
+            source = source_of_capture(Path(scene), trajectory, span, in_sensor=in_sensor)
         else:
             emulator = make_emulator(scene, changes).stopped_by(stop)
             source = source_of_scene(emulator, span, Path(scene).stem)

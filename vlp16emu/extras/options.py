@@ -128,8 +128,9 @@ class PictureLook(Options):
     view: Annotated[
         str,
         Option(
-            "slant, all points from a slant; or sweep, one revolution from vertically above with circles of range.",
-            words=("slant", "sweep"),
+            "slant, all points from a slant; sweep, one revolution from vertically above with circles of range; or "
+            "image, one revolution as rows of lasers over the azimuth.",
+            words=("slant", "sweep", "image"),
         ),
     ] = "slant"
 

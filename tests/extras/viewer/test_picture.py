@@ -65,6 +65,48 @@ def test_a_sweep_lies_ahead_upwards(tmp_path, capsys):
     assert (200 - row[ahead].max()) / (200 - column[left].max()) == pytest.approx(4 / 6, abs=0.1)
 
 
+def test_an_image_has_azimuths_across_and_rings_upwards(tmp_path):
+    """Of two bright boxes the one ahead is at both edges, the one to the left at three quarters."""
+    words = ["--view", "image", "--size", "400x160", "--duration", "0.3", "--colour", "reflectivity"]
+    words += ["--set", f"world={HALL}"]
+    assert run(["picture", "static_bench", str(tmp_path / "a.png"), *words]) == 0
+    with Image.open(tmp_path / "a.png") as image:
+        rgb = np.array(image.convert("RGB")).astype(int)
+    is_bright = (rgb[..., 1] > 180) & (rgb[..., 2] < 120)
+    column = np.nonzero(is_bright[75:85].all(axis=0))[0]  # the ring next to the horizon
+    ahead = (column < 30) | (column > 370)
+    left = np.abs(column - 300) < 30
+    assert ahead.sum() > 5
+    assert left.sum() > 5
+    assert (ahead | left).all()
+    assert not is_bright[:10, 200:330].any()  # below text and scale, at 15 degrees
+
+
+def test_a_film_has_a_frame_for_each_revolution(tmp_path, capsys):
+    """Ten frames per second end with the picture of all revolutions; a film of a capture shows each alone."""
+    words = [*SMALL, "--json"]
+    assert run(["picture", "static_bench", str(tmp_path / "a.gif"), *words]) == 0
+    made = json.loads(capsys.readouterr().out)
+    with Image.open(tmp_path / "a.gif") as film:
+        assert film.n_frames == made["revolutions"] >= 3
+        assert film.info["duration"] == 100
+        film.seek(film.n_frames - 1)
+        last = np.array(film.convert("RGB")).astype(int)
+    assert run(["picture", "static_bench", str(tmp_path / "a.png"), *words]) == 0
+    still = json.loads(capsys.readouterr().out)
+    assert (made["points"], made["revolutions"]) == (still["points"], still["revolutions"])
+    with Image.open(tmp_path / "a.png") as image:
+        apart = np.abs(last - np.array(image.convert("RGB")).astype(int)).sum(axis=2)
+    assert (apart[40:] < 60).mean() > 0.98  # below the captions, whose times differ
+    Emulator("static_bench").record(tmp_path / "a.pcap", duration_s=0.4)
+    words = ["--view", "image", "--size", "320x160", "--json"]
+    assert run(["picture", str(tmp_path / "a.pcap"), str(tmp_path / "b.gif"), *words]) == 0
+    made = json.loads(capsys.readouterr().out)
+    with Image.open(tmp_path / "b.gif") as film:
+        assert film.n_frames == made["revolutions"] >= 3
+    assert 20_000 < made["points"] < 30_000  # of one revolution
+
+
 def test_a_scene_becomes_a_picture(tmp_path):
     """The picture has the size that is asked for and many colours, and the same bytes again."""
     for name in ("a.png", "b.png"):
@@ -167,7 +209,7 @@ def test_a_capture_is_drawn_by_its_trajectory(tmp_path, capsys):
             ["static_bench", "{out}.png", "--from", "40", "--view", "sweep"],
             "--from: found beside --view sweep",
         ),
-        (["static_bench", "{out}.png", "--view", "top"], "--view: found top; expected slant or sweep"),
+        (["static_bench", "{out}.png", "--view", "top"], "--view: found top; expected slant, sweep or image"),
         (["static_bench", "{out}.png", "--duration", "0.05"], "no whole revolution"),
         (["static_bench", "{out}.png", "--trajectory", "x.tum"], "--trajectory: found beside a scene"),
     ],

@@ -1,4 +1,4 @@
-"""Pictures of what a sensor sees, without a browser."""
+"""Pictures and films of what a sensor sees, without a browser."""
 
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -48,6 +48,7 @@ _MOST_CIRCLES = 6
 _DEEP_M = -1e3  # circles of range about the sensor are behind all points
 _MOST_ENTRIES = 16
 _PALETTE = 256
+_FRAME_MS = 100  # a revolution at 600 rpm
 _SHOWN_BY = {"natural": "leaf and stem by species", "instance": "each plant and thing in a colour"}
 _MILLIONS = 100_000  # number of points from which captions use millions
 _FROM_DEG = 205.0  # default bearing of the eye: light falls from the south
@@ -124,10 +125,45 @@ class Canvas:
         return np.rint(rgb).astype(np.uint8)
 
 
+class LaserRows:
+    """Image of a revolution as its lasers see it: a band for each ring, the highest on top, over the azimuth.
+
+    Parameters
+    ----------
+    rings : number of lasers
+    size : width and height in pixels
+    """
+
+    def __init__(self, rings: int, size: tuple[int, int]) -> None:
+        self._rings = rings
+        self.size = size
+        self._rgb = np.full((rings, size[0], 3), _BACKGROUND, np.uint8)
+
+    def add(self, azimuth_deg: F8, ring: I8, rgb: U1) -> int:
+        """Draw points (n,) in colours (n, 3), and return their number."""
+        column = (azimuth_deg / 360.0 * self.size[0]).astype(np.int64) % self.size[0]
+        self._rgb[self._rings - 1 - ring, column] = rgb
+        return len(rgb)
+
+    def image(self) -> U1:
+        """Return the picture (height, width, 3)."""
+        return np.asarray(self._rgb[np.arange(self.size[1]) * self._rings // self.size[1]])
+
+    def labels(self) -> list[tuple[int, int, str]]:
+        """Return labels of azimuths with columns and rows."""
+        width, height = self.size
+        return [(width * deg // 360, height - 8, f"{deg} deg") for deg in (45, 135, 225, 315)]
+
+
+def is_film(path: Path) -> bool:
+    """Return True if a file is a film by its suffix."""
+    return path.suffix.lower() == ".gif"
+
+
 def check_suffix(path: Path) -> None:
-    """Raise OutputError if the suffix of a file is not .png, and MissingExtraError if pillow is not installed."""
-    if (suffix := path.suffix.lower()) != ".png":
-        raise OutputError(str(path), f"found the ending {suffix}", ".png")
+    """Raise OutputError if a file is not .png or .gif by its suffix, and MissingExtraError without pillow."""
+    if path.suffix.lower() != ".png" and not is_film(path):
+        raise OutputError(str(path), f"found the ending {path.suffix.lower()}", ".png, or .gif for a film")
     if find_spec("PIL") is None:
         raise MissingExtraError("pillow", "picture", "a picture")
 
@@ -143,10 +179,12 @@ class Source(NamedTuple):
     span_s: tuple[float, float] | None  # seconds of the scene; None for a capture
 
 
-def source_of_capture(capture: Path, trajectory: Path | None, span: Span) -> Source:
-    """Return the revolutions of a capture's first sensor that a trajectory covers; without a trajectory, the first revolution.
+def source_of_capture(
+    capture: Path, trajectory: Path | None, span: Span, *, in_sensor: bool = False
+) -> Source:
+    """Return the revolutions of a capture's first sensor that a trajectory covers; without one, the first.
 
-    Without a trajectory points are in the sensor's frame.
+    Without a trajectory points are in the sensor's frame; with `in_sensor` that is enough for all.
     """
     way = None
     way_m = None
@@ -156,7 +194,7 @@ def source_of_capture(capture: Path, trajectory: Path | None, span: Span) -> Sou
         inputs = [capture, trajectory]
         begin_s, end_s = way.span_s
         way_m = way.poses_at((1e9 * np.linspace(begin_s + 1e-3, end_s - 1e-3, _STATIONS)).astype(np.int64))[1]
-    sweeps = islice(_sweeps_of_capture(capture, way, span), 1 if way is None else None)
+    sweeps = islice(_sweeps_of_capture(capture, way, span), 1 if way is None and not in_sensor else None)
     return Source(sweeps, way_m, {}, inputs, capture.name, None)
 
 
@@ -183,59 +221,127 @@ def source_of_scene(emulator: Emulator, span: Span, name: str) -> Source:
     return Source(sweeps, way_m, species_of(scenario), emulator.files, f"{name}: {scenario.title}", ends_s)
 
 
-def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> dict[str, Any]:
-    """Draw the points of all revolutions, or of the first one from above, as PNG; return the contents of the picture.
+class _Drawing:
+    """A picture to which revolutions are added; a view of one revolution shows the last.
 
-    InputError if there is no revolution, or none with such a layer; OutputError if the file cannot be
-    written.
+    Raises InputError if the points of the first revolution have no such layer.
+    """
+
+    def __init__(self, source: Source, look: PictureLook, first: Sweep) -> None:
+        known = layers_of_scan(first.scan)
+        self.colour = look.colour or ("natural" if "natural" in known else "reflectivity")
+        if self.colour not in known:
+            raise InputError("--colour", f"found {self.colour}", ", ".join(known))
+        self._source = source
+        self._look = look
+        self._first = first
+        self._last = first
+        self._canvas = self._empty()
+        self._entries: Entries = None
+        self.is_of_one = look.view != "slant"
+        self.revolutions = 0
+        self.points = 0  # in the picture, as it is now
+
+    def _empty(self) -> Canvas | LaserRows:
+        if self._look.view == "slant":
+            return _slant(self._look, self._first, self._source.way_m)
+        if self._look.view == "sweep":
+            return _above(self._look.size, self._first)
+        return LaserRows(int(self._first.scan.ring.max(initial=0)) + 1, self._look.size)
+
+    def add(self, sweep: Sweep) -> None:
+        """Add a revolution."""
+        if self.is_of_one:
+            self._canvas = self._empty()
+            self.points = 0
+        scan = sweep.scan
+        rgb, more = coloured(scan, self.colour, self._source.species)
+        if isinstance(self._canvas, LaserRows):
+            azimuth_deg = scan.azimuth_deg.astype(np.float64)
+            self.points += self._canvas.add(azimuth_deg, scan.ring.astype(np.int64), rgb)
+        else:
+            self.points += self._canvas.add(_in_sensor(sweep) if self.is_of_one else sweep.world_m, rgb)
+        self.revolutions += 1
+        self._last = sweep
+        if isinstance(self._entries, Mapping) and isinstance(more, Mapping):
+            more = {**self._entries, **more}
+        self._entries = more
+
+    def image(self, *, so_far: bool = False) -> "Image":
+        """Return the picture with its captions; `so_far` for the time until now, not of the whole span."""
+        count = self.points
+        number = f"{count / 1e6:.2f} million" if count >= _MILLIONS else f"{count:,}".replace(",", " ")
+        of = " of a revolution" if self.is_of_one else ""
+        shown_by = _SHOWN_BY.get(self.colour, f"by {self.colour}")
+        captions = self._source.title, f"{self._time(so_far=so_far)}; {number} points{of}, {shown_by}"
+        labels: list[tuple[int, int, str]] = []
+        bar_px = None
+        if isinstance(self._canvas, LaserRows):
+            labels = self._canvas.labels()
+        elif self.is_of_one:
+            labels = _circles(self._canvas)
+        else:
+            bar_px = 10 * self._canvas.px_per_m
+        return _annotated(self._canvas.image(), captions, self._entries, labels, bar_px)
+
+    def _time(self, *, so_far: bool) -> str:
+        span_s = self._source.span_s
+        if span_s is None:
+            of = self._last if so_far else self._first
+            return f"{datetime.fromtimestamp(of.scan.start_ns / S_NS, UTC):%Y-%m-%d %H:%M:%S} UTC"
+        now_s = span_s[0] + (self._last.scan.start_ns - self._first.scan.start_ns) / S_NS
+        if self.is_of_one:
+            return f"from {now_s:.1f} s" if so_far else f"from {span_s[0]:g} s"
+        return f"{span_s[0]:g} to {now_s:.1f} s" if so_far else f"{span_s[0]:g} to {span_s[1]:g} s"
+
+
+def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> dict[str, Any]:
+    """Draw the points of all revolutions, or of the first one, as PNG, or each revolution as a frame of a film.
+
+    Returns the contents of the picture. InputError if there is no revolution, or none with such a layer;
+    OutputError
+    if the file cannot be written.
 
     Parameters
     ----------
     path : a path that passes `check_suffix`
     stop : ends the picture between two revolutions; before the first one with a `KeyboardInterrupt`
     """
-    sweeps, way_m, species, inputs, title, span_s = source
-    spare(inputs, path)
-    first = next(sweeps, None)
+    spare(source.inputs, path)
+    first = next(source.sweeps, None)
     if first is None:
         if stop.is_set():
             raise KeyboardInterrupt
         raise InputError("picture", "no whole revolution", "at least one in the span")
-    known = layers_of_scan(first.scan)
-    colour = look.colour or ("natural" if "natural" in known else "reflectivity")
-    if colour not in known:
-        raise InputError("--colour", f"found {colour}", ", ".join(known))
-    from_above = look.view == "sweep"
-    canvas = _above(look.size, first) if from_above else _slant(look, first, way_m)
-    labels = _circles(canvas) if from_above else []
-    entries: Entries = None
-    revolutions = points = 0
-    with OutputFile(path) as output, output.writing() as file:
-        for sweep in chain([first], () if from_above else sweeps):
-            rgb, more = coloured(sweep.scan, colour, species)
-            points += canvas.add(_in_sensor(sweep) if from_above else sweep.world_m, rgb)
-            revolutions += 1
-            if isinstance(entries, Mapping) and isinstance(more, Mapping):
-                more = {**entries, **more}
-            entries = more
+    drawing = _Drawing(source, look, first)
+    sweeps = chain([first], () if drawing.is_of_one and not is_film(path) else source.sweeps)
+
+    def frames() -> Iterator["Image"]:
+        """Add revolutions, and yield the picture after each."""
+        for sweep in sweeps:
+            drawing.add(sweep)
+            yield _palette(drawing.image(so_far=True))
             if stop.is_set():
-                break
-        number = f"{points / 1e6:.2f} million" if points >= _MILLIONS else f"{points:,}".replace(",", " ")
-        of = " of a revolution" if from_above else ""
-        caption = f"{_time(span_s, first, is_one=from_above)}; {number} points{of}, {_SHOWN_BY.get(colour, f'by {colour}')}"
-        bar_px = None if from_above else 10 * canvas.px_per_m
-        _small(_annotated(canvas.image(), (title, caption), entries, labels, bar_px)).save(
-            file, "PNG", optimize=True
-        )
-    made = {"file": str(path), "revolutions": revolutions, "points": points, "colour": colour}
-    return made | {"bytes": path.stat().st_size, "interrupted": stop.is_set()}
+                return
 
-
-def _time(span_s: tuple[float, float] | None, first: Sweep, *, is_one: bool) -> str:
-    """Return the time of the revolutions, or of the first one, as text."""
-    if span_s is None:
-        return f"{datetime.fromtimestamp(first.scan.start_ns / S_NS, UTC):%Y-%m-%d %H:%M:%S} UTC"
-    return f"from {span_s[0]:g} s" if is_one else f"{span_s[0]:g} to {span_s[1]:g} s"
+    with OutputFile(path) as output, output.writing() as file:
+        if is_film(path):
+            film = frames()
+            next(film).save(file, "GIF", save_all=True, append_images=film, duration=_FRAME_MS, loop=0)
+        else:
+            for sweep in sweeps:
+                drawing.add(sweep)
+                if stop.is_set():
+                    break
+            _small(drawing.image()).save(file, "PNG", optimize=True)
+    return {
+        "file": str(path),
+        "revolutions": drawing.revolutions,
+        "points": drawing.points,
+        "colour": drawing.colour,
+        "bytes": path.stat().st_size,
+        "interrupted": stop.is_set(),
+    }
 
 
 def _slant(look: PictureLook, first: Sweep, way_m: F8 | None) -> Canvas:
@@ -333,10 +439,13 @@ def _annotated(
 
 def _small(image: "Image") -> "Image":
     """Return a picture with a palette, a third of the size, if it has little more colours: letters alone lose some."""
+    return image if image.getcolors(2 * _PALETTE) is None else _palette(image)
+
+
+def _palette(image: "Image") -> "Image":
+    """Return a picture with a palette, without dither, which would cost size."""
     from PIL import Image
 
-    if image.getcolors(2 * _PALETTE) is None:
-        return image
     return image.quantize(_PALETTE, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
 
 
