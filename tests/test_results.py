@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import shutil
 import sys
 from pathlib import Path
 
@@ -34,7 +35,9 @@ def shortened(line):
 COMMANDS = {page: commands_of(page) for page in PAGES}
 LINES = [line for lines in COMMANDS.values() for line in lines]
 TOOLS = sorted({line.split()[0] for line in LINES if line.startswith("tools/")})
-TOOLS = [name for name in TOOLS if (ROOT / name).read_text(encoding="utf-8").startswith(PYTHON)]
+TOOLS = [
+    name for name in TOOLS if (ROOT / name).is_file() and (ROOT / name).read_text("utf-8").startswith(PYTHON)
+]
 VERBS = sorted({shortened(line) for line in LINES if line.startswith("vlp16emu ")})
 
 
@@ -52,6 +55,8 @@ def test_the_tool_of_a_page_runs(name, tool_named, monkeypatch, capsys, tmp_path
     """With `--shortest` it prints within seconds; programs of other projects are not installed for that."""
     if name == "tools/browser":
         pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+        if shutil.which("chromium") is None:
+            pytest.skip("chromium is not installed")
     monkeypatch.chdir(tmp_path)
     stem = Path(name).name
     monkeypatch.setitem(sys.modules, stem, sys.modules.get(stem))  # tests have a package `forest` too
