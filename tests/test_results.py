@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import shutil
 import sys
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from vlp16emu.cli.app import run
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted((ROOT / "tools/results").glob("*.md"))
+PYTHON = "#!/usr/bin/env python3"  # `tests/test_packaging.py` has the shell scripts
 SHORT = {"--pulses": "128", "--duration": "0.1", "--radius": "5"}  # values of the options of verbs
 
 
@@ -22,32 +24,26 @@ def commands_of(page):
 
 
 def shortened(line):
-    """Words of a verb in the hall with few pulses or a moment; with --help where its argument is not a scene."""
+    """Words of a verb in the hall with few pulses or a moment; with --help if its argument is no scene."""
     verb, first, *words = shlex.split(line, comments=True)[1:]
     if not (ROOT / "scenes" / f"{first}.toml").exists():
         return verb, first, *words, "--help"
-    return (
-        verb,
-        "static_bench",
-        *(SHORT.get(before, word) for before, word in zip(["", *words], words, strict=False)),
-    )
+    pairs = zip(["", *words], words, strict=False)
+    return verb, "static_bench", *(SHORT.get(before, word) for before, word in pairs)
 
 
 COMMANDS = {page: commands_of(page) for page in PAGES}
-TOOLS = sorted(
-    {line.split()[0] for lines in COMMANDS.values() for line in lines if line.startswith("tools/")}
-)
+LINES = [line for lines in COMMANDS.values() for line in lines]
+TOOLS = sorted({line.split()[0] for line in LINES if line.startswith("tools/")})
 TOOLS = [
-    name for name in TOOLS if (ROOT / name).read_text(encoding="utf-8").startswith("#!/usr/bin/env python3")
+    name for name in TOOLS if (ROOT / name).is_file() and (ROOT / name).read_text("utf-8").startswith(PYTHON)
 ]
-VERBS = sorted(
-    {shortened(line) for lines in COMMANDS.values() for line in lines if line.startswith("vlp16emu ")}
-)
+VERBS = sorted({shortened(line) for line in LINES if line.startswith("vlp16emu ")})
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_a_page_begins_with_its_commands(page):
-    """From its third line on, each page has an indented block of commands, each a tool that is there or a verb."""
+    """From its third line on, each page has an indented block of commands: tools that are there, or verbs."""
     assert COMMANDS[page], "expected an indented block from line 3 on"
     for line in COMMANDS[page]:
         first = line.split()[0]
@@ -59,20 +55,21 @@ def test_the_tool_of_a_page_runs(name, tool_named, monkeypatch, capsys, tmp_path
     """With `--shortest` it prints within seconds; programs of other projects are not installed for that."""
     if name == "tools/browser":
         pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+        if shutil.which("chromium") is None:
+            pytest.skip("chromium is not installed")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(
-        sys.modules, Path(name).name, sys.modules.get(Path(name).name)
-    )  # tests have a package `forest`
+    stem = Path(name).name
+    monkeypatch.setitem(sys.modules, stem, sys.modules.get(stem))  # tests have a package `forest` too
     monkeypatch.setattr(sys, "argv", [str(ROOT / name), "--shortest"])
-    tool_named(Path(name).name).main()
+    tool_named(stem).main()
     printed = capsys.readouterr().out
     assert len(printed.splitlines()) >= 2
     assert "nan" not in printed or name == "tools/forest"
 
 
-@pytest.mark.parametrize("command", VERBS)
+@pytest.mark.parametrize("command", VERBS, ids=" ".join)
 def test_the_verb_of_a_page_runs(command, monkeypatch, capsys, tmp_path):
-    """In the hall, with few pulses or a moment, a verb on a scene prints a result; others accept their options."""
+    """A verb on a scene prints a result, in the hall with few pulses; others accept their options."""
     monkeypatch.chdir(tmp_path)
     assert run([*command]) == 0
     assert re.search(r"\d|Usage", capsys.readouterr().out)

@@ -1,4 +1,4 @@
-"""Pictures of the points of a walk for `tools/forest`: from the side, from above, at breast height, and sections of stems."""
+"""Pictures of a walk for `tools/forest`: from the side, from above, at breast height, sections of stems."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,9 +30,8 @@ class Walk(NamedTuple):
     points: dict[str, Array]
     xyz_m: Array  # (n, 3)
     path_m: Array  # (p, 2)
-    stems: list[
-        tuple[int, Array, float]
-    ]  # instance, centre at breast height (2,) and DBH of trees, the nearest first
+    stems: list[tuple[int, Array, float]]
+    """Instance, centre at breast height (2,) and DBH of trees, the nearest first."""
 
 
 def along_path(emulator: Emulator, points: dict[str, Array]) -> Walk:
@@ -46,9 +45,8 @@ def along_path(emulator: Emulator, points: dict[str, Array]) -> Walk:
     centres_m = np.column_stack([rows["x_breast_m"], rows["y_breast_m"]])
     away_m = np.linalg.norm(centres_m[:, None] - path_m, axis=2).min(axis=1)
     nearest = [i for i in np.argsort(away_m) if rows["dbh_m"][i] >= 0.05][:SECTIONS]
-    stems = [
-        (int(rows["id"][i]), (centres_m[i] - path_m[0]) @ turn, float(rows["dbh_m"][i])) for i in nearest
-    ]
+    own_m = (centres_m - path_m[0]) @ turn
+    stems = [(int(rows["id"][i]), own_m[i], float(rows["dbh_m"][i])) for i in nearest]
     xyz_m = np.column_stack([(points["world_m"][:, :2] - path_m[0]) @ turn, points["world_m"][:, 2]])
     return Walk(points, xyz_m, (path_m - path_m[0]) @ turn, stems)
 

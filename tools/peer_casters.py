@@ -2,8 +2,9 @@
 
     python peer_casters.py NAME TASK.npz CPU_SECONDS
 
-It runs with the Python of a virtual environment that has these casters, and not vlp16emu. A task has triangles (`vertices_m`, `faces`),
-rays (n, 6) of origin and direction (`rays_1`, `rays_8`, by rays of a pulse), and the range at which they end (`reach_m`).
+It runs with the Python of a virtual environment that has these casters, and not vlp16emu. A task has
+triangles (`vertices_m`, `faces`), rays (n, 6) of origin and direction (`rays_1`, `rays_8`, by rays of a
+pulse), and the range at which they end (`reach_m`).
 """
 
 import json
@@ -62,9 +63,8 @@ def embree(task: Task) -> Casts:
         reach_m = np.full(len(rays), float(task["reach_m"]), np.float32)
 
         def cast() -> np.ndarray:
-            range_m = scene.run(
-                origin_m, direction, reach_m.copy(), query="DISTANCE"
-            )  # ranges are written there
+            limit_m = reach_m.copy()  # ranges are written there
+            range_m = scene.run(origin_m, direction, limit_m, query="DISTANCE")
             range_m[range_m >= reach_m] = np.inf  # a ray that misses keeps its limit
             return range_m
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,43 +20,45 @@ TOGETHER = 8  # sequences, and revolutions, that the program casts at once
 ORDER_DEG = 1.6  # sectors by which it orders these revolutions
 
 
-def first_pulses(
-    scene: str, reach_m: float, sector_deg: float, *, all_faces: bool
-) -> tuple[Emulator, Firings]:
+class View(NamedTuple):
+    """A sector of the beginning of a walk."""
+
+    scene: str
+    reach_m: float
+    sector_deg: float
+
+
+def first_pulses(view: View, *, all_faces: bool) -> tuple[Emulator, Firings]:
     """Return an emulator, and the pulses of its first revolutions in a sector from azimuth `FROM_DEG` on."""
-    settings = [f"sensor.max_range_m={reach_m}", "beam.model=fixed", "beam.rays=8"]
-    if all_faces and load(scene).world.kind != "hall":  # a hall has no medium
+    settings = [f"sensor.max_range_m={view.reach_m}", "beam.model=fixed", "beam.rays=8"]
+    if all_faces and load(view.scene).world.kind != "hall":  # a hall has no medium
         settings.append("world.near_m=inf")
-    emulator = Emulator(scene, settings, threads=1)
+    emulator = Emulator(view.scene, settings, threads=1)
     unit = emulator.parts.units[0]
     firings = unit.head.aim(0, TOGETHER * BLOCK, unit.motion.poses_at, beam_axis=True)
     azimuth_deg = ((firings.azimuth_deg[:, 0] - FROM_DEG) % 360).reshape(-1, TOGETHER)
-    inside = np.flatnonzero(azimuth_deg.max(axis=1) < sector_deg)
+    inside = np.flatnonzero(azimuth_deg.max(axis=1) < view.sector_deg)
     groups = inside[np.argsort((azimuth_deg[inside, 0] / ORDER_DEG).astype(int), kind="stable")]
     rows = (TOGETHER * groups[:, None] + np.arange(TOGETHER)).reshape(-1)
     names = "t_ns", "clock_ns", "azimuth_deg", "reading_deg", "origin_m", "direction", "beam_axis"
     return emulator, replace(firings, **{name: getattr(firings, name)[rows] for name in names})
 
 
-def triangles(
-    world: World, window: Window, firings: Firings, reach_m: float, sector_deg: float
-) -> dict[str, np.ndarray]:
+def triangles(world: World, window: Window, firings: Firings, view: View) -> dict[str, np.ndarray]:
     """Return the triangles of all placements that the pulses can reach, in axes of the window."""
     eye_m = firings.origin_m[0, 0] - window.origin_m
     ahead = firings.direction[:, :, :2].reshape(-1, 2).mean(axis=0)
-    half_rad = np.radians(sector_deg / 2)
+    half_rad = np.radians(view.sector_deg / 2)
 
     def is_met(from_m: np.ndarray, size_m: np.ndarray) -> np.ndarray:
         """Return whether balls with middles (n, 3) from the eye and radii (n,) can be met."""
         range_m = np.linalg.norm(from_m, axis=1) - size_m - MARGIN_M
         across_rad = np.arctan2(ahead[0] * from_m[:, 1] - ahead[1] * from_m[:, 0], from_m[:, :2] @ ahead)
         level_m = np.hypot(from_m[:, 0], from_m[:, 1])
-        wide_rad = np.where(
-            level_m > size_m + MARGIN_M,
-            np.arcsin(((size_m + MARGIN_M) / level_m.clip(1e-6)).clip(max=1)),
-            np.pi,
-        )
-        return (range_m < reach_m) & (np.abs(across_rad) - wide_rad < half_rad)
+        wide_m = size_m + MARGIN_M
+        sine = (wide_m / level_m.clip(1e-6)).clip(max=1)
+        wide_rad = np.where(level_m > wide_m, np.arcsin(sine), np.pi)
+        return (range_m < view.reach_m) & (np.abs(across_rad) - wide_rad < half_rad)
 
     shapes = [[faces_of(mesh) for mesh in world.shape(key)] for key in window.shapes]
     radii_m = [max(float(np.linalg.norm(v, axis=1).max(initial=0.0)) for v, _ in shape) for shape in shapes]
@@ -80,12 +83,8 @@ def rays_of(firings: Firings, beam: Footprint, from_m: np.ndarray) -> np.ndarray
     """Return origins and directions of rays (n, 6), in the order and with the sub-rays of the program."""
     if beam is LINE:
         lines = np.concatenate([firings.origin_m - from_m, firings.direction], axis=-1)
-        return (
-            lines.reshape(-1, TOGETHER, lines.shape[1], 6)
-            .transpose(0, 2, 1, 3)
-            .reshape(-1, 6)
-            .astype(np.float32)
-        )
+        groups = lines.reshape(-1, TOGETHER, lines.shape[1], 6).transpose(0, 2, 1, 3)
+        return groups.reshape(-1, 6).astype(np.float32)
     axes, sub_rays = np.empty((4, 3), np.float32), np.empty((7, 8), np.float32)
     rays, sigmas = np.empty((firings.t_ns.size, 8, 6), np.float32), beam.sigmas.astype(np.float32)
     for number, (i, j) in enumerate(np.ndindex(firings.t_ns.shape)):
@@ -95,12 +94,12 @@ def rays_of(firings: Firings, beam: Footprint, from_m: np.ndarray) -> np.ndarray
     return rays.reshape(-1, 6)
 
 
-def write_task(scene: str, reach_m: float, sector_deg: float, path: Path) -> int:
+def write_task(view: View, path: Path) -> int:
     """Write triangles and rays for the other casters; return the number of triangles."""
-    emulator, firings = first_pulses(scene, reach_m, sector_deg, all_faces=True)
+    emulator, firings = first_pulses(view, all_faces=True)
     window = window_of(emulator.parts, emulator.scenario.start_ns, emulator.engine.batching, 0)
-    arrays = triangles(emulator.parts.world, window, firings, reach_m, sector_deg)
+    arrays = triangles(emulator.parts.world, window, firings, view)
     beams = {"1": LINE, "8": emulator.parts.units[0].beam}
     sets = {f"rays_{name}": rays_of(firings, beam, window.origin_m) for name, beam in beams.items()}
-    np.savez(path, reach_m=reach_m, **arrays, **sets)
+    np.savez(path, reach_m=view.reach_m, **arrays, **sets)
     return len(arrays["faces"])

@@ -1,4 +1,4 @@
-"""Functions shared by tools: options, the program's command line, tables, and virtual environments for other programs."""
+"""Functions shared by tools: options, the program's command line, tables, environments of other programs."""
 
 import argparse
 import io
@@ -14,28 +14,23 @@ VLP16EMU = [sys.executable, "-m", "vlp16emu"]
 def options(
     doc: str, *, scene: str = "", duration_s: float = 0.0, venv: str = "", settings: bool = False
 ) -> argparse.ArgumentParser:
-    """Return the parser of a tool with this docstring, and with shared options: a scene, `--duration`, `--venv`, `--set`."""
+    """Return the parser of a tool with its docstring and shared options: scene, duration, venv, settings."""
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     if scene:
         parser.add_argument("scene", nargs="?", default=scene)
     if duration_s:
-        parser.add_argument(
-            "--duration", type=float, default=duration_s, help="duration of each run, in seconds"
-        )
+        parser.add_argument("--duration", type=float, default=duration_s, help="seconds of each run")
     if venv:
         parser.add_argument("--venv", type=Path, help=f"virtual environment with {venv}; made if missing")
     if settings:
-        parser.add_argument(
-            "--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="scene setting"
-        )
+        key = "SECTION.KEY=VALUE"
+        parser.add_argument("--set", action="append", default=[], metavar=key, help="scene setting")
     return parser
 
 
 def arguments(parser: argparse.ArgumentParser, **shortest: object) -> argparse.Namespace:
-    """Parse the command line; with `--shortest` these values are used, and the tool shows within seconds that it works."""
-    parser.add_argument(
-        "--shortest", action="store_true", help="shortest setting: seconds, to see that the tool works"
-    )
+    """Parse the command line; `--shortest` sets these values, for a run that shows that the tool works."""
+    parser.add_argument("--shortest", action="store_true", help="run for seconds, to see that it works")
     wanted = parser.parse_args()
     if wanted.shortest:
         vars(wanted).update(shortest)
