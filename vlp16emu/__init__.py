@@ -1,9 +1,8 @@
 """Hardware-in-the-loop emulator of the Velodyne VLP-16 lidar.
 
 `Emulator` makes scans, captures and streams of a scene, `stream` yields packets while they are made, `load`
-reads a scene,
-`decode` gives the scans of a capture, and `verify` checks it against the rules of VLP-16 traffic. Names load
-on first use.
+reads a scene, `decode` gives the scans of a capture, and `verify` checks it against the rules of VLP-16
+traffic. Names load on first use.
 """
 
 from importlib import import_module

@@ -1,9 +1,8 @@
 """Objects that are loaded by name when a scene, a command or an option needs them, from this and other packages.
 
 Other packages add entry points to the groups `vlp16emu.worlds`, `.motions`, `.sensors`, `.scenes`, `.clouds`
-and `.verbs`.
-Entry points are searched only for names that this package lacks: reading the metadata of all packages takes
-20 ms.
+and `.verbs`. Entry points are searched only for names that this package lacks: reading the metadata of all
+packages takes 20 ms.
 """
 
 import logging
@@ -116,8 +115,7 @@ def door(name: str, group: str = "parts") -> Any:
     """Return the object behind a name of a group.
 
     Raises InputError if this part of the package is not installed or another package's entry point cannot be
-    loaded;
-    KeyError if the group has no such name.
+    loaded; KeyError if the group has no such name.
     """
     if name not in DOORS[group]:
         return _load(_added(group)[name])

@@ -1,14 +1,11 @@
 """Elementary functions of float64 from IEEE 754 additions, products, quotients and roots: same bits on all processors.
 
 Libraries choose variants by processor, and these differ in the last bits. Here each operation is defined by
-IEEE 754 and
-runs in the order that is written. The algorithms are from fdlibm (Sun Microsystems, 1993) unless a function
-says
-otherwise, written without branches, so that one source serves numpy arrays and kernels.
+IEEE 754 and runs in the order that is written. The algorithms are from fdlibm (Sun Microsystems, 1993) unless
+a function says otherwise, written without branches, so that one source serves numpy arrays and kernels.
 
 Every function takes numbers or arrays, which broadcast, and is called in the same way from Python and from
-kernels,
-there with float64 only. Stated errors, in units in the last place (ulp), are the largest that
+kernels, there with float64 only. Stated errors, in units in the last place (ulp), are the largest that
 `tools/elementary` finds.
 """
 
@@ -48,8 +45,7 @@ class _Both:
     """Function of float64 for arrays, also compiled for kernels.
 
     The compiled function keeps its order even if the caller uses `fastmath`, and divides by 0 as numpy does.
-    If `inlined`,
-    it becomes part of each kernel that calls it, which loops with four values per step need.
+    If `inlined`, it becomes part of each kernel that calls it, which loops with four values per step need.
     """
 
     def __init__(self, function: Callable[..., Any], *, inlined: bool = False) -> None:

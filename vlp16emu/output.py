@@ -26,12 +26,9 @@ class OutputFile:
     """A file to be written; a context manager.
 
     It is written as NAME.xxxxxxxx.part, a new file in the same folder, and renamed when it is kept. Until
-    then an
-    earlier file stays, even if the run fails. It gets the permissions of the file that it replaces, and a
-    link stays a
-    link. A pipe or a device is written directly. Raises OutputError if it cannot be opened, is one of the
-    inputs, or is
-    being written by another run.
+    then an earlier file stays, even if the run fails. It gets the permissions of the file that it replaces,
+    and a link stays a link. A pipe or a device is written directly. Raises OutputError if it cannot be
+    opened, is one of the inputs, or is being written by another run.
 
     Parameters
     ----------

@@ -37,9 +37,8 @@ def vlp16(request: pytest.FixtureRequest) -> "Iterator[Live]":
     """Stream a scene while a test runs: `vlp16emu.Live`, whose first packet is sent.
 
     The scene is given by the marker, by `--vlp16-scene`, or by `vlp16_scene` of the ini file. The default,
-    static_bench, is
-    a hall with posts, boxes and balls, and a sensor without errors. The stream ends with the test, or with
-    the walk.
+    static_bench, is a hall with posts, boxes and balls, and a sensor without errors. The stream ends with the
+    test, or with the walk.
     """
     from vlp16emu.extras.handle import Live
     from vlp16emu.run.emulator import Emulator

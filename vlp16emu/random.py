@@ -4,8 +4,7 @@ Any number can be drawn at any time, in any order and on any thread, so a run is
 workers.
 
 The generator is Philox 4x32 with 10 rounds: Salmon, Moraes, Dror, Shaw, "Parallel Random Numbers: As Easy as
-1, 2, 3",
-SC 2011, section 3.2 and table 2. Tests compare it with the authors' known answers.
+1, 2, 3", SC 2011, section 3.2 and table 2. Tests compare it with the authors' known answers.
 """
 
 import math
@@ -126,8 +125,7 @@ def box_muller(a: float, b: float) -> tuple[float, float]:
     """Convert two uniform numbers into two normal ones, by Box and Muller (1958); for use in kernels.
 
     Logarithm, cosine and sine use additions, products and one quotient, which round equally on all
-    processors.
-    There is no branch and no call, so that a loop over lanes processes four per step.
+    processors. There is no branch and no call, so that a loop over lanes processes four per step.
     """
     radius = math.sqrt(-2.0 * log_of_normal(1.0 - a))  # 1 - a is exact
     quarter = math.floor(4.0 * b + 0.5)
@@ -188,13 +186,10 @@ class _Generator(np.random.Generator):
     """Numpy's generator with the same bits on every processor.
 
     Numpy draws normal and exponential numbers by ziggurats (Marsaglia and Tsang 2000), which use products
-    except in the
-    tails, 1 number in 3700 and in 2200. There, and for beta numbers, libm computes logarithms and powers, and
-    its last bit
-    differs between processors. These numbers are rounded to steps of 2**-24: that bit moves fewer than 1 in
-    1e8 to another
-    step. Elsewhere, also in `poisson`, libm only decides whether a number is redrawn: its last bit changes 1
-    in 1e14.
+    except in the tails, 1 number in 3700 and in 2200. There, and for beta numbers, libm computes logarithms
+    and powers, and its last bit differs between processors. These numbers are rounded to steps of 2**-24:
+    that bit moves fewer than 1 in 1e8 to another step. Elsewhere, also in `poisson`, libm only decides
+    whether a number is redrawn: its last bit changes 1 in 1e14.
     """
 
     def standard_normal(self, size: _Size = None) -> Any:  # type: ignore[override]  # float64 alone

@@ -39,8 +39,7 @@ def toml(text: str) -> dict[str, Any]:
     """Parse TOML.
 
     Raises ValueError if it is not valid, a key has more than `DEEPEST` names, or a number thousands of
-    digits;
-    RecursionError if lists or tables are nested much deeper.
+    digits; RecursionError if lists or tables are nested much deeper.
     """
     for refused, what in (
         (_DEEP_KEY, f"a key with more than {DEEPEST} names"),

@@ -1,10 +1,8 @@
 """Cache files, compiled kernels and parts of worlds: complete or ignored, in a folder that only the user can write.
 
 The name of a file is a digest of all inputs of its content, with the package's files and the libraries that
-made it. A file is
-a marker, the SHA-256 of its name and its content, and the content: a pickle, which runs code when it is read.
-So a
-folder that others can write in is not used.
+made it. A file is a marker, the SHA-256 of its name and its content, and the content: a pickle, which runs
+code when it is read. So a folder that others can write in is not used.
 """
 
 import hashlib

@@ -1,8 +1,7 @@
 """Tables from users: lists of stems, waypoints and poses, as written by spreadsheets and statistics programs.
 
 Columns are separated by semicolons, tabs, commas or blanks, and cells may have quotation marks. Unless commas
-separate
-columns, a decimal comma is accepted as well as a point.
+separate columns, a decimal comma is accepted as well as a point.
 """
 
 import csv
@@ -158,10 +157,8 @@ def read_table(
     """Read a table of UTF-8 text.
 
     The header has the columns in any order and case; other columns are ignored. It may have one name less
-    than rows have
-    cells, as R writes it with row names. Without a header, rows have all columns in order. Lines that are
-    empty
-    or begin with `#` are ignored.
+    than rows have cells, as R writes it with row names. Without a header, rows have all columns in order.
+    Lines that are empty or begin with `#` are ignored.
 
     Parameters
     ----------

@@ -1,8 +1,7 @@
 """Cosine and sine from additions and products, which round equally on all processors and vectorize.
 
 The module also has a triangular wave, and a non-literal zero for kernels. Without `fastmath=False` numba
-would compile the
-functions with the options of the first kernel that calls them.
+would compile the functions with the options of the first kernel that calls them.
 """
 
 import math

@@ -1,11 +1,9 @@
 """The types that the rooms exchange: frozen, with slots, shapes checked once when made.
 
 Letters in shapes: k firing sequences in a batch, L lasers in **wire order** (16 on a VLP-16), m surfaces, n
-anything else.
-Frames: `world` is local east-north-up in metres; `body` is x forward, y left, z up, and so is `sensor`, whose
-azimuth 0 is forward
-and grows clockwise seen from above. `world_T_body` takes body to world coordinates; `world_T_body @
-body_T_sensor` reads left to right.
+anything else. Frames: `world` is local east-north-up in metres; `body` is x forward, y left, z up, and so is
+`sensor`, whose azimuth 0 is forward and grows clockwise seen from above. `world_T_body` takes body to world
+coordinates; `world_T_body @ body_T_sensor` reads left to right.
 """
 
 from collections.abc import Callable, Hashable
@@ -272,9 +270,8 @@ class Scan:
     0. In dual return each echo is present once, the last one first.
 
     Each point is in the sensor's frame at the instant of its own pulse. `world_T_sensor` is the pose at
-    `start_ns`
-    alone: on a moving sensor it is valid only for the scan's first points. The poses of all points are
-    `Emulator.world_T_sensor(scan.t_ns)`.
+    `start_ns` alone: on a moving sensor it is valid only for the scan's first points. The poses of all points
+    are `Emulator.world_T_sensor(scan.t_ns)`.
     """
 
     start_ns: int  # UTC of the revolution's first pulse, whether or not it has a return

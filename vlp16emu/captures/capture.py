@@ -33,9 +33,8 @@ PCAP = {
     for order in ("little", "big")
 }
 """Byte order, nanoseconds per unit of a stamp's fraction, and format of a record's header, by the first bytes
-of a file.
-Source: IETF draft-ietf-opsawg-pcap; the last magic number is the "modified" pcap of routers, as Wireshark's
-wiki describes it."""
+of a file. Source: IETF draft-ietf-opsawg-pcap; the last magic number is the "modified" pcap of routers, as
+Wireshark's wiki describes it."""
 _PCAP_HEADER_BYTES = 24
 _LONGEST_FRAME_BYTES = 262_144  # a longer record means damage (MAXIMUM_SNAPLEN of libpcap)
 _ENDING = re.compile(r"\.(pcap|pcapng|cap)\d*(\.(gz|bz2|xz|zst))?$", re.IGNORECASE)
@@ -118,8 +117,7 @@ class Capture:
     """UDP datagrams of a capture: pcap or pcapng, plain or compressed, of any link type that carries IP.
 
     A context manager to be iterated over once. Other frames, and packets that the capture holds twice, are
-    skipped and
-    counted.
+    skipped and counted.
 
     Parameters
     ----------
@@ -380,8 +378,7 @@ def chosen_unit(path: Path, unit: str | None, *, where: str = "unit") -> Capture
     where : the option's name in error lines
 
     Raises CaptureError if the file is not a capture or is damaged; InputError if there is no such unit, if
-    there are
-    several and none is named, or if one of a pipe is named, as a pipe can be read only once.
+    there are several and none is named, or if one of a pipe is named, as a pipe can be read only once.
     """
     if path.is_fifo() and unit is not None:
         raise InputError(where, f"found {unit} for the pipe {path}", "a file, which can be read twice")

@@ -1,9 +1,8 @@
 """Captures read back: the UTC of packets, points chunk by chunk, and a summary in numbers.
 
 The time stamp of a packet counts from a full hour that the packet does not name, on a clock that follows UTC
-only if it is
-locked to GPS. So UTC comes from the sensor's clock, the sentences of its GPS receiver, or the host that
-captured the packets.
+only if it is locked to GPS. So UTC comes from the sensor's clock, the sentences of its GPS receiver, or the
+host that captured the packets.
 """
 
 from collections.abc import Iterator, Sequence

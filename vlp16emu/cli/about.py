@@ -79,9 +79,8 @@ def plan(
     """Report what a scene needs and leaves out, what its stages and a recording cost, and whether a stream keeps up.
 
     The world is grown, the kernels are loaded, and two seconds are recorded without a file: the speed holds
-    for
-    this machine at its present load. It does not include the new window of the world that a walk needs every
-    7 s; the time of a recording does.
+    for this machine at its present load. It does not include the new window of the world that a walk needs
+    every 7 s; the time of a recording does.
     """
     from vlp16emu.extras.plot.sheet import plotting
 
@@ -236,8 +235,7 @@ def forest(
     """Report what stands along the path of the sensor.
 
     The report lists trees by species, their spatial pattern, the relief, and objects on the ground, all
-    within the
-    radius of the path; for a hall, its objects.
+    within the radius of the path; for a hall, its objects.
     """
     from vlp16emu.extras.plot.sheet import plotting
     from vlp16emu.output import spare
@@ -313,9 +311,7 @@ def accuracy(
 
     Pulses from the whole run are received with each setting, without noise, and compared with their converged
     result from thousands of sub-rays. A forest cast leaf by leaf only up to some distance is compared with
-    the fully
-    explicit one by means over 8 times as many pulses.
-    In a rig, the first sensor is evaluated.
+    the fully explicit one by means over 8 times as many pulses. In a rig, the first sensor is evaluated.
     """
     from vlp16emu.extras.plot.sheet import plotting
     from vlp16emu.scenario import find, load, named_files

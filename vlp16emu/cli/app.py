@@ -65,8 +65,7 @@ def _root(
     """Emulate a Velodyne VLP-16 that is carried through synthetic forests.
 
     Every packet has byte for byte the format of the sensor: `record` writes a pcap file, `stream` sends over
-    UDP in
-    real time.
+    UDP in real time.
     """
     if version:
         from importlib.metadata import version as version_of

@@ -37,10 +37,9 @@ def record(
 ) -> None:
     """Record a scene into a pcap file, or a bag.
 
-    The file holds data and position packets in order of sending, in the frames of a real sensor and
-    stamped with simulated time. Ctrl-C ends it early and leaves a valid file, before the first packet none.
-    While it is
-    written, its name is OUT.xxxxxxxx.part; after kill -9 that file holds all complete packets.
+    The file holds data and position packets in order of sending, in the frames of a real sensor and stamped
+    with simulated time. Ctrl-C ends it early and leaves a valid file, before the first packet none. While it
+    is written, its name is OUT.xxxxxxxx.part; after kill -9 that file holds all complete packets.
     """
     from vlp16emu.output import STDOUT
 
@@ -85,10 +84,8 @@ def decode(
     """Decode a capture by the formulas of the sensor's manual.
 
     Works on recordings of real sensors too. Points are in metres in the sensor's frame: x forward (azimuth
-    0), y left,
-    z up, unless --frame chooses other axes. Pulses without return give no points. After Ctrl-C or a broken
-    packet the
-    file is valid and holds the points before it.
+    0), y left, z up, unless --frame chooses other axes. Pulses without return give no points. After Ctrl-C or
+    a broken packet the file is valid and holds the points before it.
     """
     from vlp16emu.captures import CaptureReader, chosen_unit, packet_clock
     from vlp16emu.packets import PointFrame

@@ -79,8 +79,7 @@ def stream(
 
     Nothing leaves this machine unless --to names another one. Packets are computed ahead; all deadlines count
     from the first packet. If the engine falls behind, a line says so at once, with settings that would keep
-    up.
-    Ctrl-C ends the stream.
+    up. Ctrl-C ends the stream.
     """
     title = f"{scene} to {options.receiver[0]}"
     emulator = make_emulator(scene, making)
@@ -133,8 +132,7 @@ def replay(
     """Send a capture over UDP again, ours or a real sensor's.
 
     Packets keep the intervals of their capture stamps and go to the ports of the capture. Nothing leaves this
-    machine
-    unless --to names another one. Ctrl-C ends it.
+    machine unless --to names another one. Ctrl-C ends it.
     """
     from vlp16emu.extras.replay import replay as send_again
 

@@ -59,8 +59,7 @@ class Progress:
     """Bar on stderr; nothing if stderr is no terminal.
 
     The thread that calls `show` draws it: another thread would disturb the pacing of packets. Before the
-    first call, a
-    thread of its own counts the seconds.
+    first call, a thread of its own counts the seconds.
 
     Parameters
     ----------

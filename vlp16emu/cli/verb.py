@@ -16,8 +16,8 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
     """Return a function for typer, with one parameter for each option of `function`.
 
     A parameter of `function` is `Annotated[type, Option(...)]`, or a dataclass of such fields. A nested
-    dataclass
-    is None if none of its options is given. A function without such parameters is returned unchanged.
+    dataclass is None if none of its options is given. A function without such parameters is returned
+    unchanged.
     """
     parameters = inspect.signature(function).parameters.values()
     leaves = list(leaves_of(function))

@@ -202,8 +202,7 @@ def dataset(
 
     Walks that an earlier run has finished are kept after a check of their sha256; the others are made.
     OUT/manifest.json lists every file with its sha256 and the split of its stand. Ctrl-C ends it; the same
-    command goes
-    on with the walks that are missing.
+    command goes on with the walks that are missing.
     """
     from vlp16emu.extras.dataset import estimate_dataset, load_spec, make_dataset, walks_of
 
@@ -274,9 +273,8 @@ def picture(
     """Draw what a sensor sees of a scene, or saw in a capture: all of it at a slant, or one revolution.
 
     Points of whole revolutions of the first sensor are accumulated; a capture without --trajectory shows its
-    first
-    revolution in the sensor's frame. A film has a frame for each revolution, ten per second. Needs the extra
-    'picture'.
+    first revolution in the sensor's frame. A film has a frame for each revolution, ten per second. Needs the
+    extra 'picture'.
     """
     from vlp16emu.captures.capture import is_capture_name
     from vlp16emu.extras.viewer.picture import (
@@ -317,10 +315,8 @@ def images(
     """Write what a camera beside the sensor sees: colour, depth, classes and instances.
 
     The table [camera] of the scene sets lens, mount, size, rate and shutter; without it the camera is at the
-    sensor and looks
-    ahead. Intrinsics and poses come as cameras.json, TUM, COLMAP's text model and nerfstudio's
-    transforms.json. Ctrl-C
-    keeps the images so far. Needs the extra 'picture'.
+    sensor and looks ahead. Intrinsics and poses come as cameras.json, TUM, COLMAP's text model and
+    nerfstudio's transforms.json. Ctrl-C keeps the images so far. Needs the extra 'picture'.
     """
     emulator = make_emulator(scene, making)
     from vlp16emu.extras.camera.folder import write_images
@@ -359,10 +355,8 @@ def view(
     """Show a scene in the browser: the stand, the sweep at any time, and the path of a walk, to be edited.
 
     Drag way points over the ground; see at once length, run time and packets, and what is in the way; save
-    the
-    scene with the new path. For a capture, the page shows its sweeps and marks faulty packets. Needs the
-    extra
-    'viewer'. Ctrl-C ends it.
+    the scene with the new path. For a capture, the page shows its sweeps and marks faulty packets. Needs the
+    extra 'viewer'. Ctrl-C ends it.
     """
     from vlp16emu.captures.capture import is_capture_name
 

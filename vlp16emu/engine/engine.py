@@ -1,8 +1,7 @@
 """The program on one page: poses - aim - cast - shade - dim - detect - pack - merge in order of sending.
 
 Blocks of firing sequences are computed whole, and windows of the world change at fixed blocks, so neither the
-number of
-threads nor the requested span can change a byte.
+number of threads nor the requested span can change a byte.
 """
 
 import heapq
@@ -80,8 +79,7 @@ class Engine:
     """A scenario ready to run: sensors on one carrier, and the world around them.
 
     An engine is a value: `with_events` and `dataclasses.replace` make another one with other events, taps or
-    options,
-    which shares world, windows and receiver.
+    options, which shares world, windows and receiver.
     """
 
     scenario: Scenario  # Determines every byte
@@ -116,8 +114,7 @@ class Engine:
         """Return the packets sent from `start_s` until before `stop_s` after the first pulse, in order of sending.
 
         Raises ScenarioError if the sensor has no packets; TrajectoryError if the span begins before the first
-        pulse, or
-        if the walk ends before the span.
+        pulse, or if the walk ends before the span.
         """
         require_packets(self.scenario.sensor)
         span_ns = self.span_ns(start_s, stop_s)
@@ -141,8 +138,7 @@ class Engine:
         """Return a unit's returns before packing, in whole blocks that cover the span; with their surfaces if `truth`.
 
         A block in which settings change is returned once for the settings before and once for those after,
-        each time with
-        the firing sequences that are sent; blocks without any are left out.
+        each time with the firing sequences that are sent; blocks without any are left out.
         """
         blocks = self.batching.blocks(*self.span_ns(start_s, stop_s))
         sensor = self.parts.units[unit]
@@ -167,8 +163,7 @@ class Engine:
         """Check a span of the run and convert it to nanoseconds since the first pulse; the default end is the scene's.
 
         Raises TrajectoryError if it begins before the first pulse, ends after the motion or after two weeks,
-        or if no poses
-        arrive in a live scene.
+        or if no poses arrive in a live scene.
         """
         if isinstance(self.parts.carrier, OwnWindows):
             self.parts.carrier.require_open()

@@ -34,8 +34,7 @@ _POLL_S = 0.05  # interval at which a waiting thread checks whether the run ends
 _LEAD = 3 / 8
 _LAG = 1 / 4
 """Shares of a segment: lead time with which a window is opened, and greatest delay with which the sky over
-the antenna
-is queried (1.4 s). Workers share the rest."""
+the antenna is queried (1.4 s). Workers share the rest."""
 
 _CASTERS: WeakValueDictionary[int, Caster] = WeakValueDictionary()
 """Casters of worlds in use, by the identity of the world: runs in one world share its geometry."""
@@ -161,8 +160,7 @@ class Windows(Generic[S]):
         """Cut blocks into runs of at most `together` whole blocks, each within one window.
 
         Runs are short at first, so that the first packet comes soon, and at the end, so that workers end
-        together; they
-        are also short enough that workers do not get too far ahead.
+        together; they are also short enough that workers do not get too far ahead.
         """
         together = max(1, min(together * self._parts, self._free // (threads + 1)))
         first = blocks.start

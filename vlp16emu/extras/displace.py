@@ -1,11 +1,9 @@
 """The beam error `offset` of LiDAR-Forest (Lu et al.): hits displaced inside the beam, for comparison.
 
 The paper displaces a hit "inside the ellipsoid whose axes are the divergence at that distance". Our
-interpretation:
-uniformly, within semi-axes of half the beam's horizontal and vertical width there, and along the beam half of
-their
-geometric mean. A packet can hold only the distance of the displaced point; point clouds have the point
-itself.
+interpretation: uniformly, within semi-axes of half the beam's horizontal and vertical width there, and along
+the beam half of their geometric mean. A packet can hold only the distance of the displaced point; point
+clouds have the point itself.
 """
 
 import math

@@ -8,8 +8,7 @@ _MOUNT = {"error_deg": 0.3, "error_mm": 5.0}
 _FIELD: dict[str, Any] = {"imu": {"preset": "field", "mount": _MOUNT}}
 """Tables of `conditions = "field"`. Extrinsics of a backpack are known within a degree and a centimetre by
 self-calibration (Pan, Shao et al., IEEE TGRS 61, 5703713, 2023); from a drawing within a third of a degree
-and half a
-centimetre for each axis (assumption)."""
+and half a centimetre for each axis (assumption)."""
 _ON_FOOT: dict[str, Any] = {"motion": {"kind": "walk", "mount": _MOUNT, "mast": {}}, "people": {}}
 _FORESTS = ("forest", "plot")
 _IN_A_FOREST: dict[str, Any] = {"wind": {"speed_m_s": 2.0}}

@@ -11,8 +11,7 @@ from vlp16emu.sinks import LOOPBACK
 
 _FREE = range(20_000, 32_768)
 """Range of the free ports: below the ephemeral ports, which begin at 32768 on Linux
-(net.ipv4.ip_local_port_range,
-ip(7)) and at 49152 elsewhere (RFC 6335, section 6)."""
+(net.ipv4.ip_local_port_range, ip(7)) and at 49152 elsewhere (RFC 6335, section 6)."""
 _offered = count(os.getpid() * 61)
 """Index in `_FREE` at which the next search begins: it differs between processes, so that searches are
 short."""

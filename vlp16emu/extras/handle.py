@@ -154,8 +154,7 @@ class Live(PacketSink):
         affects.
 
         Raises InputError if there is no such unit or kind (data or position), or `count` is above 2048;
-        RunError if the
-        stream ends, or `timeout_s` passes, before they are sent; errors of the stream.
+        RunError if the stream ends, or `timeout_s` passes, before they are sent; errors of the stream.
         """
         lane = self._lane(unit, kind)
         if not 1 <= count <= _HELD:
@@ -177,8 +176,8 @@ class Live(PacketSink):
 
         Row 32 b + c is record c of block b. `range_m`, `sensor_m` (3), `world_m` (3), `semantic`, `part`,
         `instance` and `species` describe the surface of the return; `echo` is 0 for the strongest, 1 for the
-        last, 2 for
-        the second strongest return and 255 for none; `t_ns` and `world_T_sensor` (4, 4) belong to the pulse.
+        last, 2 for the second strongest return and 255 for none; `t_ns` and `world_T_sensor` (4, 4) belong to
+        the pulse.
 
         Raises InputError if none of the sensor's last 2048 packets has the stamp, or the stream has no truth.
         """
@@ -200,8 +199,8 @@ class Live(PacketSink):
         """Yield whole revolutions of a sensor, decoded from its packets as they are sent, until the stream ends.
 
         Scans have labels if the stream has truth; their times are times of the scene. A reader that is more
-        than 2048
-        packets behind goes on with the newest packet. Incomplete and corrupt data packets are skipped.
+        than 2048 packets behind goes on with the newest packet. Incomplete and corrupt data packets are
+        skipped.
 
         Raises InputError if there is no such unit; errors of the stream.
         """

@@ -26,8 +26,7 @@ class Rung:
     reach_m: float
     gain: float
     """Approximate speed of a forest relative to the first rung: from us per pulse in
-    `tools/results/accuracy.md`, and
-    for the range from `scenes/OUTPUTS.md`."""
+    `tools/results/accuracy.md`, and for the range from `scenes/OUTPUTS.md`."""
     error_mm: (
         float  # mean error of the strongest echo's range in `scenes/reference_forest` by `vlp16emu accuracy`
     )
@@ -92,8 +91,7 @@ def choose(
     """Return the best rung that leaves a fifth of the time free, its speed, and the speed of the unchanged scene.
 
     The unchanged scene (None) is first; then the rungs that are fast enough according to their gains, from
-    the best
-    down.
+    the best down.
 
     Parameters
     ----------

@@ -20,8 +20,7 @@ _SHOULDERS = 0.82  # height of the shoulders, as a share of the stature (assumpt
 _STATURE_M = 1.74
 _WIDTH_M = 0.5
 """Height, and width of the shoulders with 0.04 m of outdoor clothing; medians of British men (City University
-of Hong
-Kong, online anthropometry, chapter 2)."""
+of Hong Kong, online anthropometry, chapter 2)."""
 _PASSES_AT_M = 1.0  # lateral distance (assumption)
 _REFLECTANCE = 0.5  # Lambertian, at 903 nm (assumption)
 _HEAD_M = 0.0975

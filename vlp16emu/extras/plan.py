@@ -145,8 +145,7 @@ def stages(engine: Engine) -> list[Stage]:
 
     Each works on the same pulses, spread over the first window, as many at once as in a run. Rays that end at
     `world.near_m` give the first stage of casting, and the further cost of the full range the second one.
-    Opening a
-    window is the processor time of all threads for the second one, as the sensor moves.
+    Opening a window is the processor time of all threads for the second one, as the sensor moves.
     """
     unit = engine.parts.units[0]
     parts = engine.parts

@@ -141,8 +141,7 @@ def replay(
     options : fields of `ReplayOptions`
 
     Raises InputError if an option is invalid, ports are given for several sensors, or `now` is combined with
-    another
-    speed; CaptureError as in `Replay`; OutputError, RunError as in `Emulator.stream`.
+    another speed; CaptureError as in `Replay`; OutputError, RunError as in `Emulator.stream`.
     """
     asked = ReplayOptions.from_fields(options)
     to, data_port = asked.receiver
@@ -180,8 +179,7 @@ def prepared(emulator: Emulator, options: StreamOptions, **hooks: Any) -> Iterat
     """Record a whole run into the file `options.prepare`, and yield its packets as `packets_of` does.
 
     Raises OutputError if the file cannot be read again, or has the suffix of another format; other errors as
-    in
-    `record`.
+    in `record`.
     """
     path = Path(options.prepare or "")
     if path == STDOUT or (path.exists() and not path.is_file()):

@@ -121,8 +121,7 @@ def _solve(bands: F8, values: F8) -> None:
     """Solve a banded system in place: values (n, m) become the solution.
 
     Row i of the bands (n, 2 b + 1) has the coefficients of unknowns i - b .. i + b. Matrices of B-splines are
-    totally
-    positive, so that elimination needs no pivots (de Boor, chapter XIII).
+    totally positive, so that elimination needs no pivots (de Boor, chapter XIII).
     """
     n = len(bands)
     reach = bands.shape[1] // 2

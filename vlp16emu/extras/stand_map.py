@@ -97,8 +97,7 @@ def bark_seen(
     """Return the share (k,) of the bark at breast height that a level sensor sees from anywhere on its path.
 
     Single rays go from places a metre apart to 24 points around each stem. Foliage beyond `world.near_m` of
-    the path
-    is a medium, which stops a ray as often as leaves do.
+    the path is a medium, which stops a ray as often as leaves do.
 
     Parameters
     ----------

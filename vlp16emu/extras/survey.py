@@ -133,8 +133,7 @@ def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None) -> S
     """Survey the surroundings of the path of a scenario's sensor.
 
     InputError if a part of the scenario cannot be made, its world is from another package, or the radius
-    exceeds the
-    sensor's range.
+    exceeds the sensor's range.
     """
     reach_m = scenario.sensor.max_range_m
     if radius_m > reach_m:
@@ -310,8 +309,7 @@ def write_survey(
     With `bark` its stems have the share of their bark that is seen from the path.
 
     The files are opened before any long computation, and get their names together at the end. Raises
-    InputError as
-    `survey`; OutputError if a file cannot be created.
+    InputError as `survey`; OutputError if a file cannot be created.
     """
     with ExitStack() as stack:
         outputs = {

@@ -1,8 +1,7 @@
 """Clouds: the projected area of shapes in cells of 0.25 m, or face by face for shapes with few faces.
 
 A shape is measured once, with the mutual occlusion of its faces subtracted, and its cloud is placed at each
-instance
-(`vlp16emu.foliage.medium`).
+instance (`vlp16emu.foliage.medium`).
 """
 
 import math
@@ -148,9 +147,8 @@ def kept_share(corners_m: F8, first: I8, share: F4) -> F8:
     """Return the share of each face's area (f,) that randomly placed leaves would need for the same occlusion.
 
     The faces of each mesh are rasterized along x and along y, voxel by voxel. Randomly placed leaves that
-    hide the same part
-    of a voxel's side have an area of -log(1 - hidden) times that side (Beer's law); clumped leaves have more
-    area than that.
+    hide the same part of a voxel's side have an area of -log(1 - hidden) times that side (Beer's law);
+    clumped leaves have more area than that.
 
     Parameters
     ----------

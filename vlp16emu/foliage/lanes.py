@@ -29,8 +29,7 @@ class Stems(NamedTuple):
     line: F8  # (n, 8) foot, unit axis, widest radius, and greatest bend of the stem off the axis
     profile: F4
     """(n, 5, knots) heights along the axis, radii, the greatest radius from there upwards, and the offset in
-    x and y of the
-    circle's centre from the axis."""
+    x and y of the circle's centre from the axis."""
     plan: F4  # (3, n) x and y of the centre, and radius, of a circle around the stem as seen from above
     bounds: F4  # (n, 9) foot, unit axis, lowest and highest end along the axis, reach beside it
     surface: U4  # (n, 2) of root flare and stem
@@ -81,8 +80,7 @@ class Lanes(NamedTuple):
     surface: U4  # (8,) likewise
     line: F4
     """(48,) scratch, rows of eight: position across at the grid's corner and its change per metre, in 8ths of
-    voxels, on
-    both axes; then position along and its inverse change per metre of range."""
+    voxels, on both axes; then position along and its inverse change per metre of range."""
     place: U4  # (AHEAD,) scratch: brick and bit of the voxel of each slab, then the number of its record
     code: U4  # (AHEAD,) scratch: these records
     hash: U4  # (AHEAD,) scratch: hashes of the places of these voxels

@@ -1,12 +1,9 @@
 """Leaves of voxels, and their intersection with lanes.
 
 The leaves of a voxel are 64 cells of a Latin square, one in each column of 8 x 8 along each of the three
-axes, so that a
-leaf has the same position from every direction. The first n of them are present; n / 64 is the share of the
-light that
-foliage of that density intercepts over the length of the slab (Beer's law). The voxel's square, its
-mirroring, and the
-rounding of n follow from a hash of the voxel's position in the world.
+axes, so that a leaf has the same position from every direction. The first n of them are present; n / 64 is
+the share of the light that foliage of that density intercepts over the length of the slab (Beer's law). The
+voxel's square, its mirroring, and the rounding of n follow from a hash of the voxel's position in the world.
 """
 
 from typing import Any, NamedTuple

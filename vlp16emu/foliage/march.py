@@ -1,12 +1,9 @@
 """The march of light through the far medium: ground as a grid, stems as tapered cones, foliage as voxels.
 
 A pulse first meets the stems in its way (`vlp16emu.foliage.stems`). Up to the range where they end it, it
-passes slabs of
-voxels along the axis that it is most parallel to. The voxel on its centre ray decides for all sub-rays in a
-slab: the
-density of foliage (`vlp16emu.foliage.leaves`), and whether ground may be met; each sub-ray is then
-intersected exactly with
-the ground (`vlp16emu.foliage.ground`).
+passes slabs of voxels along the axis that it is most parallel to. The voxel on its centre ray decides for all
+sub-rays in a slab: the density of foliage (`vlp16emu.foliage.leaves`), and whether ground may be met; each
+sub-ray is then intersected exactly with the ground (`vlp16emu.foliage.ground`).
 """
 
 from typing import Any, NamedTuple
@@ -222,8 +219,7 @@ def _lit(
     """Return bits of the voxels after the first few, and of the few in which a lane may meet a leaf or the ground.
 
     The loop has no branch, so that memory latency is paid once and the arithmetic of voxels overlaps; half of
-    all rays end
-    within the few.
+    all rays end within the few.
     """
     L = pulse.lanes
     records = M.record

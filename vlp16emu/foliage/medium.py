@@ -1,12 +1,9 @@
 """Far foliage: voxels of 0.5 m with the leaf and wood area of the shapes that stand there.
 
 A shape with many faces is measured once: its projected area in cells of 0.25 m (`Cloud`). Placements add
-these areas, or
-single faces of shapes with few faces, to the voxels of a tile of the world (`Block`); tiles make up the
-medium of a
-window (`vlp16emu.foliage.lanes`). A block depends on its tile and the neighbouring tiles alone, so blocks are
-kept from
-window to window.
+these areas, or single faces of shapes with few faces, to the voxels of a tile of the world (`Block`); tiles
+make up the medium of a window (`vlp16emu.foliage.lanes`). A block depends on its tile and the neighbouring
+tiles alone, so blocks are kept from window to window.
 
 A `Shelf` holds blocks side by side in arrays that windows share, so that no block is copied or stored twice.
 """
@@ -42,9 +39,8 @@ class Block:
     first_owner: U4  # (m,) first owner of each record; the last owner has a share of 255
     owner: U8
     """(o,) bit fields: row of a tile's surfaces; from `LAW_BIT` the law in the library; from `TILE_BIT` 3 (dx
-    + 1) + dy + 1
-    for that tile; from `SHARE_BIT` the cumulative share of the voxel's projected area up to this owner, in
-    255ths."""
+    + 1) + dy + 1 for that tile; from `SHARE_BIT` the cumulative share of the voxel's projected area up to
+    this owner, in 255ths."""
 
 
 def block_of(

@@ -1,10 +1,8 @@
 """Stems seen from the sensor, and their intersection with lanes.
 
 From 15 m on, stems move slowly across the view, and the pulses of eight firing sequences look into a narrow
-sector. So the
-stems of a sector are listed once for all its pulses, nearest first, and a pulse is intersected with stems
-before it
-passes foliage.
+sector. So the stems of a sector are listed once for all its pulses, nearest first, and a pulse is intersected
+with stems before it passes foliage.
 """
 
 import math

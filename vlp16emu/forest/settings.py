@@ -30,10 +30,8 @@ DENSITY_KEYS = frozenset({"stems_per_ha", "basal_area_m2_per_ha"})
 
 LEAST_SLENDERNESS = 12.0
 """Least ratio of height to DBH of the tree of mean diameter: trees in stands have 50 to 120 and open-grown
-ones 25 to 50
-(Wang, Titus and LeMay 1998, "Relationships between tree slenderness coefficients and tree or stand
-characteristics"); a
-DBH given in millimetres would give a tenth."""
+ones 25 to 50 (Wang, Titus and LeMay 1998, "Relationships between tree slenderness coefficients and tree or
+stand characteristics"); a DBH given in millimetres would give a tenth."""
 
 _SHARE_ERROR = 0.015  # tolerance of a sum of shares of 1: allows three shares of 0.33
 
@@ -58,8 +56,7 @@ _RELIEFS: dict[str, dict[str, object]] = {
     "rough": {"hill_rms_m": 1.5, "rough_rms_m": 0.11, "mounds_per_ha": 800.0},
 }
 """Keys set by each kind of relief. Hills and mounds are assumptions: hills of 1 m rms have slopes of 4
-degrees rms, hills
-of 4 m have 15."""
+degrees rms, hills of 4 m have 15."""
 
 
 class Terrain(Preset):
@@ -81,10 +78,8 @@ class Terrain(Preset):
     wide."""
     trail_spacing_m: Annotated[float, Field(ge=0, le=200)] = 0.0
     """Distance between the middles of parallel trails of harvesters, each with two ruts, 0.05 m to 0.2 m deep
-    and 0.5 m to 0.7 m
-    wide, 2 m apart; 0 for none, else 10 or more. Generated trees and shrubs keep 2 m from their middle.
-    Forests of Central
-    Europe have trails every 20 m (PEFC) or 40 m (FSC)."""
+    and 0.5 m to 0.7 m wide, 2 m apart; 0 for none, else 10 or more. Generated trees and shrubs keep 2 m from
+    their middle. Forests of Central Europe have trails every 20 m (PEFC) or 40 m (FSC)."""
     trail_towards_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
     """Direction of the trails, counter-clockwise from east."""
     slope_deg: Annotated[float, Field(ge=0, le=45)] = 0.0
@@ -347,8 +342,7 @@ class TreeModelFile(MeshSource):
 
     species: str
     """Species that it represents: name in the species table, or scientific name. With several models of a
-    species, each tree
-    takes a random one among the models that need the least stretching."""
+    species, each tree takes a random one among the models that need the least stretching."""
     parts: list[ModelPart] = Field(default_factory=list)
     """Parts of the file that are not stem."""
 
@@ -397,8 +391,7 @@ class Woods(WorldSection):
     """Least distance of plants and things on the ground from the path, except roots of old trees."""
     near_m: Near = 15.0
     """Range up to which plants are cast leaf by leaf; beyond, ground and stems are exact and foliage is a
-    medium of voxels
-    made from the same plants. `inf` casts everything leaf by leaf."""
+    medium of voxels made from the same plants. `inf` casts everything leaf by leaf."""
     terrain: Terrain = Terrain()
     dem: Dem | None = None
     """Ground heights from a file, in place of `terrain`."""
@@ -421,22 +414,20 @@ class Wind(Section):
 
     speed_m_s: Annotated[float, Field(ge=0, le=12)]
     """Mean speed at the top of the canopy, roughly half the speed in the open. Trees respond linearly, even
-    if real trees would
-    break or lean on their neighbours: from about 8 m/s on, thin trees of dense stands lean too far."""
+    if real trees would break or lean on their neighbours: from about 8 m/s on, thin trees of dense stands
+    lean too far."""
     towards_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
     """Direction towards which it blows, counter-clockwise from east."""
     turbulence_intensity: Annotated[float, Field(ge=0, le=1)] = 0.55
     """Turbulence intensity: standard deviation of the speed along the wind over the mean; 0.8 of that across.
-    At the top of
-    canopies 1.8 / 3.3 (both over the friction velocity; Raupach, Finnigan and Brunet, Boundary-Layer Meteorol
-    78, 1996)."""
+    At the top of canopies 1.8 / 3.3 (both over the friction velocity; Raupach, Finnigan and Brunet,
+    Boundary-Layer Meteorol 78, 1996)."""
     gust_length_m: Annotated[float, Field(ge=1, le=500)] = 20.0
     """Integral length of gusts along the wind: at the top of canopies about the height of the trees (same
     source)."""
     damping_ratio: Annotated[float, Field(ge=0.02, le=1)] = 0.1
     """Damping ratio of the trees' sway: whole trees have 0.08 and more, stripped ones 0.01 to 0.08 (Moore and
-    Maguire, Trees
-    19, 2005)."""
+    Maguire, Trees 19, 2005)."""
 
 
 class Forest(Woods, Storey):
@@ -474,5 +465,4 @@ class Plot(Woods):
     """CSV file with column names in the first line: x, y, species, dbh_cm, height_m, and more if known."""
     on_conflict: Literal["refuse", "drop", "move_path"] = "refuse"
     """Handling of stems nearer to the path than `path_clearance_m`: an error names all of them, they are
-    dropped with a
-    warning, or the path of a walk is moved around them."""
+    dropped with a warning, or the path of a walk is moved around them."""

@@ -1,11 +1,9 @@
 """The plane cut into square tiles: tiles near a line, and their ground as triangles, large on even ground.
 
 Right triangles are bisected repeatedly from the middle of their longest side, if the ground is off that
-middle (Evans,
-Kirkpatrick and Townsend, "Right-triangulated irregular networks", Algorithmica 30, 2001). A cut is made in
-both triangles
-at a side, together with the coarser cuts that it depends on, so that no vertex lies on a side of another
-triangle.
+middle (Evans, Kirkpatrick and Townsend, "Right-triangulated irregular networks", Algorithmica 30, 2001). A
+cut is made in both triangles at a side, together with the coarser cuts that it depends on, so that no vertex
+lies on a side of another triangle.
 """
 
 from collections.abc import Callable
@@ -22,10 +20,8 @@ _CELL_M = 0.5  # edge of the initial squares
 _FINEST = 16  # steps of the finest grid along that edge, 31 mm each
 _LOOKED_AT = (16, 8, 4, 2)
 """Edges, in these steps, of squares at whose centre and sides the ground is compared: the largest everywhere,
-smaller ones
-only if the ground is off in the enclosing square or in a neighbour of it. A hollow may be missed between
-points that are
-as far apart as it is wide, but not in a neighbouring square."""
+smaller ones only if the ground is off in the enclosing square or in a neighbour of it. A hollow may be missed
+between points that are as far apart as it is wide, but not in a neighbouring square."""
 _CUTS = 8  # successive cuts of a half square, down to halves of the finest squares
 _OFF_M = 0.004
 """Tolerance of the ground at the middle of an uncut side; elsewhere on a triangle the error is little
@@ -38,8 +34,7 @@ def ground_triangles(corner_m: tuple[float, float], edge_m: float, height_m: Hei
     """Triangulate the ground of a square, with the same vertices along the border as in neighbouring squares.
 
     The south-west corner is at whole multiples of 0.5 m, and the edge is in whole metres. Returns vertices
-    (n, 3) in the world,
-    by rows from south to north, and faces (m, 3), counter-clockwise as seen from above.
+    (n, 3) in the world, by rows from south to north, and faces (m, 3), counter-clockwise as seen from above.
     """
     cells = round(edge_m / _CELL_M)
     ground = _Ground(corner_m, (cells + 2 * _APRON) * _FINEST + 1, height_m)

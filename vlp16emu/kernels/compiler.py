@@ -3,12 +3,10 @@
 Modules with kernels import `numba` from here, as it is configured before the first kernel is made.
 
 A kernel that is compiled because another one calls it is code for that one only: it gets no entry from Python
-or C,
-no machine code of its own and no file. If Python calls it later, it is compiled again in full.
+or C, no machine code of its own and no file. If Python calls it later, it is compiled again in full.
 
 A table lists the kernels that Python calls in runs of each group, hall and forest, with their argument types,
-the
-costliest first. It may be outdated: a kernel that it lacks is compiled when it is first called.
+the costliest first. It may be outdated: a kernel that it lacks is compiled when it is first called.
 """
 
 import json
@@ -68,8 +66,7 @@ def is_plain() -> bool:
     """Return True if numba compiles and keeps kernels in its own way, which takes longer and changes no byte.
 
     So it is with versions of numba whose private interfaces are not known, unless a kernel that is compiled
-    through
-    them works; or if `VLP16EMU_NUMBA` is `plain`.
+    through them works; or if `VLP16EMU_NUMBA` is `plain`.
     """
     if os.environ.get("VLP16EMU_NUMBA") == "plain":
         return True

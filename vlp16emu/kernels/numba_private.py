@@ -1,8 +1,7 @@
 """All that depends on private interfaces of numba: dispatchers with our cache, inner kernels without code of their own.
 
 A kernel that is compiled because another one calls it is code for that one only: it gets no entry from Python
-or C,
-no machine code of its own and no file. If Python calls it later, it is compiled again in full.
+or C, no machine code of its own and no file. If Python calls it later, it is compiled again in full.
 """
 
 import sys

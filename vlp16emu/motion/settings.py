@@ -124,8 +124,7 @@ class Gps(Section):
     """The GPS receiver wired to the sensor, and its errors.
 
     Errors under open sky follow an automotive receiver (Garmin GPS 16x, 190-00228-08 Rev. C, section 1.5.4.4:
-    3 m in 95 % of
-    cases with WAAS, and 0.1 knot); their split and the effect of trees are assumptions.
+    3 m in 95 % of cases with WAAS, and 0.1 knot); their split and the effect of trees are assumptions.
     """
 
     connected: bool = True

@@ -26,8 +26,7 @@ def pack_data(returns: Returns, mode: ReturnMode, model: SensorModel, unit: int 
     """Pack whole packets of a unit of the rig, k / 24 or k / 12 of them; other parameters and errors as in `data_payloads`.
 
     `due_ns` is the end of a packet's last firing sequence: 1327.104 us after its first pulse, or 663.552 us
-    in dual return,
-    if no sequence is left out.
+    in dual return, if no sequence is left out.
     """
     payloads = data_payloads(returns, mode, model)
     sequences = SEQUENCES_PER_PACKET[mode]
@@ -57,8 +56,7 @@ def data_payloads(returns: Returns, mode: ReturnMode, model: SensorModel) -> U1:
     model : determines the factory byte
 
     Raises InputError unless angles and distances are finite and not negative; ValueError unless there are 16
-    lasers and
-    whole packets.
+    lasers and whole packets.
     """
     _check(returns)
     firings = returns.firings

@@ -1,10 +1,8 @@
 """Decoding of both packets: data packets become points by the manual's formulas.
 
 With distance R, azimuth a, elevation w and the laser's vertical correction c the manual has X = R cos w sin a
-to the right,
-Y = R cos w cos a forward and Z = R sin w + c up (63-9243 Rev D, sections 9.1 and 9.2, p. 52 to 54). Points
-here are in the
-`sensor` frame, as in ROS drivers: x = Y forward, y = -X left, z = Z.
+to the right, Y = R cos w cos a forward and Z = R sin w + c up (63-9243 Rev D, sections 9.1 and 9.2, p. 52 to
+54). Points here are in the `sensor` frame, as in ROS drivers: x = Y forward, y = -X left, z = Z.
 """
 
 from dataclasses import dataclass
@@ -73,8 +71,7 @@ class Points:
     reflectivity: U1  # (n,) 0..100 diffuse, 101..255 retroreflective
     is_last: NDArray[np.bool_]
     """(n,) True for a last return. Else it is the strongest, or in dual return, if the strongest is also the
-    last,
-    the second strongest or the same return again."""
+    last, the second strongest or the same return again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,10 +192,8 @@ def scan_starts(azimuth_deg: F8, t_ns: I8 | None = None) -> I8:
         can_turn_deg = 1.0 + _FASTEST_DEG_PER_NS * np.clip(step_ns, 0, JUMP_NS)
         in_packet = (step_ns > 0) & (step_ns <= BLOCK_PERIOD_NS)
     # The rotor only turns forward: a decrease is a wrap, except for encoder noise (0.01 deg) and late
-    # packets, and
-    # an increase that the rotor cannot make is a step back across the wrap.
-    # Two blocks of a packet may have a gap of azimuths that are not sent between them, which their times do
-    # not show.
+    # packets, and an increase that the rotor cannot make is a step back across the wrap. Two blocks of a
+    # packet may have a gap of azimuths that are not sent between them, which their times do not show.
     wrap = (step_deg < -1.0) & ((step_deg + 360.0 <= can_turn_deg) | in_packet)
     turn = np.cumsum(wrap.astype(np.int64) - ((step_deg > 180.0) & (step_deg > can_turn_deg)))
     scan = np.maximum.accumulate(turn) + np.cumsum(jump)

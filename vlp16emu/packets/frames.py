@@ -1,8 +1,8 @@
 """Ethernet, IPv4 and UDP headers of a real VLP-16.
 
-The two streams differ: data frames have a fixed header without a UDP
-checksum, position frames count their identification up and have a checksum. Measured on the frames of two
-real units; payload sizes are from 63-9243 Rev D, sections 9.3.2 (p. 56) and 9.3.3 (p. 60).
+The two streams differ: data frames have a fixed header without a UDP checksum, position frames count their
+identification up and have a checksum. Measured on the frames of two real units; payload sizes are from
+63-9243 Rev D, sections 9.3.2 (p. 56) and 9.3.3 (p. 60).
 """
 
 import struct

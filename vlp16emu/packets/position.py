@@ -75,8 +75,7 @@ def position_due_ns(rate: PositionRate, seed: int, start_ns: int, first: int, co
     """Return the send times (count,) of position packets in UTC ns, in any return mode.
 
     They increase from `start_ns` on, where the count of packets begins; `first` is the number of the first
-    packet, from 0.
-    Source: 63-9243 Rev D, section 8.2.3.
+    packet, from 0. Source: 63-9243 Rev D, section 8.2.3.
     """
     schedule = _SCHEDULES[rate]
     cycle, place = np.divmod(np.arange(first, first + count), len(schedule.pattern_ns))

@@ -1,14 +1,11 @@
 """Decision whether a pulse has enough sub-rays.
 
-Two criteria are tested after each round of eight. First, the error of the strongest echo's range: the
-mean absolute error, where another echo in its place counts as the resolution. It is
-estimated for each pulse; if estimates fall as 1/n with the number of sub-rays, rays are spent best if the
-last ray of
-every pulse gains the same, estimate / n = constant, and the mean error falls as the root of that constant.
-Second, the
+Two criteria are tested after each round of eight. First, the error of the strongest echo's range: the mean
+absolute error, where another echo in its place counts as the resolution. It is estimated for each pulse; if
+estimates fall as 1/n with the number of sub-rays, rays are spent best if the last ray of every pulse gains
+the same, estimate / n = constant, and the mean error falls as the root of that constant. Second, the
 detection of the strongest echo: if it is near the detection threshold, and its sub-rays leave its amplitude
-less certain
-than the receiver's own noise does, another round decides about lost or invented echoes.
+less certain than the receiver's own noise does, another round decides about lost or invented echoes.
 """
 
 import math
@@ -24,8 +21,7 @@ _NONE = np.uint32(NO_SURFACE)
 _LEAST_SQUARED = np.float32(1e-12)  # smallest squared range, in m2
 _PER_RAY = 5200.0
 """Error reduction required of a ray over the target to the power 3.5, in m-2.5, fitted so that
-scenes/reference_forest and
-birch_walk reach targets from 0.02 to 0.05 m or better."""
+scenes/reference_forest and birch_walk reach targets from 0.02 to 0.05 m or better."""
 _MOST = 0.65
 """Upper limit of an estimated error, in resolutions: half of one for another echo, plus the rest for eight
 rays of one."""
@@ -34,8 +30,7 @@ _EVENNESS = (
 )
 _DOUBT = 0.75
 """Probability that sub-rays decide whether an echo is seen, over its maximum, from which another round is
-cast. Chosen on
-scenes/reference_forest: 6 % more rays remove a third of the lost or invented echoes."""
+cast. Chosen on scenes/reference_forest: 6 % more rays remove a third of the lost or invented echoes."""
 _PLAIN = 0.4, 2.0
 """Amplitudes over the threshold, of all hits and of one ray's share, below and above which there is no
 doubt."""

@@ -11,15 +11,12 @@ x and y standard deviations of the divergence off the pulse's direction.
 
 Sub-rays of an adaptive beam are support points of that profile: the set of eight with the least energy
 distance to it (Mak and Joseph, "Support points", Annals of Statistics 46, 2018), and each further eight the
-best addition
-to the previous ones. A pulse rotates and mirrors them at random. Sub-rays of a fixed beam, and of an adaptive
-one from the
-65th on, are points of the R2 sequence, steps of the plastic number and of its square (M. Roberts, "The
-unreasonable
-effectiveness of quasirandom sequences", 2018), shifted in the unit square by two random numbers of the pulse
-(Cranley and Patterson, SIAM J. Numer. Anal. 13, 1976) and mapped to the plane by Box and Muller (1958): each
-alone is a
-random draw from the profile, so that means over any number of them are unbiased.
+best addition to the previous ones. A pulse rotates and mirrors them at random. Sub-rays of a fixed beam, and
+of an adaptive one from the 65th on, are points of the R2 sequence, steps of the plastic number and of its
+square (M. Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018), shifted in the unit
+square by two random numbers of the pulse (Cranley and Patterson, SIAM J. Numer. Anal. 13, 1976) and mapped to
+the plane by Box and Muller (1958): each alone is a random draw from the profile, so that means over any
+number of them are unbiased.
 """
 
 from dataclasses import dataclass, replace
@@ -41,8 +38,7 @@ _TOGETHER = 8
 _USUAL_RAYS = 64
 _MOST_RAYS = 512
 """Revolutions cast at once, so that geometry in one direction stays in the cache; and, over all of them,
-usual and greatest
-number of sub-rays per direction."""
+usual and greatest number of sub-rays per direction."""
 _BITS = 12
 _SHIFT = np.uint32(32 - _BITS)
 _TURN = int(Purpose.FOOTPRINT)

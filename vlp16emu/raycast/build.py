@@ -38,13 +38,11 @@ def shape_of(meshes: Sequence[Mesh]) -> Shape:
 
 _WIDER_M = 2.0**-10
 """Margin by which edges are moved outwards for Embree: its rays are off by 1 um at 15 m and 8 um at 100 m,
-times
-1 / cosine in the plane of a face at grazing incidence. Twice the margin casts 4 % slower in
+times 1 / cosine in the plane of a face at grazing incidence. Twice the margin casts 4 % slower in
 `scenes/spruce_walk`."""
 _SHARPEST = 0.25
 """Least sine of a corner's angle; sharper corners, such as tips of grass blades, move no farther, and their
-edges
-move less there: long needles of margin beyond each tip would cost a tenth of casting."""
+edges move less there: long needles of margin beyond each tip would cost a tenth of casting."""
 
 
 class EmbreeMesh:
@@ -82,8 +80,7 @@ class EmbreeMesh:
         device = rtc.device()
         scene, _ = _new_scene(self)
         # Embree reads these arrays until the scene is committed: only compact scenes refer to them later,
-        # others hold corners
-        # of their own (Embree 4, `rtcSetSharedGeometryBuffer`).
+        # others hold corners of their own (Embree 4, `rtcSetSharedGeometryBuffer`).
         read = list[NDArray[np.generic]]()
         for number in np.flatnonzero(stop > begin).tolist():
             vertices_m, triangles = self.faces[number]

@@ -52,9 +52,8 @@ _SIGNATURES: dict[str, tuple[object, list[object]]] = {
 _MMAP_THRESHOLD = -3
 _LARGE_BYTES = 1 << 22
 """Parameter of glibc's `mallopt`, and its value: larger arrays have pages of their own, huge ones, as numpy
-asks for from this size on.
-By default the limit grows to 32 MB, and arrays of that size leave holes: a tenth of the memory of a recording
-of `scenes/reference_forest`."""
+asks for from this size on. By default the limit grows to 32 MB, and arrays of that size leave holes: a tenth
+of the memory of a recording of `scenes/reference_forest`."""
 
 _MAKING = threading.Lock()
 _ERRORS = {

@@ -1,11 +1,9 @@
 """The inner loop: sub-rays of a pulse as one packet of eight through near faces, then the misses through the far medium.
 
 Eight sequences are cast at a time, step by step: all their pulses through the near faces, then the remaining
-ones
-through the far medium, so that their memory does not compete for the cache. Which rays share a packet depends
-on firing numbers and hits, never on threads. Kernels without new arrays count no references (`_nrt=False`),
-and
-loops take arrays out of tuples first: saves a twentieth of the time.
+ones through the far medium, so that their memory does not compete for the cache. Which rays share a packet
+depends on firing numbers and hits, never on threads. Kernels without new arrays count no references
+(`_nrt=False`), and loops take arrays out of tuples first: saves a twentieth of the time.
 """
 
 from typing import Any, NamedTuple

@@ -21,9 +21,8 @@ from vlp16emu.units import INCLUSIVE
 
 _SECTOR_DEG = 1.6
 """Width of a sector, whose faces stay in the cache from revolution to revolution: over eight revolutions it
-saves a fifth
-of the time for one ray per pulse in `scenes/reference_forest`, a seventh for an adaptive beam. 12 degrees
-save half."""
+saves a fifth of the time for one ray per pulse in `scenes/reference_forest`, a seventh for an adaptive beam.
+12 degrees save half."""
 
 
 class Stages(NamedTuple):

@@ -1,13 +1,11 @@
 """The Embree packet: eight rays that are cast together, and their hits.
 
 Embree finds candidates, and `_decide` selects the hit and its range. Embree's rounding depends on the
-instruction set: with
-another one the same ray hits a leaf at its edge or misses it, or hits the other of two intersecting faces. So
-Embree has slightly wider triangles (`build.widened`), candidates are kept up to `_SLACK_M` behind the
-nearest, and
-each is decided in float64, by sums, products and one division, from the original corners. Of two at the same
-range the
-one with the lower number is hit. So neither Embree's arithmetic nor the order of candidates matters.
+instruction set: with another one the same ray hits a leaf at its edge or misses it, or hits the other of two
+intersecting faces. So Embree has slightly wider triangles (`build.widened`), candidates are kept up to
+`_SLACK_M` behind the nearest, and each is decided in float64, by sums, products and one division, from the
+original corners. Of two at the same range the one with the lower number is hit. So neither Embree's
+arithmetic nor the order of candidates matters.
 
 Kernels without new arrays count no references (`_nrt=False`), and loops take arrays out of tuples first.
 """
@@ -29,8 +27,7 @@ PACKET = 8  # rays per packet; 16 is slower without AVX-512
 
 LEVEL = np.float32(sin(math.radians(20.0)))
 """Greatest slope of a level ray: includes all rays of a VLP-16 that is carried upright, with a lean of up to
-3 degrees.
-Half of the near faces of `scenes/reference_forest` are met by no level ray, and are not built."""
+3 degrees. Half of the near faces of `scenes/reference_forest` are met by no level ray, and are not built."""
 
 _intersect = types.ExternalFunction(
     "rtcIntersect8", types.void(types.uintp, types.uintp, types.uintp, types.uintp)
@@ -52,8 +49,7 @@ _SLACK_M = 2.0**-6
 costs no more."""
 
 # Offsets of rows of `RayPacket.state`: range of the hit, or the limit; the normal there in coordinates of the
-# shape, and
-# its product with the direction.
+# shape, and its product with the direction.
 _LIMIT, _NORMAL, _FACING, _STATE = (PACKET * row for row in (0, 1, 4, 5))
 
 
@@ -183,8 +179,7 @@ def _cut(corners: _Corners, normal: _Vector, ray: tuple[_Vector, _Vector]) -> tu
     """Intersect a ray with a triangle: return range, product of normal and direction, and whether it passes inside.
 
     The three determinants of the direction and two corners then have the same sign. For two triangles with a
-    common
-    edge the edge's determinants differ only in sign, so no ray passes between them.
+    common edge the edge's determinants differ only in sign, so no ray passes between them.
     """
     origin_m, along = ray
     a, b, c = _minus(corners[0], origin_m), _minus(corners[1], origin_m), _minus(corners[2], origin_m)
@@ -264,10 +259,8 @@ def ray_packet() -> RayPacket:
     """Make an empty packet.
 
     RTCIntersectArguments: flags and feature mask (all), then pointers to context and filter. Each thread
-    needs its own
-    context: a shared one loses hits on instances silently. RTCRayQueryContext is two words of 4 bytes; behind
-    them is the
-    address of our desk.
+    needs its own context: a shared one loses hits on instances silently. RTCRayQueryContext is two words of 4
+    bytes; behind them is the address of our desk.
     """
     sizes = (4 * _SIZE, 4 * PACKET, 64, 64, 32 * PACKET, 8 * _STATE, 4 * PACKET, 8 * PACKET, 8 * 11)
     first = np.cumsum([0, *(-(-size // _ALIGN) * _ALIGN for size in sizes)])

@@ -1,10 +1,8 @@
 """Pieces of shapes with tight boxes, each an instance.
 
 A ray is transformed into the coordinates of every instance whose box it passes, which is a large part of the
-cost,
-and the rays of a lidar are nearly level: the relevant size of a box is its area seen from the side. So stems
-are separate
-from the ground, and crowns are cut into horizontal slabs, each as wide as the crown there.
+cost, and the rays of a lidar are nearly level: the relevant size of a box is its area seen from the side. So
+stems are separate from the ground, and crowns are cut into horizontal slabs, each as wide as the crown there.
 """
 
 from collections.abc import Sequence
@@ -18,13 +16,11 @@ Faces = tuple[F4, U4]  # vertices (v, 3) in metres, and triangles (t, 3)
 
 _SLAB_M = 1.5
 """Height of a slab: with separate bodies it saves a fifth of the time for near faces in
-`scenes/reference_forest`; 1 m and
-2 m gain the same within 2 %."""
+`scenes/reference_forest`; 1 m and 2 m gain the same within 2 %."""
 
 _WORTH = 0.7
 """Slabs become pieces if the total area of their boxes is at most this share of the area of the box around
-them; from 0.6
-to 0.95 the gain is the same, with more pieces."""
+them; from 0.6 to 0.95 the gain is the same, with more pieces."""
 
 
 def faces_of(mesh: Mesh) -> Faces:

@@ -15,15 +15,13 @@ _GRID_M = 0.2
 _BARK_GRID_M = 0.1
 _RELIEF_GRID_M = 0.15
 """Patch sizes of walls and ground, of bark, and of relief; folds halve them. With these sizes neighbouring
-returns are
-equal as often, and differ as much, as on real sensors, and relief correlates at pulses 0.2 degrees apart, not
-at 0.4
-(protocol/README.md)."""
+returns are equal as often, and differ as much, as on real sensors, and relief correlates at pulses 0.2
+degrees apart, not at 0.4 (protocol/README.md)."""
 _RELIEF_FROM_M = 6.0
 _FINEST = 32.0
 """Range from which on relief has patches of that size, which halve with the range, and the greatest
-refinement: real
-surfaces are rough at all scales, and a pulse resolves its footprint, at 1 m (mrpt) as at 10 m (2014)."""
+refinement: real surfaces are rough at all scales, and a pulse resolves its footprint, at 1 m (mrpt) as at 10
+m (2014)."""
 _SAME_M = 0.1  # sub-rays of a pulse that end within this distance share a patch
 _SPREAD = math.sqrt(3.0)  # half-width of a uniform distribution of variance one
 _CELL_BITS = 3  # eight patches across share a contrast: a wall, a floor or bark consists of such areas
@@ -54,13 +52,11 @@ relief."""
 def add_texture(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: int) -> None:
     """Add the texture, relief and gloss of each surface to hits, in place: local changes of brightness and range.
 
-    Brightness scales the cosine of incidence, up to the brightness of a white surface. Relief moves
-    hits along the pulse. Both are taken on the axis of the pulse, at the range of the sub-ray.
-    Gloss is the light that facets of a coat mirror back along the pulse (Walter et al., EGSR 2007, equations
-    20 and 25: Beckmann's
-    distribution). It too ends at the brightness of a white surface: real units send hardly any codes between
-    100 and those of
-    retroreflectors. A surface without reflectance stays black.
+    Brightness scales the cosine of incidence, up to the brightness of a white surface. Relief moves hits
+    along the pulse. Both are taken on the axis of the pulse, at the range of the sub-ray. Gloss is the light
+    that facets of a coat mirror back along the pulse (Walter et al., EGSR 2007, equations 20 and 25:
+    Beckmann's distribution). It too ends at the brightness of a white surface: real units send hardly any
+    codes between 100 and those of retroreflectors. A surface without reflectance stays black.
 
     Parameters
     ----------

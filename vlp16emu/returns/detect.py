@@ -65,18 +65,15 @@ def detect(
     """Return the returns of each pulse from its hits.
 
     Echoes are the peaks of the pulse's waveform (`vlp16emu.returns.echoes`); an echo within the resolution of
-    a
-    stronger one is lost. The strongest return has the highest peak, the last return is the farthest, and a
-    single echo
-    is both (63-9243 Rev D, section 6.2). In strongest return mode the last and second returns are not
-    searched.
+    a stronger one is lost. The strongest return has the highest peak, the last return is the farthest, and a
+    single echo is both (63-9243 Rev D, section 6.2). In strongest return mode the last and second returns are
+    not searched.
 
     Echoes measured below the least range are blanked: distance 0, with the reflectivity kept, as real units
     send them. A second strongest return of distance 0 and nonzero reflectivity is such an echo.
 
     Reflectivity is the height of the peak, corrected for range as the sensor does: for a target that fills
-    the
-    beam, reflectance times cosine of incidence in percent; less for a target that is partly hit.
+    the beam, reflectance times cosine of incidence in percent; less for a target that is partly hit.
 
     Parameters
     ----------

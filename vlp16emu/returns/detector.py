@@ -33,8 +33,8 @@ of 2014; the correlation of both noises is -0.01 to 0.14 (protocol/README.md, "T
 for the next constant)."""
 _LASER_NOISE_SPREAD = 0.08
 """Spread of the logarithm of the white range noise over lasers: 0.076, 0.121 and 0.079 on mrpt, einride and
-nebula, without the
-part due to chance; the noise of lasers correlates by 0.44, 0.37 and 0.37 between sectors of 45 deg."""
+nebula, without the part due to chance; the noise of lasers correlates by 0.44, 0.37 and 0.37 between sectors
+of 45 deg."""
 _WARM_UP_S = 900.0  # time constant (assumption)
 
 

@@ -1,21 +1,19 @@
 """Echoes of one pulse: the peaks of the waveform that its sub-rays reflect.
 
 A pulse is a Gaussian in time, so the waveform is a sum of equal Gaussians, one per sub-ray, and a detector
-that
-searches peaks reports its modes. Surfaces closer than the pulse width give one peak between them: the mixed
-pixel.
+that searches peaks reports its modes. Surfaces closer than the pulse width give one peak between them: the
+mixed pixel.
 
 Sub-rays within `NODE_M` are merged at their energy-weighted mean. The mode of Gaussians within a span s
 differs from their mean by at most s**3 / (12 sqrt(3) sigma**2) to leading order, because their third moment
-is at most
-s**3 / (6 sqrt(3)): 1.1 mm for a node and a pulse of 6 ns with the most asymmetric light; and the peak is
-lower than the node by 2 % at most. Nodes of a shorter pulse are shorter in proportion. Most pulses are one
-node and need no waveform.
+is at most s**3 / (6 sqrt(3)): 1.1 mm for a node and a pulse of 6 ns with the most asymmetric light; and the
+peak is lower than the node by 2 % at most. Nodes of a shorter pulse are shorter in proportion. Most pulses
+are one node and need no waveform.
 
 Light that passes through a leaf, some 45 % at 903 nm, is scattered over the half-space behind it. The part
-that comes
-back has passed the leaf twice and is spread both times, so it is weaker than direct light by the share of the
-half-space that the receiver sees, and makes no echo. Sub-rays model the light that passes beside a leaf.
+that comes back has passed the leaf twice and is spread both times, so it is weaker than direct light by the
+share of the half-space that the receiver sees, and makes no echo. Sub-rays model the light that passes beside
+a leaf.
 
 Kernels allocate no arrays, so numba need not count references (`_nrt=False`). They are compiled into their
 callers (`forceinline`): a call passes each array as seven numbers, which takes as long as a node.
@@ -248,8 +246,7 @@ def _peaks_of_group(nodes: F8, start: int, stop: int, sigma_m: float, peaks: F8,
     """Find the peaks of a group of nodes, uphill from each node on both sides.
 
     The slope of the waveform has the sign of the mean in `_waveform`. A peak lies within sigma of a node,
-    because the
-    waveform is convex elsewhere.
+    because the waveform is convex elsewhere.
     """
     if stop - start == 1:
         return _add_peak(peaks, found, nodes[RANGE, start], nodes[AMPLITUDE, start])
@@ -284,8 +281,7 @@ def _climb(
     """Return range and height of the peak between x_m, where the waveform rises towards end_m, and end_m; height 0 for none.
 
     It applies Newton's method to the mean, with bisection as fallback. `closed` is True if the waveform is
-    known to fall
-    at end_m; else this is evaluated when Newton's method fails. `light` is the waveform at x_m.
+    known to fall at end_m; else this is evaluated when Newton's method fails. `light` is the waveform at x_m.
     """
     (mean_m, var_m2, height) = light
     low_m = min(x_m, end_m)

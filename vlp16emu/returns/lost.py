@@ -1,15 +1,12 @@
 """Records that a real unit loses, and what it sends instead of a range.
 
 The receiver sets the laser power from previous pulses: one of 8 levels on the HDL-64E S3, whose manual
-recommends full power for last
-returns ("Laser Output Power Level Management"), one of 11 on the HDL-32E (software version 2.0). Thus a
-record is lost if the light of a
-laser steps up from its average, because it is then too strong, or down. A pulse that hits two surfaces gives
-the strongest or
-the last return as the manual says, and rarely nothing; and a dark record is lost occasionally. The laws are
-fitted to mrpt, einride,
-nebula and the unit of 2014, by which records between returns are missing; the spread over units is the span
-of these four.
+recommends full power for last returns ("Laser Output Power Level Management"), one of 11 on the HDL-32E
+(software version 2.0). Thus a record is lost if the light of a laser steps up from its average, because it is
+then too strong, or down. A pulse that hits two surfaces gives the strongest or the last return as the manual
+says, and rarely nothing; and a dark record is lost occasionally. The laws are fitted to mrpt, einride, nebula
+and the unit of 2014, by which records between returns are missing; the spread over units is the span of these
+four.
 
 Where the ranges of neighbours differ by more than 0.1 m on either side, as in trees at 35 to 48 m in front of
 the unit of 2014 and in the
@@ -48,15 +45,14 @@ mrpt and 2014; on einride and nebula a step by texture alone loses less."""
 _UP_AT = 0.7
 _DOWN_AT = 30.0
 """With x = half the factor minus one: x**4 for steps up, x**2 for steps down, at which half of the rate is
-reached. At an edge the code
-changes over two or three pulses (beam of 12.7 mm and 3 mrad, 3.5 mrad from pulse to pulse), so its factor
-between two pulses is less than
-across the edge: einride's 0.04, 0.41 and 0.81 across the edge become 0.09, 0.37 and 0.84 by this law."""
+reached. At an edge the code changes over two or three pulses (beam of 12.7 mm and 3 mrad, 3.5 mrad from pulse
+to pulse), so its factor between two pulses is less than across the edge: einride's 0.04, 0.41 and 0.81 across
+the edge become 0.09, 0.37 and 0.84 by this law."""
 _FLOOR = 1.0
 _POWER_GAIN = 0.5
 """Code that is added to both sides of a factor, as codes are integers; and the share of a step that the power
-follows in one pulse (assumption:
-two pulses in a row are lost a fifth as often as one, at steps on einride)."""
+follows in one pulse (assumption: two pulses in a row are lost a fifth as often as one, at steps on
+einride)."""
 _ROUGH_M = 0.1
 _MOST_ROUGH_M = 1.0
 """Mean change of range from pulse to pulse at which steps lose half as many records, and the largest change
@@ -78,8 +74,8 @@ to 78 % are single on real units."""
 _PLACE_SEQUENCES = 8
 _SHARED_LANE = 1 << 12
 """Firing sequences of one place, and the lane of the random number that all lasers share there: for two
-neighbouring lasers, both next to a
-return, raised no-returns correlate by 0.50, 0.72, 0.39 and 0.66 (mrpt, einride, nebula, 2014)."""
+neighbouring lasers, both next to a return, raised no-returns correlate by 0.50, 0.72, 0.39 and 0.66 (mrpt,
+einride, nebula, 2014)."""
 _TWICE = 12.0
 """Code of a return next to which half of the raised no-returns are twice the code of their laser: 0.63, 0.14,
 0.38 and 0.47 at codes 15 to 40,
@@ -87,11 +83,9 @@ _TWICE = 12.0
 _UNEQUAL_AT = 212.0
 _SECOND_SHARE = 1.1
 """Code at which all records of dual return that are too bright would differ between blocks, and the code of
-the last return over that of the
-strongest, plus one step: of nebula's raised records between two returns, 0.03 of 203 below 60, 0.21 of 62
-below 100 and 0.36 of 22 above are
-unequal, the last one always higher; of those that follow a return without another behind, 0 of 237, 2 of 116
-and 6 of 12; elsewhere 1 of 53 000."""
+the last return over that of the strongest, plus one step: of nebula's raised records between two returns,
+0.03 of 203 below 60, 0.21 of 62 below 100 and 0.36 of 22 above are unequal, the last one always higher; of
+those that follow a return without another behind, 0 of 237, 2 of 116 and 6 of 12; elsewhere 1 of 53 000."""
 _DIFFUSE = 100.0
 _FULL = 255.0
 _GLARE = 0.2

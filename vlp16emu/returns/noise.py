@@ -29,15 +29,13 @@ of mrpt, einride, nebula and 2014; 0.25, 0.14 and 0.26 at 45 to 98 of the first 
 _APART = 1.5
 _ALIKE = 10.0
 """Variance of an independent gain less the mean of its neighbours, over its own variance, and the weight of
-this expectation, in lasers:
-units differ by a tenth."""
+this expectation, in lasers: units differ by a tenth."""
 NO_RETURN_KNOTS = 56
 """Azimuth intervals around a unit over which no-return codes change; assumption, after einride: 78 % of
 neighbours are equal."""
 _SHARED_CORRELATION = 0.8, 0.98
 """Correlation of the no-return codes of a place with a part that all lasers share: neighbouring lasers are
-raised together on real
-units, with a correlation of 0.12 to 0.54."""
+raised together on real units, with a correlation of 0.12 to 0.54."""
 _NO_RETURN_MIDDLE = (1.5, 20.0)
 _NO_RETURN_SPREAD = 0.5
 """Median over the lasers, and spread of its logarithm: 13 and 0.4 on mrpt, 5 and 0.45 on nebula, 2.7 and 0.7
@@ -58,9 +56,8 @@ def gain(seed: int, spread: float, elevation_deg: F8) -> F8:
     """Return the factor on the reflectivity of each laser, (lasers,), above 0: log-normal, in much the same measure on every unit.
 
     What can be measured is a laser against its neighbours in elevation: 0.057, 0.093 and 0.097 on einride,
-    nebula and mrpt, the same in all sectors
-    of azimuth. Of 16 independent gains it is between 0.5 and 1.7 of their spread; here within a tenth, one
-    sigma.
+    nebula and mrpt, the same in all sectors of azimuth. Of 16 independent gains it is between 0.5 and 1.7 of
+    their spread; here within a tenth, one sigma.
     """
     drawn = normal(seed, Purpose.REFLECTIVITY, 0, len(elevation_deg))
     apart = np.diff(drawn[np.argsort(elevation_deg, kind="stable")], 2) / 2.0
@@ -86,10 +83,9 @@ def no_return_multiples(seed: int, no_return: F8, wander: float) -> F8:
     """Return the multiples of `no_return_reflectivity` that no-returns carry at each azimuth.
 
     Values below 1 are sent as 1: a steady unit (mrpt) sends 1 in 98 % of its records, an unsteady one
-    (einride) in 14 to
-    73 %, and goes through ten multiples. An image of a sweep shows patches that all lasers share, at the same
-    azimuths in each revolution;
-    on real units they depend on the scene, probably on faint light below the threshold; here they are random.
+    (einride) in 14 to 73 %, and goes through ten multiples. An image of a sweep shows patches that all lasers
+    share, at the same azimuths in each revolution; on real units they depend on the scene, probably on faint
+    light below the threshold; here they are random.
 
     Parameters
     ----------
@@ -117,17 +113,14 @@ def sent_codes(seed: int, lasers: int, step: float) -> U1:
     """Return the code that a laser sends for each reflectivity of a diffuse target, (lasers, 100 * CODE_PARTS + 1), in steps of 1 / CODE_PARTS.
 
     Bright codes of a real laser are 1.2 to 2.2 apart, with more spacing at brighter codes: at 45 to 95, mrpt,
-    einride and nebula send 8.5, 7,
-    8, 7, 6.5 and 5 of each ten consecutive codes. The codes of einride are the same at all ranges and in both
-    kinds of sectors, at one spacing
-    for a dozen codes (laser 7: two of three from 47 to 65, then every second), and independent of other
-    lasers: a calibration table from
+    einride and nebula send 8.5, 7, 8, 7, 6.5 and 5 of each ten consecutive codes. The codes of einride are
+    the same at all ranges and in both kinds of sectors, at one spacing for a dozen codes (laser 7: two of
+    three from 47 to 65, then every second), and independent of other lasers: a calibration table from
     integers of the receiver to codes.
 
     All lasers of all units have one more quantization after it, whose integers do not coincide with codes:
-    codes that are 2 modulo 3 are
-    rarer than their neighbours, at all levels and on each of four units (`_NARROW`), most of all 44, 53, 62
-    and 71.
+    codes that are 2 modulo 3 are rarer than their neighbours, at all levels and on each of four units
+    (`_NARROW`), most of all 44, 53, 62 and 71.
 
     Parameters
     ----------
@@ -169,8 +162,8 @@ def range_beat_m(seed: int, amplitude_m: float, phase_deg: float | None) -> F8:
     """Return the range error by (24 sequence + laser) mod 5, (5,) m.
 
     It is a sine and its first overtone: the overtone's phase is 78 to 98 deg more than twice the phase of the
-    sine on four units,
-    with 0.17 to 0.36 of its amplitude. A clock of the receiver that beats with the pulses would explain it.
+    sine on four units, with 0.17 to 0.36 of its amplitude. A clock of the receiver that beats with the pulses
+    would explain it.
 
     Parameters
     ----------
@@ -188,14 +181,10 @@ def range_sigma_m(constants: DetectorConstants, reflectance: float, amplitude: f
     """Return the white range noise of an echo, one sigma.
 
     sigma**2 = noise**2 sqrt(0.2 / reflectance) + (width / signal-to-noise ratio)**2. The first term is
-    measured on four real
-    units on smooth surfaces without the beat (`protocol/README.md`, "The character of a unit"); it does not
-    grow with
-    range, because the sensor fires with more power at far or dark targets: on the HDL-32E one of 11 powers,
-    chosen by the
-    previous shot (its software version 2.0). The second term is the least error of the position of a Gaussian
-    pulse in white
-    noise, and counts at maximum power.
+    measured on four real units on smooth surfaces without the beat (`protocol/README.md`, "The character of a
+    unit"); it does not grow with range, because the sensor fires with more power at far or dark targets: on
+    the HDL-32E one of 11 powers, chosen by the previous shot (its software version 2.0). The second term is
+    the least error of the position of a Gaussian pulse in white noise, and counts at maximum power.
 
     Parameters
     ----------
@@ -211,9 +200,8 @@ def range_sigma_m(constants: DetectorConstants, reflectance: float, amplitude: f
 
 REFLECTIVITY_TAIL = 0.1
 """Share of the cube: changes of reflectivity between revolutions match a kurtosis of 6.6. Range noise is
-Gaussian: residuals over 15 pulses
-have a kurtosis of 2.62 to 2.68 on four real units, and 2.58 with our beat and smooth surfaces, 2.65 with
-relief."""
+Gaussian: residuals over 15 pulses have a kurtosis of 2.62 to 2.68 on four real units, and 2.58 with our beat
+and smooth surfaces, 2.65 with relief."""
 
 
 @inline_kernel
@@ -230,11 +218,9 @@ RETROREFLECTIVE = (
 )
 _COUNTS_PER_E_FOLD = (255 - 101) / 6.907755278982137  # logarithm of 1000
 """Counts per factor e of reflectance. 255 means 1000 times the reflectance of a white Lambertian surface. A
-coefficient of retroreflection
-R (cd/lx/m2) equals a reflectance of pi R: 255 means 318 cd/lx/m2, between high-intensity (about 250) and
-prismatic
-sheeting (about 700). The manual gives the ends of the scale only; assumption: it is logarithmic between
-them."""
+coefficient of retroreflection R (cd/lx/m2) equals a reflectance of pi R: 255 means 318 cd/lx/m2, between
+high-intensity (about 250) and prismatic sheeting (about 700). The manual gives the ends of the scale only;
+assumption: it is logarithmic between them."""
 
 
 @inline_kernel

@@ -51,9 +51,8 @@ class Detector(Section):
     of a unit"."""
     range_at_10_percent_m: Annotated[float, Field(ge=1, le=500)] = 40.0
     """Range at which a perpendicular target of 10 % that fills the beam is detected every second time.
-    Assumption: a
-    white wall is then detected up to 126 m, a leaf of 50 % up to 89 m; the data sheet gives 100 m without a
-    reflectivity."""
+    Assumption: a white wall is then detected up to 126 m, a leaf of 50 % up to 89 m; the data sheet gives 100
+    m without a reflectivity."""
     threshold_snr: Annotated[float, Field(ge=3, le=20)] = 6.0
     """Signal over noise at the detection threshold. Assumption: noise alone passes it once in some 1e9
     samples."""
@@ -66,17 +65,14 @@ class Noise(Preset):
 
     preset: Literal["ideal", "typical", "datasheet", "unit"] = "unit"
     """Values of all keys that are not set: `typical` has only white errors and constant errors per laser.
-    `unit` draws a unit like the
-    measured ones, and has two more of their properties: heavy tails of white errors of reflectivity, and
-    ranges that depend slightly on
-    reflectivity."""
+    `unit` draws a unit like the measured ones, and has two more of their properties: heavy tails of white
+    errors of reflectivity, and ranges that depend slightly on reflectivity."""
     range_noise_m: _Metres = 0.0065
     """White range noise, one sigma, at a reflectivity of 20; it falls with the fourth root of the
     reflectivity, as on four real units."""
     range_beat_m: Annotated[float, Field(ge=0, le=0.02)] = 0.0
     """Amplitude of the error that repeats every five pulses of 2.304 us, the same for all lasers and ranges;
-    4 to 7 mm on
-    real units. Units differ by a third, and in phase. 0 switches it off."""
+    4 to 7 mm on real units. Units differ by a third, and in phase. 0 switches it off."""
     range_beat_phase_deg: Annotated[float, Field(ge=0, lt=360)] | None = None
     """Phase of that error at the first pulse, for a unit whose amplitude is exactly `range_beat_m`; random if
     not set."""
@@ -106,8 +102,7 @@ class Noise(Preset):
     0.097 on real units."""
     records_lost: Annotated[float, Field(ge=0, le=2)] = 0.0
     """Factor on the loss of records at steps of brightness or range, and on dark surfaces; 1 for the random
-    rates of real units, 0 for
-    none."""
+    rates of real units, 0 for none."""
     weak_echoes_lost: bool = True
     """True to apply the detection threshold of `[detector]`."""
     no_return_reflectivity: bool = False

@@ -12,8 +12,7 @@ _LN10 = 2.302585092994046
 _WAVELENGTH_NM = 903.0  # data sheet of the VLP-16
 _LIDAR_RATIO_SR = 18.2
 """Extinction over backscatter of water droplets, near infrared (1.06 um): Pinnick et al., J. Geophys. Res.
-88, 1983.
-Assumption: the same for rain drops."""
+88, 1983. Assumption: the same for rain drops."""
 _NEAREST_M = 0.05  # least range of clutter: the light leaves the housing there, to a centimetre
 _WEATHER = int(Purpose.WEATHER)
 
@@ -22,9 +21,8 @@ def fog_extinction_per_m(visibility_m: float) -> float:
     """Return the extinction of fog and haze at 903 nm.
 
     Source: Koschmieder's law at 2 % contrast with the wavelength law of Kruse, McGlauchlin and McQuistan
-    (1962) in the
-    form by Kim, McArthur and Korevaar, Proc. SPIE 4214 (2001), in which thick fog does not depend on
-    wavelength.
+    (1962) in the form by Kim, McArthur and Korevaar, Proc. SPIE 4214 (2001), in which thick fog does not
+    depend on wavelength.
     """
     km = visibility_m / 1000.0
     if km > 50.0:
@@ -64,10 +62,8 @@ def clutter_echo(
     """Return range and amplitude of the clutter echo of pulse (n, laser); the air must not be clear.
 
     One echo per pulse: the air scatters at a range of exponential distribution, with the brightness of the
-    lidar
-    equation times an exponential fluctuation for the random number of drops (assumption). The amplitude is 0
-    below
-    the threshold of the detector, and behind all hits of the sub-rays start .. stop - 1.
+    lidar equation times an exponential fluctuation for the random number of drops (assumption). The amplitude
+    is 0 below the threshold of the detector, and behind all hits of the sub-rays start .. stop - 1.
     """
     where, how_bright = uniform_pair(constants.seed, _WEATHER, n, laser)
     air_m = max(-log1p(-where) / constants.extinction_per_m, _NEAREST_M)

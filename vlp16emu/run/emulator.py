@@ -31,8 +31,7 @@ class Emulator:
     """A sensor, or several on one carrier, in the world of a scene.
 
     All random numbers come from the scene's seed: the same scene and settings give the same scans and the
-    same
-    bytes, with any number of threads.
+    same bytes, with any number of threads.
 
     Parameters
     ----------
@@ -155,8 +154,7 @@ class Emulator:
         """Return the packets due from `start_s` until before `stop_s` after the first pulse, in order of sending.
 
         Raises ScenarioError if the sensor has no packets; TrajectoryError if the span begins before the first
-        pulse, or
-        if the walk ends before the span.
+        pulse, or if the walk ends before the span.
         """
         return self.engine.packets(start_s, stop_s)
 
@@ -165,8 +163,8 @@ class Emulator:
     ) -> Iterator[Returns]:
         """Yield the returns of unit 1, 2 ... before packing, in whole blocks that cover the span.
 
-        With `truth` they include the surfaces that reflected them.
-        Raises InputError if there is no such unit; TrajectoryError if the walk ends before the span.
+        With `truth` they include the surfaces that reflected them. Raises InputError if there is no such
+        unit; TrajectoryError if the walk ends before the span.
         """
         return self.engine.returns(start_s, stop_s, self.number(unit), truth=truth)
 
@@ -214,12 +212,9 @@ class Emulator:
         options : fields of `RecordOptions`: `start_s`, `duration_s`, `split`, `truth`, `bag`
 
         Raises InputError for a wrong option; OutputError if file or folder cannot be written, or are an input
-        of
-        the scene, or if the name belongs to another format; ScenarioError if the sensor has no packets;
-        TrajectoryError if
-        the walk ends before the span; RunError if the disk is full; the packets before it are kept;
-        CancelledError, and
-        earlier files stay, if `stop` is set before the first packet.
+        of the scene, or if the name belongs to another format; ScenarioError if the sensor has no packets;
+        TrajectoryError if the walk ends before the span; RunError if the disk is full; the packets before it
+        are kept; CancelledError, and earlier files stay, if `stop` is set before the first packet.
         """
         return record(self, path, RecordOptions.from_fields(options), progress=progress, stop=stop)
 
@@ -230,11 +225,9 @@ class Emulator:
         while it runs.
 
         Raises OutputError if the receiver is unknown or unreachable, or the sensor's address is not this
-        machine's;
-        InputError for a wrong option, options that exclude each other, or poses for a scene that is not live;
-        ScenarioError if the sensor has no packets; TrajectoryError if the walk ends before the span; RunError
-        if
-        the system can no longer send.
+        machine's; InputError for a wrong option, options that exclude each other, or poses for a scene that
+        is not live; ScenarioError if the sensor has no packets; TrajectoryError if the walk ends before the
+        span; RunError if the system can no longer send.
         """
         names = signature(stream_run).parameters.keys() - {"emulator", "options"}
         hooks = {name: options.pop(name) for name in options.keys() & names}
@@ -244,8 +237,7 @@ class Emulator:
         """Measure this machine for some seconds, and set beam and reach so that a stream leaves a fifth of its time free.
 
         `speed` is in simulated seconds per second. Returns `extras.keep_up.KeptUp` with the chosen step of
-        the ladder;
-        its settings can be given to `vlp16emu record --set` and give the same bytes.
+        the ladder; its settings can be given to `vlp16emu record --set` and give the same bytes.
         """
         chosen, kept = door("keep_up")(self, speed)
         self.engine = chosen.engine

@@ -1,8 +1,7 @@
 """Options of runs, each declared once as a field of a frozen dataclass: name, unit, limits and help.
 
 Python uses the dataclasses directly; `vlp16emu.cli.verb` makes command-line options from the same fields.
-They need no
-library, so `vlp16emu stream --help` loads nothing else.
+They need no library, so `vlp16emu stream --help` loads nothing else.
 """
 
 import math

@@ -55,12 +55,10 @@ class CaptureClock(Preset):
     """Preset of the keys that are not given; `ideal` stamps packets when they are due."""
     ppm: Annotated[float, Field(ge=-100, le=100)] | None = None
     """Rate error of the host's clock, positive if fast; drawn unless given, as in captures of real units,
-    where it is -15 to
-    20 against the sensor's. 0 with `ideal`."""
+    where it is -15 to 20 against the sensor's. 0 with `ideal`."""
     ahead_ms: Annotated[float, Field(ge=-1000, le=1000)] | None = None
     """Offset of the host's clock at the first pulse, positive if ahead; drawn unless given, one sigma of 3 ms
-    as for a host on
-    NTP (assumption). 0 with `ideal`."""
+    as for a host on NTP (assumption). 0 with `ideal`."""
     jitter_us: Annotated[float, Field(ge=0, le=500)] = 0.0
     """Delay of a stamp, one sigma of the half-normal distribution."""
     late_share: Annotated[float, Field(ge=0, le=0.5)] = 0.0
@@ -146,12 +144,10 @@ class Scenario(Section):
     """Title in reports and pictures, one line; by default the name of the file."""
     seed: Seed = 1
     """Seed of all random numbers: the same scenario and seed give the same bytes. `world.seed`, `motion.seed`
-    and `sensor.seed`
-    replace it for the stand, the walk and the sensor."""
+    and `sensor.seed` replace it for the stand, the walk and the sensor."""
     start_utc: Annotated[AwareDatetime, BeforeValidator(_from_text)] = datetime(2026, 5, 20, 9, 0, tzinfo=UTC)
     """Time of the first pulse, from 1970 to 2105. For a whole second the instant within it is drawn, unless
-    `sensor.preset` is
-    `steady`; a time with a fraction of a second is exact."""
+    `sensor.preset` is `steady`; a time with a fraction of a second is exact."""
     duration_s: Annotated[float, Field(gt=0, le=7 * 86400)] = 10.0
     """Duration of a recording, unless the command gives another."""
     sensor: AnySensor = Sensor()
@@ -180,8 +176,7 @@ class Scenario(Section):
     """People beside a walking carrier; none without this table."""
     conditions: Literal["perfect", "field"] = "perfect"
     """Preset; `field` sets the keys of a difficult real walk unless given: errors of the extrinsics, a
-    bending `mast`,
-    `imu.preset = "field"`, a light wind in a forest, and `people`."""
+    bending `mast`, `imu.preset = "field"`, a light wind in a forest, and `people`."""
 
     @field_validator("start_utc")
     @classmethod
@@ -274,8 +269,7 @@ class Scenario(Section):
         """Return begin and end of a run, in seconds since the first pulse; by default it ends with the scene.
 
         Raises InputError if the run would begin after the end of the scene; `where` is the name of its begin
-        in the
-        error.
+        in the error.
         """
         if duration_s is not None:
             return start_s, start_s + duration_s

@@ -17,10 +17,8 @@ _CLOCK_PPM = 0.6
 _OFF_SHARE = 0.15
 _FAR_OFF_PPM = 20.0
 """Rate of the stamp clock relative to the firing clock: 0.27, -0.90, 0.39, -0.6 ppm on mrpt, einride, nebula
-and the unit of 2014. On other
-units up to 140 ppm; no stamp clock is more than 20 ppm off the host's clock, so their firing clock is off,
-which has no error here.
-Assumption: every seventh unit is one of these."""
+and the unit of 2014. On other units up to 140 ppm; no stamp clock is more than 20 ppm off the host's clock,
+so their firing clock is off, which has no error here. Assumption: every seventh unit is one of these."""
 _VENDOR = "607688"
 _SERIES = ("10", "38")
 """First bytes of MAC addresses: vendor, and units from before and after 2017."""

@@ -23,8 +23,8 @@ on the unit of
 _CDEG_PER_LASER = 6.0 * 2.304e-4  # hundredths of a degree in 2.304 us, the period of a firing, at 1 rpm
 _SPEEDS_CDEG = np.array([0.25, 0.375, 0.5, 0.625, 1.0, 1.25, 2.0, 2.5, 4.0])
 """Speeds of the reading between two encoder lines, in hundredths of a degree per 2.304 us: 3/8 and 1/2 at 300
-rpm, 5/8 and 1 at 500 and 600 rpm,
-5/4 and 2 at 1200 rpm on real units; the first and the last are assumptions."""
+rpm, 5/8 and 1 at 500 and 600 rpm, 5/4 and 2 at 1200 rpm on real units; the first and the last are
+assumptions."""
 _LAG = 0.945
 _LEAD = 1.17
 _LEADS_FROM_RPM = 750.0
@@ -102,10 +102,8 @@ class Swing:
         """Sample the swings of one unit at 600 rpm: one of the mean speed over minutes, two within seconds, and one within a turn.
 
         One unit (einride) deviated by 0.04 deg from constant speed within half a second, others by 0.02.
-        Between 6.5 and 20 cycles per turn
-        the errors of mrpt, einride, nebula and the unit of 2014 are 0.37, 0.39, 0.76 and 0.37 cdeg (RMS); the
-        reading alone has 0.2. Their
-        lines are at 7 to 13 cycles.
+        Between 6.5 and 20 cycles per turn the errors of mrpt, einride, nebula and the unit of 2014 are 0.37,
+        0.39, 0.76 and 0.37 cdeg (RMS); the reading alone has 0.2. Their lines are at 7 to 13 cycles.
 
         Parameters
         ----------
@@ -135,10 +133,8 @@ class Encoder:
     """Encoder of one unit: it reads the true angle with periodic errors and white noise.
 
     On real units the steps between blocks have a lag-1 autocorrelation near -0.5: the noise belongs to the
-    reading and not
-    to the speed. Between two lines of an encoder the reading advances at one of two speeds, one too low and
-    one
-    too high.
+    reading and not to the speed. Between two lines of an encoder the reading advances at one of two speeds,
+    one too low and one too high.
     """
 
     seed: int
@@ -406,8 +402,7 @@ class Clock:
 
     Locked to GPS it shows nanoseconds past the UTC hour; without GPS it runs from power-up on its own
     oscillator and rolls over every 3600 s (63-9243 Rev D, appendix G). Before power-up it stays at zero: the
-    stamp of a
-    position packet is older than the packet, and can be older than the clock.
+    stamp of a position packet is older than the packet, and can be older than the clock.
     """
 
     spans: tuple[ClockSpan, ...]  # spans in order of time; the first is valid at all times before the second

@@ -62,9 +62,8 @@ class Lidar(Preset):
 
     preset: Literal["steady", "unit"] = "unit"
     """Values of all rotation errors that are not set: `unit` draws the differences between real units, has an
-    encoder with
-    lines, and a random state at the start; `steady` turns at constant speed, and power-up is the start of the
-    run."""
+    encoder with lines, and a random state at the start; `steady` turns at constant speed, and power-up is the
+    start of the run."""
     return_mode: Literal["strongest", "last", "dual"] = "strongest"
     """Returns that are sent: the strongest, the last, or both."""
     min_range_m: Annotated[float, Field(ge=0.5, lt=131.07)] = 0.5
@@ -73,8 +72,7 @@ class Lidar(Preset):
     """Farther targets are lost; 100 m in the data sheet, 131.07 m is the largest code."""
     start_azimuth_deg: Degrees | None = None
     """True rotor angle at the first firing; random if not set, and 0.1 with `steady`, just past north, so
-    that a recording begins with a
-    complete scan."""
+    that a recording begins with a complete scan."""
     eccentricity_deg: Annotated[float, Field(ge=0, le=1)] = 0.06
     """Amplitude of the encoder's once-per-revolution error; real units show 0.03 to 0.09. 0 switches it
     off."""
@@ -82,13 +80,11 @@ class Lidar(Preset):
     """Rotor angle at which that error crosses zero upwards."""
     azimuth_noise_deg: Annotated[float, Field(ge=0, le=0.02)] = 0.005
     """White error of each azimuth reading, one sigma; for an encoder with lines, the time error of a line at
-    600 rpm: 0.00145 is a uniform
-    spread over 1.4 us, at all speeds. 0 switches it off."""
+    600 rpm: 0.00145 is a uniform spread over 1.4 us, at all speeds. 0 switches it off."""
     encoder_rate_error: Annotated[float, Field(ge=0, le=0.5)] = 0.246
     """Relative deficit of the reading's speed between two encoder lines at 600 rpm, in some readings; in the
-    others it is too high by 0.85 of
-    this. 0.246 on real units, where both speeds are one of 3/8, 1/2, 5/8, 1, 5/4 and 2 hundredths of a degree
-    in 2.304 us."""
+    others it is too high by 0.85 of this. 0.246 on real units, where both speeds are one of 3/8, 1/2, 5/8, 1,
+    5/4 and 2 hundredths of a degree in 2.304 us."""
     twice_per_turn_deg: Annotated[float, Field(ge=0, le=0.1)] = 0.0
     """Amplitude of the encoder's twice-per-revolution error; real units show 0.006 to 0.010. 0 switches it
     off."""
@@ -101,18 +97,15 @@ class Lidar(Preset):
     too."""
     speed_error_rpm: Annotated[float, Field(ge=-3, le=3)] = 0.0
     """Error of the mean speed at 600 rpm, one sigma, at most 1.9 of them, in proportion at other speeds;
-    exact without `rotation_spread`,
-    positive is fast. It swings over minutes; a phase lock removes it."""
+    exact without `rotation_spread`, positive is fast. It swings over minutes; a phase lock removes it."""
     speed_wander_rpm: Annotated[float, Field(ge=0, le=3)] = 0.0
     """Amplitude of the change of speed within seconds, at 600 rpm, in proportion at other speeds."""
     powered_for_s: Annotated[float, Field(ge=0, le=1_000_000_000)] | None = None
     """Time since power-up when the run begins; without GPS the sensor's clock counts from power-up. Random if
-    not set, and 0 with
-    `steady`."""
+    not set, and 0 with `steady`."""
     clock_error_ppm: Annotated[float, Field(ge=-200, le=200)] | None = None
     """Rate error of the free-running clock, positive is fast; a clock locked to GPS keeps up to 0.3 ppm
-    within a second. Random if not set,
-    and 0 with `steady`."""
+    within a second. Random if not set, and 0 with `steady`."""
 
     @field_validator("max_range_m")
     @classmethod

@@ -25,8 +25,7 @@ _FINEST_NS = 1  # 0 would restore the default of 50 us
 
 _SWITCH_INTERVAL_S = 0.000_2
 """Longest time for which the computing thread may hold the interpreter before the sending thread. Python's
-default of
-5 ms would delay four packets."""
+default of 5 ms would delay four packets."""
 _lock = threading.Lock()
 _before_s = list[float]()
 """Switch interval before each active stream: the interpreter has one for all, and the last stream restores
@@ -38,8 +37,7 @@ def prompt() -> Iterator[None]:
     """Make the calling thread wake promptly from sleeps and get the interpreter soon; restore the state afterwards.
 
     Linux's timer slack delays wake-ups by up to 50 us to save power. On other systems sleeps end as late as
-    the system
-    decides, and the report of a stream shows it.
+    the system decides, and the report of a stream shows it.
     """
     prctl = None
     before_ns = 0
@@ -65,8 +63,7 @@ def prompt() -> Iterator[None]:
 
 TOLERANCE_NS = 50_000_000
 """Lateness up to which a stream is not behind: half a revolution at 600 rpm. Pauses of 5 to 40 ms are common
-if
-other programs use the same cores; the usual receive buffer of Linux, 208 KiB, holds 120 ms of packets."""
+if other programs use the same cores; the usual receive buffer of Linux, 208 KiB, holds 120 ms of packets."""
 
 
 class Late(StrEnum):
@@ -104,12 +101,10 @@ class FellBehind:
 
 _CLOSEST = 0.94
 """Share of the sensor's spacing that packets of a unit and kind keep on average while they catch up. The
-shortest
-interval of a real sensor in 293 packets is 1 246 of 1 327 us: mrpt_vlp16_gps.pcap."""
+shortest interval of a real sensor in 293 packets is 1 246 of 1 327 us: mrpt_vlp16_gps.pcap."""
 _JITTER_NS = 10_000_000
 """Lateness of single packets that does not delay later ones: two or three time slices of 3 to 4 ms that Linux
-gives to
-other threads before ours. After such a late wake-up several packets are sent at once, at most 8."""
+gives to other threads before ours. After such a late wake-up several packets are sent at once, at most 8."""
 _NAP_S = 0.2
 """Longest single sleep: a signal sets an event, and Python resumes a sleep after a signal (PEP 475)."""
 _BIN_BITS = 6  # significant bits of the bins of lateness: quantiles are within 1.6 %
@@ -212,8 +207,7 @@ class Pacer:
 
         It is sent at its deadline, or later if predecessors of the same unit and kind were late: n packets
         take at least 0.94 of the sensor's time for n packets, minus 10 ms. (A leaky bucket: the generic cell
-        rate
-        algorithm of ITU-T I.371.)
+        rate algorithm of ITU-T I.371.)
         """
         last_due_ns, planned_ns = self._last.get((packet.unit, packet.kind), (packet.due_ns, deadline_ns))
         closest_ns = planned_ns + round(_CLOSEST * (packet.due_ns - last_due_ns) / self.speed)

@@ -40,11 +40,9 @@ class PcapSink(PacketSink):
     """Writes data and position packets to a file, stamped with their due times.
 
     Each record is passed to the operating system in one write, so a killed program leaves a file
-    NAME.xxxxxxxx.part that is
-    readable to its last whole packet. After an error other than `KeyboardInterrupt` the file also stays under
-    that name
-    and ends with a whole packet, and an earlier file NAME is unchanged. An error leaves no file without
-    packets.
+    NAME.xxxxxxxx.part that is readable to its last whole packet. After an error other than
+    `KeyboardInterrupt` the file also stays under that name and ends with a whole packet, and an earlier file
+    NAME is unchanged. An error leaves no file without packets.
 
     Parameters
     ----------
@@ -52,8 +50,7 @@ class PcapSink(PacketSink):
     links : addresses and ports of each unit
 
     Raises OutputError if the file cannot be opened, or another run writes it; RunError if it cannot be
-    written: here,
-    or later in `send`.
+    written: here, or later in `send`.
     """
 
     def __init__(self, path: Path, links: Sequence[Link] = (FACTORY_LINK,)) -> None:
@@ -87,8 +84,7 @@ class PcapSink(PacketSink):
         """Append one packet.
 
         Raises RunError if the disk is full or the device gone; it names the file with the packets before this
-        one;
-        ValueError for an NMEA packet, which is sent by serial line, not by Ethernet.
+        one; ValueError for an NMEA packet, which is sent by serial line, not by Ethernet.
         """
         frame = self._frame(packet)
         seconds, rest_ns = divmod(packet.due_ns, S_NS)

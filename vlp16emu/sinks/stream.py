@@ -33,19 +33,16 @@ _REFILLS = 8
 packet would cost the sending thread as much as sending."""
 _NICE = 3
 """Niceness added to computing threads. A driver that shares a core with one of them gets two thirds of it; at
-equal
-priority it gets half, and a driver that needs half loses packets. More niceness would cost speed beside other
-programs, and
-the sending thread would be late more often: it waits for the interpreter, which a thread without a core may
-hold."""
+equal priority it gets half, and a driver that needs half loses packets. More niceness would cost speed beside
+other programs, and the sending thread would be late more often: it waits for the interpreter, which a thread
+without a core may hold."""
 
 
 class LookAhead:
     """Iterates over packets in its own thread, at most `capacity` of them ahead of `take`.
 
-    A context manager; leaving it stops the thread after the current packet. The thread is
-    a daemon, so a second Ctrl-C need not wait for it. On Linux it and the threads that it starts have a lower
-    priority,
+    A context manager; leaving it stops the thread after the current packet. The thread is a daemon, so a
+    second Ctrl-C need not wait for it. On Linux it and the threads that it starts have a lower priority,
     which new threads inherit; on other systems the priority belongs to the process.
 
     Parameters

@@ -28,8 +28,7 @@ _OF_SENSOR = {
         (socket.IPPROTO_IP, _IP_MTU_DISCOVER, _IP_PMTUDISC_DO),
     ),
     # Fragmentation allowed, hence an identification that counts up: by one on a sensor, by one or two at this
-    # rate on
-    # Linux between unconnected sockets.
+    # rate on Linux between unconnected sockets.
     POSITION_PORT: (
         (socket.IPPROTO_IP, socket.IP_TTL, POSITION_TTL),
         (socket.IPPROTO_IP, _IP_MTU_DISCOVER, _IP_PMTUDISC_DONT),
@@ -55,8 +54,7 @@ class UdpSink(PacketSink):
     sent : called after each packet with its due time, UTC ns
 
     Raises OutputError if the host is unknown or unreachable, or the interface, address or port to send from
-    is not
-    available.
+    is not available.
     """
 
     def __init__(
@@ -111,8 +109,7 @@ class UdpSink(PacketSink):
         """Send one packet.
 
         Raises RunError if the system can no longer send, for instance because the link is down; ValueError
-        for an
-        NMEA packet, which is sent by serial line, not by Ethernet.
+        for an NMEA packet, which is sent by serial line, not by Ethernet.
         """
         unit = packet.unit
         kind = packet.kind
@@ -149,8 +146,7 @@ def _is_broadcast(address: str, as_sensor: str | None, interface: str | None) ->
     """Query the routing table with a temporary socket that sends nothing.
 
     Whether 192.168.1.255 is a broadcast address depends on the netmask of the interface, which only the
-    system
-    knows: it refuses broadcast addresses to a socket without SO_BROADCAST.
+    system knows: it refuses broadcast addresses to a socket without SO_BROADCAST.
     """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         _bind(probe, as_sensor, interface, 0)

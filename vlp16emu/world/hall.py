@@ -18,8 +18,7 @@ _log = logging.getLogger(__name__)
 Thing = HallBox | HallPole | HallSphere
 _TOLERANCE_M = 5e-5
 """Largest gap between a chord and its arc. Round things deviate by about half of it to either side of the
-true shape;
-on a sphere the gaps of both angles add up to at most twice that."""
+true shape; on a sphere the gaps of both angles add up to at most twice that."""
 _FEWEST_SIDES = 256
 _WALL_INSTANCE = 1  # walls and ceiling; things follow from 2 in the given order: boxes, poles, spheres
 

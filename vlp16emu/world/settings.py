@@ -28,10 +28,8 @@ class PartFinish(Section):
     """Lambertian, at 903 nm."""
     retroreflection_cd_lx_m2: Annotated[float, Field(ge=1, le=1000)] | None = None
     """Coefficient of retroreflection, instead of `reflectance`: minimum values of ASTM D4956 for new white
-    sheeting are 70
-    for type I, 250 for type III and 700 for type VIII. Assumptions: at 903 nm it is as in visible light, and
-    it falls with the
-    cosine of incidence."""
+    sheeting are 70 for type I, 250 for type III and 700 for type VIII. Assumptions: at 903 nm it is as in
+    visible light, and it falls with the cosine of incidence."""
     roughness: Roughness | None = None
     """Root mean square slope of the facets of a glossy coat, such as paint; none for a matt surface. Seen
     straight on, it adds
@@ -202,16 +200,14 @@ class Hall(WorldSection):
     """Lambertian reflectance of walls, floor and ceiling at 903 nm."""
     wall_roughness: Roughness | None = None
     """Roughness of a glossy coat on them; none for matt ones. Paint has 0.15 to 0.3: codes on walls of real
-    captures are 5 to 15 % higher
-    within 10 degrees of normal incidence than at 20 to 40."""
+    captures are 5 to 15 % higher within 10 degrees of normal incidence than at 20 to 40."""
     texture: Texture = 0.16
     """Relative variation of the reflectance over patches of about 0.1 m, one sigma overall; parts of a wall
-    of about 1.6 m
-    differ by a factor of three. With 0.16 neighbouring returns from walls scatter as on real units."""
+    of about 1.6 m differ by a factor of three. With 0.16 neighbouring returns from walls scatter as on real
+    units."""
     relief_m: Annotated[float, Field(ge=0, le=0.05)] = 0.0
     """Unevenness of walls, floor and ceiling over patches of a few centimetres, one sigma; included in the
-    ground truth.
-    Walls in captures of real sensors have 0.002 to 0.005 m; 0 gives a flat hall."""
+    ground truth. Walls in captures of real sensors have 0.002 to 0.005 m; 0 gives a flat hall."""
     boxes: list[HallBox] = Field(default_factory=list)
     """Upright boxes."""
     poles: list[HallPole] = Field(default_factory=list)

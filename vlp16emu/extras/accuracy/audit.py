@@ -1,12 +1,9 @@
 """Comparison of a few pulses of a run with their converged answer while the run goes on.
 
 In each block of firing sequences, eight consecutive sequences of two lasers are drawn: 0.05 % of a VLP-16's
-pulses. The
-audit judges the hits of the run itself, so only the answers are cast. The seed and the block determine the
-drawn
-pulses, so threads and order do not matter, and the run does not change. Errors are summed as integers by
-cluster, so
-the sums do not depend on order or number of threads.
+pulses. The audit judges the hits of the run itself, so only the answers are cast. The seed and the block
+determine the drawn pulses, so threads and order do not matter, and the run does not change. Errors are summed
+as integers by cluster, so the sums do not depend on order or number of threads.
 """
 
 import math
@@ -216,8 +213,8 @@ _LASERS = 2
 _RAYS = 512
 _TIMES = 4
 """Sub-rays of an answer: at least the first number, and at least the second number times the sub-rays of a
-pulse. With
-512, the remaining error is a fifth of the error of pulses with 64, and 1/20 of the error of one ray."""
+pulse. With 512, the remaining error is a fifth of the error of pulses with 64, and 1/20 of the error of one
+ray."""
 _SAMPLED = ("fixed", "adaptive")
 
 

@@ -30,8 +30,7 @@ def intervals_of(groups: Sequence[Comparison], resolution_m: float) -> dict[str,
     """Return the 95 % interval of each error of `errors_of`, by name, from comparisons of independent groups.
 
     A ratio of sums over groups has the variance of the groups about the ratio (Cochran, Sampling Techniques,
-    3rd
-    ed. 1977, section 6.3).
+    3rd ed. 1977, section 6.3).
     """
     matched = np.array([len(group.error_m) for group in groups], np.float64)
     returns = np.array([group.returns for group in groups], np.float64)

@@ -1,8 +1,8 @@
 """Error against run time: settings of the beam and near_m, on pulses from the whole run.
 
 The reference is the converged answer: the same pulses with many more sub-rays, detected without noise. Beyond
-`near_m`
-single leaves differ from the leaves of the explicit world, so means over the same pulses are compared there.
+`near_m` single leaves differ from the leaves of the explicit world, so means over the same pulses are
+compared there.
 """
 
 import math

@@ -53,8 +53,8 @@ class BagFile:
     """A bag that gets its name when it is closed without error; a context manager.
 
     It is .mcap (ROS 2), .bag (ROS 1), or a folder without suffix (ROS 2, SQLite); a file is replaced, a
-    folder is not.
-    Messages may come in any order within a second, and are written in the order of their times.
+    folder is not. Messages may come in any order within a second, and are written in the order of their
+    times.
 
     Raises OutputError if the suffix is no bag's, the folder exists, or nothing can be written there;
     MissingExtraError if rosbags is not installed.

@@ -52,10 +52,8 @@ class UnitMessages:
     """Writer of the messages that the ROS driver makes from the packets of one sensor.
 
     A scan ends with the packet that passes azimuth 0, as with the driver's default `cut_angle`, or before a
-    jump of a
-    clock. Its stamp is the time of its first packet by `clock`, as with the driver's setting
-    `timestamp_first_packet`.
-    Packets after the last cut are no scan.
+    jump of a clock. Its stamp is the time of its first packet by `clock`, as with the driver's setting
+    `timestamp_first_packet`. Packets after the last cut are no scan.
     """
 
     def __init__(self, bag: BagFile, frame: str, clock: PacketClock) -> None:
@@ -142,8 +140,7 @@ class TrueMessages:
     """Writer of the ground truth of a run; poses are x y z and quaternion x y z w.
 
     Frames follow REP 105 and REP 103: mounted devices are children of `base_link`, the body of `rig.json`.
-    The ground
-    truth has frames of its own, so that a SLAM program can publish `map` to `odom` to `base_link`.
+    The ground truth has frames of its own, so that a SLAM program can publish `map` to `odom` to `base_link`.
 
     Parameters
     ----------

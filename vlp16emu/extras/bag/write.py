@@ -278,10 +278,8 @@ def write_bag(
     stop : ends the bag between two packets; it is valid
 
     Raises CaptureError, PacketError if the file is no capture, is damaged, or has stamps out of the range of
-    bags;
-    InputError if the ground truth cannot be read or has another number of units, or there is no such unit or
-    clock;
-    OutputError, MissingExtraError, RunError like `BagFile` and `written_beside`.
+    bags; InputError if the ground truth cannot be read or has another number of units, or there is no such
+    unit or clock; OutputError, MissingExtraError, RunError like `BagFile` and `written_beside`.
     """
     options = options or BagOptions()
     stop = stop or Event()

@@ -121,12 +121,9 @@ class DisturbedGps(GpsInput):
         """Return the state of the pulse as the sensor reports it at an instant.
 
         Pulses are locked if they were steady for the window and their sentences name the second before them;
-        a sentence
-        that is garbled, or names another second, is an error (63-9243 Rev D, section 9.3.3 and appendix G;
-        the end of a
-        state is an assumption: a state from pulses ends at the first missing edge, a state from a sentence at
-        the next
-        sentence, or after 5 s without one).
+        a sentence that is garbled, or names another second, is an error (63-9243 Rev D, section 9.3.3 and
+        appendix G; the end of a state is an assumption: a state from pulses ends at the first missing edge, a
+        state from a sentence at the next sentence, or after 5 s without one).
         """
         edge_ns = t_ns // S_NS * S_NS
         if not self.connected or _span_at(self._lost, edge_ns) or _span_at(self._off, t_ns):

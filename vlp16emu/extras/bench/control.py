@@ -38,8 +38,7 @@ _MERGED_S = 5.0  # greatest time that a setting waits until the packets of earli
 _CALM_S = 2.0
 _PROMPT = 2
 """Number of changes, without a pause of this length between them, for which packets are computed again; later
-changes
-take effect after the packets that are already computed."""
+changes take effect after the packets that are already computed."""
 _APART_S = 1.0
 _APART = 20.0
 """Least time between such later changes, and the least ratio to the time that a change took: each makes the
@@ -77,10 +76,8 @@ class Control:
     """Control of a stream by settings from other threads, with reports of the state of its sensors.
 
     After a pause, a setting makes the engine compute packets again from a moment ahead; so does the next
-    setting, when
-    these packets are ready. In a flood, all settings of a second are one change, which takes effect after the
-    packets
-    that are already computed. So no client can block the engine.
+    setting, when these packets are ready. In a flood, all settings of a second are one change, which takes
+    effect after the packets that are already computed. So no client can block the engine.
 
     Parameters
     ----------

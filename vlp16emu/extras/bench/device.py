@@ -1,8 +1,7 @@
 """The state behind the web interface: settings, status, and their documents and forms (63-9243 Rev D, 10.2).
 
 A real unit answers some bad requests with 200 and ignores them. Here a request with an invalid value or an
-unknown key
-is ignored as a whole, and the answer gives the reason.
+unknown key is ignored as a whole, and the answer gives the reason.
 """
 
 import json
@@ -231,8 +230,7 @@ def diagnostics(status: DeviceStatus) -> dict[str, object]:
     """Return `diag.json`: counts of the converters, which follow the state.
 
     Formulas: 63-9243 Rev D, sections 10.2.3.2 and 10.2.3.3. The values belong to healthy units; their
-    variation is an
-    assumption.
+    variation is an assumption.
     """
 
     def counts(volts: float, period_s: int) -> int:

@@ -1,8 +1,7 @@
 """Faults of packets between the sensor and its receiver: changes of their bytes and times.
 
 A fault is a function of the packet alone: its unit, its kind and its number, which counts from the run's
-first pulse.
-So a part of a run equals the same part of the whole run, and threads change nothing.
+first pulse. So a part of a run equals the same part of the whole run, and threads change nothing.
 """
 
 from collections import Counter
@@ -30,8 +29,7 @@ _LATE_KEYS = {
 }  # key of the longest delay of a fault
 _LONGEST_NS = 20 * MS_NS
 """Greatest time between consecutive packets at their rate: 18.6 ms for position packets (63-9243 Rev D,
-section 8.2.2).
-If no packet follows within it, a packet is not overtaken."""
+section 8.2.2). If no packet follows within it, a packet is not overtaken."""
 
 Streams = Callable[[int, int], Iterator[Packet]]
 """Packets of all units due in a span since the first pulse, in order of sending."""

@@ -22,8 +22,7 @@ _LINE = re.compile(rb"[^\r\n]*[\r\n]+")
 _LONGEST = 256  # bytes without an end of line that are no sentence: twice the space of a position packet
 _STEADY_NS = 5 * MS_NS
 """Error of a steady pulse against its second: a program that polls a line every millisecond, beside other
-programs,
-gives it to a pulse that is exact to a microsecond (assumption)."""
+programs, gives it to a pulse that is exact to a microsecond (assumption)."""
 _LOST_NS = S_NS + S_NS // 2  # time without a pulse after which pulses count as lost
 _STALE_NS = (
     5 * S_NS
@@ -225,9 +224,8 @@ class GpsInSink(PacketSink):
     """Sink that gives packets the stamps, state and sentence of a sensor with this receiver on its line.
 
     Instants of packets follow their due times, even if they are sent late: stamps show no jitter of the host.
-    Only if
-    the stream is late by more than the tolerance, instants are counted again from `clock_ns`, the clock of
-    the line.
+    Only if the stream is late by more than the tolerance, instants are counted again from `clock_ns`, the
+    clock of the line.
     """
 
     def __init__(

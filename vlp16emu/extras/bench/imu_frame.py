@@ -4,9 +4,8 @@
 (72, True)
 
 The format is our own, because no sensor of Velodyne has one; `protocol/imu_frame.toml` describes it. The
-offset of each
-field is a multiple of its size, so it is a plain struct in C, and numbers equal the ground truth to the last
-bit.
+offset of each field is a multiple of its size, so it is a plain struct in C, and numbers equal the ground
+truth to the last bit.
 """
 
 import zlib

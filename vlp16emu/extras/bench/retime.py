@@ -128,9 +128,8 @@ class NowSink(PacketSink):
     """Sink that moves packets by a whole number of seconds to the present of the system's clock.
 
     Because the number is whole, the intervals between pulses of the receiver, sentences and stamps do not
-    change. The
-    stream begins at the instant with the first packet's fraction of a second, so it waits for less than a
-    second.
+    change. The stream begins at the instant with the first packet's fraction of a second, so it waits for
+    less than a second.
 
     Parameters
     ----------

@@ -1,8 +1,7 @@
 """The web interface of the sensor, in a thread of its own.
 
 Some hand-written clients accept only one spelling of `Content-Length`, no chunks, and perhaps only the first
-segment.
-So each answer has that header, in this spelling, and leaves in one piece.
+segment. So each answer has that header, in this spelling, and leaves in one piece.
 """
 
 import asyncio
@@ -213,8 +212,8 @@ def _is_foreign(request: _Request, *, is_private: bool) -> bool:
     """Return True if a browser sends a request for a page that is not the sensor's own.
 
     Pages of other sites can send forms to any host, and their names may resolve to this machine. So the
-    origin of a
-    form must be the requested host, and on an interface of this machine alone the host must be an address.
+    origin of a form must be the requested host, and on an interface of this machine alone the host must be an
+    address.
     """
     host = request.headers.get("host")
     origin = request.headers.get("origin")

@@ -170,12 +170,10 @@ def write_images(
     progress, stop : as in `Emulator.record`
     options : fields of `ImageOptions`
 
-    Raises InputError for a wrong option or a distortion that cannot be inverted; MissingExtraError if
-    pillow is not installed; OutputError if the folder has content or cannot be written; TrajectoryError if
-    the
-    walk ends before the span; RunError if the disk is full, which leaves the images before; CancelledError,
-    and
-    no folder, if `stop` is set before the first image.
+    Raises InputError for a wrong option or a distortion that cannot be inverted; MissingExtraError if pillow
+    is not installed; OutputError if the folder has content or cannot be written; TrajectoryError if the walk
+    ends before the span; RunError if the disk is full, which leaves the images before; CancelledError, and no
+    folder, if `stop` is set before the first image.
     """
     asked = ImageOptions.from_fields(options)
     stop = stop or Event()

@@ -1,8 +1,7 @@
 """Frames of pcapng, and of archives with pcap or pcapng in them.
 
 This module parses the records itself, because dpkt's readers convert stamps to floats, drop the length on the
-wire and
-the link types of pcapng, and do not report a truncated last packet.
+wire and the link types of pcapng, and do not report a truncated last packet.
 """
 
 import bz2

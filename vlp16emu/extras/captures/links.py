@@ -24,9 +24,8 @@ _WRAPPED = {
     258: ("<I", 0, 8),
 }
 """Link types with a header of their own in front: format and offset of its length, and offset of the inner
-link type,
-which is IEEE 802.11 if there is no such field. Radiotap, AVS, PPI, and PKTAP of macOS under both of its
-numbers."""
+link type, which is IEEE 802.11 if there is no such field. Radiotap, AVS, PPI, and PKTAP of macOS under both
+of its numbers."""
 _LINK_TYPES = frozenset({*_ETHERTYPE_AT, *_BARE_IP_AT, *_PPP_AT, *_WRAPPED, _WIFI, _NFLOG})
 
 _IPV4 = 0x0800

@@ -337,10 +337,8 @@ def point_file(
     """Open a file for points in the format of its suffix; error messages call it `where`; `inputs` are not replaced.
 
     If an error ends the points, the file has the points before it. If there are no points, or the file itself
-    cannot be
-    written, there is no file. InputError if the suffix names no format, MissingExtraError if its library is
-    not
-    installed, OutputError and RunError like `OutputFile`.
+    cannot be written, there is no file. InputError if the suffix names no format, MissingExtraError if its
+    library is not installed, OutputError and RunError like `OutputFile`.
     """
     if not has_door(path.suffix, "clouds"):
         raise InputError(where, f"found suffix '{path.suffix}'", ", ".join(DOORS["clouds"]))

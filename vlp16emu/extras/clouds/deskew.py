@@ -144,8 +144,7 @@ def write_deskewed(
     clock : clock of the pulses, as for `vlp16emu.packets.unit_clocks`
 
     Raises InputError, TrajectoryError if the ground truth belongs to another run, or no pulse has a pose;
-    CaptureError,
-    PacketError if the capture cannot be read, or is damaged; the file has the points before.
+    CaptureError, PacketError if the capture cannot be read, or is damaged; the file has the points before.
     """
     known = chosen_unit(capture, way.sensor or str(way.unit), where="--unit")
     stamped = packet_clock(capture, known, clock, where="--clock")

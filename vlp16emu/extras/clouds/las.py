@@ -45,12 +45,10 @@ _ADJUSTMENT_S = 1_000_000_000  # LAS specification 1.4 - R15, section 2.4, globa
 class LasFile(PointWriter):
     """Writer of LAS; MissingExtraError if laspy, or lazrs for LAZ, is not installed.
 
-    GPS time is adjusted standard GPS time. The return number counts the echoes of a pulse from the
-    nearest. The classification is the column `label`, or without it the class of the scheme `asprs`. User
-    data is the
+    GPS time is adjusted standard GPS time. The return number counts the echoes of a pulse from the nearest.
+    The classification is the column `label`, or without it the class of the scheme `asprs`. User data is the
     column `return_number` of a scene, `is_last` of a capture. Scanner channel and scan angle are 0: a
-    spinning
-    sensor has one head, and no angle about a line of flight.
+    spinning sensor has one head, and no angle about a line of flight.
     """
 
     compressed: ClassVar[bool] = False
@@ -181,10 +179,8 @@ def local_wkt(latitude_deg: float, longitude_deg: float, height_m: float) -> str
     """Return the coordinate system of the world as WKT: transverse Mercator about the origin, and height.
 
     No well-known text that other programs read describes a plane through the origin. This projection differs
-    from the
-    plane by less than 1 mm at 1 km: its scale fits the origin's height, as surveyors choose it for plots.
-    Heights are
-    above the origin, without the 78 mm of the earth's curvature at 1 km.
+    from the plane by less than 1 mm at 1 km: its scale fits the origin's height, as surveyors choose it for
+    plots. Heights are above the origin, without the 78 mm of the earth's curvature at 1 km.
     """
     squared = _FLATTENING * (2 - _FLATTENING)
     bulge = 1 - squared * math.sin(math.radians(latitude_deg)) ** 2

@@ -64,12 +64,9 @@ def write_points(
     options : fields of `PointOptions`
 
     Raises InputError if there is no such unit or scheme, or the suffix names no format; MissingExtraError if
-    the
-    library for a format is not installed; OutputError if file or folder cannot be written, or are an input of
-    the
-    scene; TrajectoryError if the walk ends before the span; RunError if the disk is full: the file is then
-    incomplete;
-    CancelledError, and earlier files stay, if `stop` is set before the first block.
+    the library for a format is not installed; OutputError if file or folder cannot be written, or are an
+    input of the scene; TrajectoryError if the walk ends before the span; RunError if the disk is full: the
+    file is then incomplete; CancelledError, and earlier files stay, if `stop` is set before the first block.
     """
     path = Path(path)
     began_s = time.perf_counter()

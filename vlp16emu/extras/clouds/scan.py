@@ -35,8 +35,7 @@ from vlp16emu.units import HOUR_NS, S_NS, US_NS, seconds_to_ns
 
 _LONGEST_NS = 2 * S_NS
 """Time after which readings without a whole revolution are left out: the rotor stands. The slowest scanner,
-of a sensor
-of one's own, turns once a second."""
+of a sensor of one's own, turns once a second."""
 _LABELS = ("semantic", "part", "instance", "species")
 
 
@@ -137,9 +136,8 @@ def decode(
     iterator over the whole revolutions, which reads the file step by step; scans before an error come first
 
     Raises CaptureError if the file cannot be read, is damaged or has no data packets; PacketError if a packet
-    is no
-    VLP-16 packet; InputError if there is no such frame, clock or unit, or if `unit` is missing and there are
-    several.
+    is no VLP-16 packet; InputError if there is no such frame, clock or unit, or if `unit` is missing and
+    there are several.
     """
     if frame not in tuple(PointFrame):
         raise InputError("frame", f"found {frame}", " or ".join(PointFrame))
@@ -175,8 +173,7 @@ def chunk_of_packets(packets: Iterable[Packet]) -> Chunk | None:
     """Return the points of data packets of one sensor as they are sent; None if no packet is whole and without fault.
 
     Points have labels if the packets carry ground truth. Packets of a prepared run, which do not know their
-    first pulse,
-    are dated by their sending.
+    first pulse, are dated by their sending.
     """
     whole = [packet for packet in packets if len(packet.payload) == DATA_BYTES]
     payloads = np.frombuffer(b"".join(packet.payload for packet in whole), np.uint8).reshape(-1, DATA_BYTES)

@@ -29,8 +29,7 @@ _COARSEST = 5.0
 _FROM = 30.0
 _TOP = 90.0
 """Step of bright codes over the product of their scatter and the share of equal neighbours, from our own
-packets;
-greatest step; reflectivities at which the step is 1 and at which the key gives it."""
+packets; greatest step; reflectivities at which the step is 1 and at which the key gives it."""
 _ELSE_MM = (
     2.6  # white error from the detector and the 2 mm of a code, beside the setting; from our own packets
 )
@@ -46,10 +45,8 @@ def fitted(sequences: Sequences) -> dict[str, dict[str, object]]:
     """Return the `[noise]` and `[sensor]` keys of the unit that made a capture, within the limits of a scene.
 
     For quantities that a unit draws with its seed, such as the gain of each laser and the rates of lost
-    records, the
-    keys are spreads. Biases of the lasers are not included: they need a target at a known place. InputError
-    if a value
-    is beyond the limits of a unit.
+    records, the keys are spreads. Biases of the lasers are not included: they need a target at a known place.
+    InputError if a value is beyond the limits of a unit.
     """
     found = statistics_of(sequences)
     noise = _noise(sequences, found)

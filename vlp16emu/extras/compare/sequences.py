@@ -55,8 +55,7 @@ def read_sequences(path: Path) -> Sequences:
     """Read at most a minute of a capture, with any product byte.
 
     Raises CaptureError if it is no capture, has less than a revolution or two return modes, or its rotor
-    speed is not
-    possible for a VLP-16.
+    speed is not possible for a VLP-16.
     """
     with Capture(path) as capture:
         packets = list(

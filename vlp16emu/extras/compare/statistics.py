@@ -155,8 +155,7 @@ def codes(sequences: Sequences) -> Statistics:
     """Return the share of codes at the top of the diffuse scale, and the ruggedness of the histograms of bright codes.
 
     Ruggedness is the second difference over counts, for each laser in each class of range. A class spans 40 %
-    of range,
-    in which steps of codes change little.
+    of range, in which steps of codes change little.
     """
     seen = sequences.distance_lsb > 0
     r = sequences.reflectivity

@@ -161,8 +161,7 @@ def connect(scheduler: str) -> Iterator[Cluster]:
     """Connect to a Dask scheduler, given by its address or scheduler file.
 
     Raises MissingExtraError without Dask; InputError if no scheduler answers, it has no workers, or one of
-    them
-    has no vlp16emu or Python of this version.
+    them has no vlp16emu or Python of this version.
     """
     try:
         import dask

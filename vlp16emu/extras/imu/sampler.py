@@ -21,9 +21,8 @@ _GYRO_WARM_UP_RAD_S = 2.6e-3
 _ACCEL_WARM_UP_M_S2 = 0.02
 _WARM_UP_S = 200.0
 """Change of the biases by 10 K of warming up, one sigma: 0.015 deg/s and 0.2 mg per K (Bosch
-BST-BMI088-DS001, tables 4
-and 5); and the time after which 63 % of it is done: it takes 5 to 10 minutes (Xsens, Bias repeatability of
-gyroscopes)."""
+BST-BMI088-DS001, tables 4 and 5); and the time after which 63 % of it is done: it takes 5 to 10 minutes
+(Xsens, Bias repeatability of gyroscopes)."""
 _AXIS_ERROR = 0.005
 """Error of sensitivity and of alignment of an axis, one sigma: half of the tolerance of 1 % each (Bosch
 BNO055; assumption)."""
@@ -97,8 +96,7 @@ class ImuSampler:
         """Return the reported attitude (n, 3, 3) of samples from `first` on.
 
         It is levelled by gravity, so the accelerometers' bias relative to 1 g tilts it. Its heading drifts
-        with the
-        integral of the gyroscopes' bias, and with the random walk of their integrated white noise.
+        with the integral of the gyroscopes' bias, and with the random walk of their integrated white noise.
         """
         up = matvec(world_R_imu, force_bias) + np.array([0.0, 0.0, GRAVITY_M_S2])
         up /= norm(up)[:, None]
@@ -156,8 +154,7 @@ def _random_walk(seed: int, first: int, count: int, lane: int) -> F8:
     """Return the cumulative sum (count,) of standard normal numbers at samples first .. first + count - 1, 0 at sample 0.
 
     Ends of chunks come from halving intervals (Levy's construction of Brownian motion), the samples between
-    from a
-    Brownian bridge: the sum costs the same after any time.
+    from a Brownian bridge: the sum costs the same after any time.
     """
     chunks = range(first // _CHUNK, (first + count - 1) // _CHUNK + 1)
     parts = [_random_walk_chunk(seed, chunk, lane) for chunk in chunks]

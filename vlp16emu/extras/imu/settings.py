@@ -28,10 +28,9 @@ class Imu(Preset):
     presets: ClassVar[Mapping[str, Mapping[str, object]]] = {
         "ideal": {},
         # Noise of Bosch's BMG160 and BMA280, 0.014 deg/s and 120 ug per sqrt(Hz), and a tenth of their
-        # offsets of
-        # 1 deg/s and 50 mg (Bosch CISS manual, section 4.11.1); that a tenth is left by calibration is an
-        # assumption.
-        # Random walks as measured on a tracker with such parts (libsurvive wiki, IMU variance measurements).
+        # offsets of 1 deg/s and 50 mg (Bosch CISS manual, section 4.11.1); that a tenth is left by
+        # calibration is an assumption. Random walks as measured on a tracker with such parts (libsurvive
+        # wiki, IMU variance measurements).
         "consumer": _CONSUMER,
         # Gyroscopes of Sensonor's STIM210, 0.10 deg/sqrt(h) and 10 deg/h over temperature (maker's FAQ);
         # accelerometers of 1 mg and 0.06 m/s/sqrt(h), and the random walks, are assumptions.
@@ -44,8 +43,7 @@ class Imu(Preset):
             "accel_walk_m_s3_sqrt_hz": 1.0e-5,
         },
         # A typical robot's unit, read over USB. Noise of Bosch's BMI088, 0.014 deg/s and 160 ug per sqrt(Hz)
-        # (BST-BMI088-DS001,
-        # tables 4 and 5). Reads of a USB serial line come in steps of 4 ms (ROS wiki,
+        # (BST-BMI088-DS001, tables 4 and 5). Reads of a USB serial line come in steps of 4 ms (ROS wiki,
         # camera_calibration/calibration_notes/Timing), and 2 to 4 ms after the sample (assumption).
         "field": _CONSUMER
         | {"accel_noise_m_s2_sqrt_hz": 1.6e-3, "delay_s": (0.002, 0.004), "jitter_s": 0.004},
@@ -62,8 +60,7 @@ class Imu(Preset):
     """Mount on the pack, not on a spinning stage."""
     attitude: bool = False
     """True if the unit also reports its attitude, as programs for nine axes need it: levelled by gravity,
-    with the bias
-    of the accelerometers, and with a heading that drifts with the bias of the gyroscopes."""
+    with the bias of the accelerometers, and with a heading that drifts with the bias of the gyroscopes."""
     gyro_bias_rad_s: _Error = 0.0
     """At switch-on, one sigma."""
     gyro_noise_rad_s_sqrt_hz: _Error = 0.0

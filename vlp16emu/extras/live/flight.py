@@ -129,8 +129,7 @@ class Flight(PacketSink):
     clock_ns : monotonic clock
 
     Raises InputError if the scene is not live; OutputError if the table cannot be written, or would be
-    written over a
-    file that is read; and the errors of `PoseReceiver`.
+    written over a file that is read; and the errors of `PoseReceiver`.
     """
 
     look_ahead = (

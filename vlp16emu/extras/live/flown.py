@@ -1,10 +1,9 @@
 """The table of knots of a live run, which gives the same motion bit for bit, and the windows that were in use.
 
 The bytes of a pulse depend on the window that it is cast in, through rounding and the place where the medium
-begins. A
-live run does not know its path, so its windows belong to boxes of the world: they change only at the start of
-ordinary
-blocks, a window depends on the name of its box alone, and the table of knots has these names.
+begins. A live run does not know its path, so its windows belong to boxes of the world: they change only at
+the start of ordinary blocks, a window depends on the name of its box alone, and the table of knots has these
+names.
 """
 
 import math

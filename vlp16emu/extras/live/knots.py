@@ -14,14 +14,12 @@ from vlp16emu.units import S_NS
 STEP_NS = 5_308_416  # time between knots: 96 firing sequences of a VLP-16, four packets of single return
 STATE = 13
 """Numbers of a knot: position (3,) and quaternion x, y, z, w (4,) in the world, velocity (3,) in the world,
-angular
-rate (3,) in body axes."""
+angular rate (3,) in body axes."""
 
 _MOST = 8192  # knots of a live run that are kept, 43 s; poses older than 12 s are never requested
 _COAST_S = 0.15
 """Time after a pose for which its velocity is extrapolated, and then the time constant with which the body
-comes to
-rest: poses at 10 Hz are followed smoothly, and a body at 3 m/s stops after 0.9 m."""
+comes to rest: poses at 10 Hz are followed smoothly, and a body at 3 m/s stops after 0.9 m."""
 # above these errors the correction is slower, with bounded speed
 GAP_M = 0.1
 GAP_RAD = 0.2
@@ -180,8 +178,7 @@ def follow(state: F8, seen: F8, since_s: float, step_s: float, smoothing_s: floa
     """Return the next knot (13,): predicted from the last pose, and corrected towards it without a jump of pose or rate.
 
     The error of position and quaternion against the prediction decays as a critically damped oscillator,
-    which is
-    solved exactly over the step; then the quaternion is scaled to unit length.
+    which is solved exactly over the step; then the quaternion is scaled to unit length.
 
     Parameters
     ----------

@@ -61,8 +61,7 @@ class PoseInput:
     """Input of poses from any thread; it keeps the last one.
 
     A sender has a clock of its own. Its offset is estimated from the pose with the least delay so far, which
-    counts as
-    zero delay. So only additional delays are known, and the least delay is part of the latency.
+    counts as zero delay. So only additional delays are known, and the least delay is part of the latency.
     """
 
     def __init__(self, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
@@ -160,8 +159,7 @@ class LiveMotion:
     """Motion of a body that follows the poses received, computed knot by knot as time goes on.
 
     Each knot is computed once, at its time, and never changes, so later calls and readers of the table get
-    the same
-    motion. A call for a future time waits for it.
+    the same motion. A call for a future time waits for it.
 
     Parameters
     ----------

@@ -1,10 +1,8 @@
 """Meshes that the user brings: OBJ, PLY, GLB and STL through trimesh, checked before they are scanned.
 
 Refused: coordinates that are not finite, faces whose corners do not exist, files without a face, sizes that
-suggest
-a wrong unit. Dropped and reported: triangles without area. Kept and reported: holes and faces that are turned
-inside
-out, because rays hit both sides.
+suggest a wrong unit. Dropped and reported: triangles without area. Kept and reported: holes and faces that
+are turned inside out, because rays hit both sides.
 """
 
 import logging

@@ -69,8 +69,7 @@ def page_writing(path: Path | None, inputs: Iterable[Path]) -> Iterator[Callable
     """Open a page before the scores are computed, and yield the function that writes a report into it.
 
     Without a path that function does nothing. Raises OutputError for another ending than .html, or a file
-    that cannot
-    be written; MissingExtraError without matplotlib.
+    that cannot be written; MissingExtraError without matplotlib.
     """
     if path is None:
         yield lambda _: None

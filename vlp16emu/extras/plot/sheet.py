@@ -84,8 +84,7 @@ def plotting(
     """Open a plot before any long work, and yield the function that draws a report into it.
 
     Without a path that function does nothing. Raises OutputError for another ending than .png, .svg and .pdf,
-    or a
-    file that cannot be written; MissingExtraError without matplotlib.
+    or a file that cannot be written; MissingExtraError without matplotlib.
 
     Parameters
     ----------

@@ -1,8 +1,7 @@
 """Recorded poses in files: TUM, CSV and KITTI.
 
 All functions raise `TrajectoryError` with file and line if a file or a number cannot be read, a matrix is no
-rotation,
-or times do not increase.
+rotation, or times do not increase.
 """
 
 from collections.abc import Sequence

@@ -62,8 +62,7 @@ class RecordedMotion(Pieces):
     to pose the rotation is correct within 1e-6 rad.
 
     Raises TrajectoryError if the time between two poses is above the greatest gap, the turn between them is
-    above
-    90 degrees, or times are too uneven for a smooth turn.
+    above 90 degrees, or times are too uneven for a smooth turn.
 
     Parameters
     ----------

@@ -34,8 +34,7 @@ class Recorded(MotionSection):
     (KITTI)."""
     x_m: Place = 0.0
     """Position of the file's origin in the world, with `y_m` and `z_m`. For poses in map coordinates give the
-    negative
-    of the world's `origin_m`, which is not subtracted from them."""
+    negative of the world's `origin_m`, which is not subtracted from them."""
     y_m: Place = 0.0
     """See `x_m`."""
     z_m: Place = 0.0

@@ -44,8 +44,7 @@ def density_per_m2(xy_m: F8, centre_m: F8, radius_m: float) -> float:
     """Return points (n, 2) per square metre of plan within a circle, an indicator of a sensor's placement.
 
     Source: Cai et al., Analyzing Infrastructure LiDAR Placement, arXiv 2211.15975, which counts points of a
-    region of
-    interest; here the region is a circle around the viewpoint.
+    region of interest; here the region is a circle around the viewpoint.
     """
     inside = ((xy_m - centre_m) ** 2).sum(axis=1) <= radius_m**2
     return float(inside.sum() / (math.pi * radius_m**2))
@@ -55,12 +54,9 @@ def uniformity(xy_m: F8, centre_m: F8, radius_m: float) -> float:
     """Return the normalised uniformity coefficient of points (n, 2) in a circle: 0 is perfectly even.
 
     NUC of PU-Net (Yu et al., CVPR 2018, section 4.2): disk i of `_DISKS` holds n_i of N points and the share
-    p of the
-    area, `_SHARE`, in the paper 0.002 to 0.012; the coefficient is the standard deviation of n_i / (N p) over
-    the
-    disks. The paper's disks are on surfaces of objects; here they are horizontal, wholly within the circle.
-    NaN without
-    points in the circle.
+    p of the area, `_SHARE`, in the paper 0.002 to 0.012; the coefficient is the standard deviation of n_i /
+    (N p) over the disks. The paper's disks are on surfaces of objects; here they are horizontal, wholly
+    within the circle. NaN without points in the circle.
     """
     from scipy.spatial import KDTree
 

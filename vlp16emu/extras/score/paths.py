@@ -62,11 +62,10 @@ def score_path(file: Path, times: Path | None, truth: Path, unit: int, alignment
     common.
 
     The file is TUM, or KITTI if `times` has a time in seconds for each pose; truth and unit are as in
-    `Trajectory`. Scores
-    are `ate_m` RMSE of positions, `ate_max_m`, `rpe_m` and `rpe_deg` RMSE over `RPE_DELTA_M` of path;
-    `drift_10m_percent` and `drift_100m_percent`, the mean relative error of positions over such lengths, NaN
-    on a shorter
-    path; `stamp_offset_s` to add to the estimate's stamps, NaN if the motion is too uniform to determine it.
+    `Trajectory`. Scores are `ate_m` RMSE of positions, `ate_max_m`, `rpe_m` and `rpe_deg` RMSE over
+    `RPE_DELTA_M` of path; `drift_10m_percent` and `drift_100m_percent`, the mean relative error of positions
+    over such lengths, NaN on a shorter path; `stamp_offset_s` to add to the estimate's stamps, NaN if the
+    motion is too uniform to determine it.
     """
     try:
         from evo.core import metrics

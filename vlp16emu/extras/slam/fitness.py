@@ -45,8 +45,7 @@ class Facts:
     )  # by ring: sum and number of the sines of elevation
     samples: list[tuple[float, ...]] = field(default_factory=list)
     """Rows: stamp as in `clouds`, angular rate (3), acceleration (3), norm of the quaternion, first
-    covariance of
-    attitude, angular rate and acceleration."""
+    covariance of attitude, angular rate and acceleration."""
     fixed: dict[str, tuple[str, F8]] = field(
         default_factory=dict
     )  # parent and pose of each frame of /tf_static
@@ -74,8 +73,7 @@ def read_facts(path: Path) -> Facts:
     """Read a bag of ROS 1 or ROS 2 once, message by message.
 
     Raises CaptureError if it is no bag, is damaged, or holds no point cloud; MissingExtraError if rosbags is
-    not
-    installed.
+    not installed.
     """
     try:
         from rosbags.highlevel import AnyReader

@@ -33,10 +33,8 @@ class TruthFolder:
     """A folder for the ground truth of one run; a context manager.
 
     It is created as NAME.xxxxxxxx.part, at `path`, and its files grow there. At the end it gets its name in
-    one step,
-    like an `OutputFile`: an earlier folder of this name is unchanged until then and is then replaced as a
-    whole. After
-    an error the samples so far stay in `path`.
+    one step, like an `OutputFile`: an earlier folder of this name is unchanged until then and is then
+    replaced as a whole. After an error the samples so far stay in `path`.
 
     Parameters
     ----------
@@ -44,8 +42,7 @@ class TruthFolder:
     inputs : files that the run itself reads
 
     Raises OutputError if the folder cannot be created, contains other files or one of the inputs, or another
-    run
-    writes it.
+    run writes it.
     """
 
     def __init__(self, path: Path, inputs: Collection[Path] = ()) -> None:

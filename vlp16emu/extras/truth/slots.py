@@ -190,8 +190,7 @@ class SlotReader:
     """Rows of a table behind the records of a capture of the same run, in the order of the capture.
 
     A packet of the capture is found by its time stamp, starting from the packet before, so packets of the run
-    may be
-    missing, repeated, or late by up to 64.
+    may be missing, repeated, or late by up to 64.
 
     Raises MissingExtraError if pyarrow is not installed; InputError if the file is not such a table.
     """
@@ -223,8 +222,7 @@ class SlotReader:
         slot : (n,) index in the packet, 32 times the block plus the channel
 
         Raises InputError if the table does not hold such a packet, or has no return there: the capture
-        belongs to
-        another run.
+        belongs to another run.
         """
         number = self._numbers(stamp_us)[packet]
         group = np.searchsorted(self._begin, number, side="right") - 1

@@ -194,8 +194,8 @@ class Truth:
     span_s : span of the run, since the first pulse
 
     Raises OutputError if the folder cannot be used, or contains a file that the scenario names; ScenarioError
-    if poses
-    of packets are requested for a sensor without packets; RunError if it cannot be written, here or later.
+    if poses of packets are requested for a sensor without packets; RunError if it cannot be written, here or
+    later.
     """
 
     def __init__(self, to: TruthTo, of: Emulator | PacketFeed, span_s: tuple[float, float]) -> None:
@@ -522,11 +522,9 @@ def write_truth(
     Simulated seconds
 
     Raises OutputError if the folder cannot be written, or contains an input of the scene; ScenarioError if
-    poses of
-    packets are requested for a sensor without packets; TrajectoryError if the walk ends before the span;
-    RunError if
-    the disk is full: then the lines before are kept; CancelledError, and an earlier folder stays, if `stop`
-    is set at once.
+    poses of packets are requested for a sensor without packets; TrajectoryError if the walk ends before the
+    span; RunError if the disk is full: then the lines before are kept; CancelledError, and an earlier folder
+    stays, if `stop` is set at once.
     """
     stop = stop or threading.Event()
     emulator = emulator.with_truth_in(TruthTo.of(to)).stopped_by(stop)

@@ -195,8 +195,7 @@ _TTL = {PacketKind.DATA: DATA_TTL, PacketKind.POSITION: POSITION_TTL}
 _FLAGS = {PacketKind.DATA: dpkt.ip.IP_DF, PacketKind.POSITION: 0}
 _VELOVIEW = bytes.fromhex("607688000000 0800 4500 04d2 0000 4000 ff11 b4aa c0a801c8")
 """Header from source MAC to source address that old versions of VeloView give all packets. Source:
-Kitware/VeloView,
-LidarPlugin/Common/Network/NetworkPacket.cxx, and a capture of 2014."""
+Kitware/VeloView, LidarPlugin/Common/Network/NetworkPacket.cxx, and a capture of 2014."""
 _HEADER = np.dtype(
     [
         *(("version", "u1"), ("tos", "u1"), ("total", ">u2"), ("identification", ">u2"), ("fragment", ">u2")),

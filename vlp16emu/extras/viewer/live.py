@@ -4,10 +4,8 @@
     priority
 
 The sending thread does one `append`; if the copying thread is behind, the oldest packets fall out. The
-copying thread
-adds poses, and sends without waiting; if the page is slow, stopped or gone, its message is dropped. The page
-changes
-settings as any other client does: over the web interface of the sensor.
+copying thread adds poses, and sends without waiting; if the page is slow, stopped or gone, its message is
+dropped. The page changes settings as any other client does: over the web interface of the sensor.
 """
 
 import math

@@ -1,8 +1,7 @@
 """The page in the browser: its server, the stand, the path, and the sweep at the cursor's time.
 
 By default viser listens on all interfaces, answers any page that is open in a browser, and requests a public
-address if
-a page asks.
+address if a page asks.
 """
 
 import logging
@@ -101,8 +100,7 @@ def is_ours(headers: Headers, names: frozenset[str]) -> bool:
     """Return True if a request is for one of our names and comes from our own page.
 
     A page of another origin sends that origin in `Origin` (RFC 6454, section 7); a foreign name that resolves
-    to this
-    machine is in `Host`.
+    to this machine is in `Host`.
     """
     hosts = headers.get_all("Host")
     origins = headers.get_all("Origin")

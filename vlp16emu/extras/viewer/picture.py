@@ -299,8 +299,7 @@ def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> 
     """Draw the points of all revolutions, or of the first one, as PNG, or each revolution as a frame of a film.
 
     Returns the contents of the picture. InputError if there is no revolution, or none with such a layer;
-    OutputError
-    if the file cannot be written.
+    OutputError if the file cannot be written.
 
     Parameters
     ----------

@@ -19,8 +19,7 @@ from vlp16emu.types import F8, I8, U4, Mesh, PlantPart, ShapeKey
 
 _FACES = 300_000
 """Approximate number of triangles of all plants and objects without stems: crowns look like crowns, and a
-browser
-without a graphics card draws an image every second or two."""
+browser without a graphics card draws an image every second or two."""
 # faces of one mesh of one object; between these limits in proportion to its size
 _FEWEST = 6
 _MOST = 3_000

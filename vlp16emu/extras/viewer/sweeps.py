@@ -91,8 +91,7 @@ class SceneSweeps:
     """Sweeps of a scene's sensor, with labels; InputError if there is no such unit.
 
     `last_s` is the time from the start of the first sweep to the start of the last one, `step_s` the nominal
-    time
-    between sweeps, both in seconds.
+    time between sweeps, both in seconds.
     """
 
     def __init__(self, emulator: Emulator, unit: int = 1) -> None:

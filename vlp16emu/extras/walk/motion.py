@@ -33,8 +33,8 @@ class WalkMotion:
     differentiable, so its derivatives are exact, and it is within a nanometre of the interpolated function.
 
     At the cruise speed of the route the gait has its full amplitudes; they fade as the person slows down.
-    `under` gives
-    the motion that carries the pack and the suspension: by default the trunk and the harness of the walk.
+    `under` gives the motion that carries the pack and the suspension: by default the trunk and the harness of
+    the walk.
 
     Raises TrajectoryError if the straps would never stop swinging.
     """

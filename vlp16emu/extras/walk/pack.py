@@ -45,8 +45,7 @@ _QUINTIC = (
     / 120.0
 )
 """Uniform quintic B-spline (de Boor, A Practical Guide to Splines, chapter IX): row p gives the coefficient
-of
-tau^p between two knots from the six spline coefficients around."""
+of tau^p between two knots from the six spline coefficients around."""
 # in an eighth of a radian the fourteenth term is below the last bit
 _SHORT = 3
 _TERMS = 14
@@ -175,10 +174,8 @@ def response(frequency_hz: float, damping_ratio: float, s: float) -> F8:
     """Return the linear map (2, 6) from (y, y', f0, f1, f2, f3) at 0 to (y, y') after s seconds, f = sum of fi t^i.
 
     It is the matrix exponential of the oscillator and its forcing: a power series over a short time, doubled
-    until the
-    time is s (Moler and Van Loan, "Nineteen dubious ways to compute the exponential of a matrix", SIAM Review
-    45, 2003,
-    method 3).
+    until the time is s (Moler and Van Loan, "Nineteen dubious ways to compute the exponential of a matrix",
+    SIAM Review 45, 2003, method 3).
     """
     omega = 2.0 * math.pi * frequency_hz
     system = np.zeros((6, 6))

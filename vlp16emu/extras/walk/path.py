@@ -49,8 +49,7 @@ class Path:
     quintic, because the second time derivative of the heading needs three derivatives of the position.
 
     Raises TrajectoryError if a waypoint is not finite or coincides with the one before it, and if the curve
-    turns with
-    a radius below 0.1 m, climbs by more than 60 degrees or is longer than 100 km.
+    turns with a radius below 0.1 m, climbs by more than 60 degrees or is longer than 100 km.
 
     Parameters
     ----------
@@ -91,8 +90,7 @@ class Path:
         """Return ground points (n, 3, 3) and headings (n, 3) at arc lengths (n,), each with its first and second derivative.
 
         The middle axis of the points is the order of the derivative. Headings are continuous, in radians from
-        east. Arc
-        lengths beyond an end of an open path give its end.
+        east. Arc lengths beyond an end of an open path give its end.
         """
         lap, s_m = self._on_lap(s_m)
         powers, since_m = self._curve.within(s_m)

@@ -30,18 +30,13 @@ class Route:
     """A path with the times at which a person is on it, `laps` times round if it is closed.
 
     Arc length over time is a quintic B-spline with equal steps, four times continuously differentiable. The
-    person
-    walks as fast as the limits of cruise speed, turn rate and acceleration allow together. The arc lengths at
-    equal
-    times are the control points of the spline, so speed and acceleration are weighted means of the values
-    before
-    smoothing: they keep the same limits, and the person never walks backwards. At both ends and at stops the
-    person is
-    at rest.
+    person walks as fast as the limits of cruise speed, turn rate and acceleration allow together. The arc
+    lengths at equal times are the control points of the spline, so speed and acceleration are weighted means
+    of the values before smoothing: they keep the same limits, and the person never walks backwards. At both
+    ends and at stops the person is at rest.
 
     Raises TrajectoryError if an open path is to be walked more than once, a stop is not on the path, the run
-    time is
-    too short, or the walk would take more than two weeks.
+    time is too short, or the walk would take more than two weeks.
 
     Parameters
     ----------

@@ -152,8 +152,7 @@ class Mast(Section):
     """Mast that carries the sensors above the pack and the inertial unit, and bends with each step.
 
     A pole of aluminium with a sensor of 0.83 kg (63-9243 Rev D, appendix C) swings at about 8 Hz and hardly
-    along
-    itself; at walking pace it leans by a tenth of a degree (assumption).
+    along itself; at walking pace it leans by a tenth of a degree (assumption).
     """
 
     bending_hz: _Frequency = 8.0
@@ -182,8 +181,7 @@ class Walk(MotionSection):
     """Parallel lines over a plot."""
     laps: Annotated[int, Field(ge=1, le=1000)] = 1
     """Number of laps of a closed path, whose last waypoint is the first, or of any path with
-    `back_and_forth`. A closed
-    path closes smoothly."""
+    `back_and_forth`. A closed path closes smoothly."""
     back_and_forth: bool = False
     """True if a lap is the way there and back, with a small loop behind each end where the person turns
     round."""
@@ -199,8 +197,7 @@ class Walk(MotionSection):
     """Halts on each lap."""
     stand_s: Annotated[float, Field(ge=0, le=86_400)] = 0.0
     """Time that the person stands still before the first step, as programs need that estimate gravity and
-    biases first;
-    not part of `run_time_s`."""
+    biases first; not part of `run_time_s`."""
     kind: Literal["walk"]
     """Selects a walking person."""
     seed: Seed | None = None
@@ -208,8 +205,7 @@ class Walk(MotionSection):
     seed if not set."""
     sensor_height_m: Size = 2.0
     """Height of the pack's origin over the ground under it; the origin is the sensor's centre unless it is
-    mounted
-    elsewhere."""
+    mounted elsewhere."""
     gait: Gait = Gait()
     """Motion of the person's trunk."""
     harness: Harness | None = None

@@ -73,8 +73,7 @@ def read_way_points(path: Path, gps: Gps, origin_m: tuple[float, float]) -> WayP
     """Read waypoints from a file whose name ends in .csv or .gpx.
 
     A CSV has the columns x_m and y_m, and optionally stop_s, the duration of a stop. From a GPX file the one
-    track
-    is read, or the one route if it has no track; its times and heights are ignored.
+    track is read, or the one route if it has no track; its times and heights are ignored.
 
     Raises TrajectoryError if the file is not of this form, or lies more than 100 km from the scene's origin.
 
@@ -167,8 +166,7 @@ def _turning_loop(before_m: F8, end_m: F8) -> F8:
     """Waypoints (n, 2) of a loop that leads back to the end of a way in the opposite direction.
 
     It is a sixth of a circle to the right, five sixths to the left round a centre straight ahead, and a sixth
-    to the
-    right, all with one radius, and has a waypoint at each sixth.
+    to the right, all with one radius, and has a waypoint at each sixth.
     """
     turns = math.pi / 3 * np.array([-1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0])
     ahead_m = end_m - before_m

@@ -1,11 +1,9 @@
 """Ground from a digital elevation model: ESRI ASCII grids, numpy arrays, and GeoTIFF if rasterio is installed.
 
 Monotone cubics interpolate between cell centres along x, and then along y (Steffen, "A simple method for
-monotonic
-interpolation in one dimension", Astronomy and Astrophysics 239, 1990): the surface passes through every
-height and stays
-within the four around. Where the ground bends little it equals the bicubic convolution of Keys (1981) with a
-= -1/2.
+monotonic interpolation in one dimension", Astronomy and Astrophysics 239, 1990): the surface passes through
+every height and stays within the four around. Where the ground bends little it equals the bicubic convolution
+of Keys (1981) with a = -1/2.
 """
 
 import logging
@@ -54,10 +52,8 @@ def read_grid(path: Path, *, cell_m: float | None, corner_m: tuple[float, float]
     """Read a grid in the format of its suffix; cells with a non-finite value or the file's no-data value have no height.
 
     The edge of a cell, and easting and northing of the outer corner of the south-western cell, are required
-    for .npy, which
-    does not hold them, and None for the others. Raises GeometryError if the file is not such a grid, and
-    MissingExtraError
-    for a GeoTIFF without rasterio.
+    for .npy, which does not hold them, and None for the others. Raises GeometryError if the file is not such
+    a grid, and MissingExtraError for a GeoTIFF without rasterio.
     """
     kind = path.suffix.lower()
     if kind not in {".asc", ".npy", ".tif", ".tiff"}:

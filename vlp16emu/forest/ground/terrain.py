@@ -1,13 +1,10 @@
 """Ground with relief: a sum of plane waves and scattered mounds and pits, without edge and period.
 
 There are two bands of waves: hills, and roughness at the scale of a foot. Within a band the power spectrum
-falls
-with the third power of the wave number (assumption; natural ground has exponents between 2.5 and 4).
+falls with the third power of the wave number (assumption; natural ground has exponents between 2.5 and 4).
 Mounds and hollows represent features that waves cannot: old stumps, stones under moss. Uprooted trees leave
-pits with
-a mound beside each, and machines leave ruts: smooth troughs under the wheels of either side, between low
-shoulders of
-displaced soil, with a depth that varies along the trail.
+pits with a mound beside each, and machines leave ruts: smooth troughs under the wheels of either side,
+between low shoulders of displaced soil, with a depth that varies along the trail.
 """
 
 import math
@@ -31,8 +28,7 @@ def waves(rng: np.random.Generator, wavelengths_m: tuple[float, float], rms: flo
     """Waves of a band (n, 4): wave vector x and y in rad/m, amplitude, phase; empty if flat.
 
     They are spread evenly over log wavelength, with a variance proportional to the wavelength: the power
-    spectrum falls
-    with the third power of the wave number.
+    spectrum falls with the third power of the wave number.
     """
     count = _WAVES if rms > 0 else 0
     shortest, longest = wavelengths_m
@@ -63,9 +59,8 @@ _RUT_M = (0.5, 0.7)
 """Range of a rut's width at the level of the ground beside it: a tyre's width (600/55-26.5 and 710/45-26.5
 are usual)."""
 # Range of depth along a rut: 0.17, 0.22 and 0.35 m were measured on dry, moist and wet skidder trails
-# (Jourgholami and
-# Majnounian, "Effects of wheeled cable skidder on rut formation in skid trail", J. Forestry Research 22,
-# 2011).
+# (Jourgholami and Majnounian, "Effects of wheeled cable skidder on rut formation in skid trail", J. Forestry
+# Research 22, 2011).
 _DEPTH_M = (0.05, 0.2)
 _SHOULDER = 1.5
 """Distance of the end of a rut's shoulder over half the rut's width; the shoulder is a seventeenth of the

@@ -138,8 +138,8 @@ class CrownBase(Equation):
     """Logit of the relative height of the lowest living branch.
 
     Arguments are diameters in cm, heights, the basal area of larger trees in m2 per ha, and the crown
-    competition factor in
-    percent: the sum of the crown projections that all trees would have if open-grown, over the ground area.
+    competition factor in percent: the sum of the crown projections that all trees would have if open-grown,
+    over the ground area.
     """
 
     known: ClassVar = {
@@ -229,10 +229,9 @@ def taper_radius_m(taper: F8, dbh_m: F8, height_m: F8, above_ground_m: F8) -> F8
     """Radius (n, r) over bark of stems (n,) at heights (n, r), half the DBH at breast height.
 
     `taper` (n, 13) is the `Taper.row` of each stem. Its last number t is the tree's own: the curve's ratio of
-    the radius to
-    the radius at breast height is raised to the power 1 + t, so a greater t tapers more. Below ground the
-    radius is constant;
-    at the tip it is 0 unless the top has broken off. Sources: Laasasenaho (1982), Schmidt (2001).
+    the radius to the radius at breast height is raised to the power 1 + t, so a greater t tapers more. Below
+    ground the radius is constant; at the tip it is 0 unless the top has broken off. Sources: Laasasenaho
+    (1982), Schmidt (2001).
     """
     dbh_m = np.ascontiguousarray(dbh_m)
     height_m = np.ascontiguousarray(height_m)

@@ -1,10 +1,8 @@
 """Branches of a crown and of the bole below it: their curves in space, and tubes around them.
 
 The crown frame has its origin on the stem's axis at the crown base and z along the axis. The crown base of
-inventories is
-the lowest whorl with three living branches (conifers) or the lowest branch that is not an epicormic shoot
-(broadleaves),
-so single living branches can be below it.
+inventories is the lowest whorl with three living branches (conifers) or the lowest branch that is not an
+epicormic shoot (broadleaves), so single living branches can be below it.
 """
 
 from collections.abc import Sequence
@@ -114,8 +112,8 @@ def first_order(rng: np.random.Generator, habit: Habit, size_m: tuple[float, flo
     branch_m = _lengths_m(habit, size_m, base[:, 2], unit) * rng.uniform(0.75, 1.05, n)
     nodes = base[:, None] + unit * branch_m[:, None, None]
     # Pipe model: the total section of all branches is a multiple of the section of the stem that feeds them
-    # (Shinozaki et
-    # al. 1964). Thickness is proportional to length, and limited by the stem at the branch's base.
+    # (Shinozaki et al. 1964). Thickness is proportional to length, and limited by the stem at the branch's
+    # base.
     radius = stem_m[0] * np.sqrt(habit.branch_area) * branch_m / np.sqrt(np.square(branch_m).sum())
     here = np.interp(relative, np.linspace(0, 1, len(stem_m)), stem_m)
     return Branches(nodes, azimuth, branch_m, np.clip(radius, THINNEST_M, 0.6 * here))
@@ -200,8 +198,7 @@ def tubes(branches: Branches, sides: int, *, every: int = 1) -> Mesh:
     """Tapering tubes through every `every`-th node of the curves, open at the base inside the bearer, pointed at the tip.
 
     A section has the perimeter of the round branch, so that the width of its silhouette, averaged over all
-    directions, equals
-    the branch's diameter for any number of sides (Cauchy).
+    directions, equals the branch's diameter for any number of sides (Cauchy).
     """
     nodes = branches.nodes_m[:, ::every]
     n = nodes.shape[0]
@@ -266,18 +263,15 @@ def _taper(way: F8) -> F8:
 
 _FREE_M = 0.3
 """Height of the branchless foot of the stem: 0.3 m on average in 4368 unpruned spruces of 45 stands (Forestry
-Studies 66,
-2017, 10.1515/fsmu-2017-0005)."""
+Studies 66, 2017, 10.1515/fsmu-2017-0005)."""
 _LEAST_REACH_M = 4.0
 """Least depth below the crown base down to which dead branches remain: branches of the last ten years, if the
-crown base
-rises by 0.4 m a year; estimate. In silver birch of 11 to 22 years high density makes branches die early and
-slows the
-shedding of dry ones (Niemisto 1995, Scandinavian Journal of Forest Research 10(3))."""
+crown base rises by 0.4 m a year; estimate. In silver birch of 11 to 22 years high density makes branches die
+early and slows the shedding of dry ones (Niemisto 1995, Scandinavian Journal of Forest Research 10(3))."""
 _KEPT_AT_FOOT = 0.5
 """Share of remaining branches at the lower end of the dead ones, over the share at the crown base;
-assumption. Whorls
-lose from none to twice the mean, so that one in five whorls of four branches is bare there."""
+assumption. Whorls lose from none to twice the mean, so that one in five whorls of four branches is bare
+there."""
 _LENGTH_AT_FOOT = 0.55
 """Branch length near the ground over the length at the crown base, from the crown's width when the branch
 died: for spruce
@@ -285,8 +279,7 @@ died: for spruce
 closure."""
 _LENGTHS = (0.4, 1.0)
 """Unbroken lengths within a whorl over the longest; assumption. Branches in a whorl of spruces get thinner by
-rank (Hein
-et al. 2007, Forest Ecology and Management 242), and length follows thickness."""
+rank (Hein et al. 2007, Forest Ecology and Management 242), and length follows thickness."""
 _STUB_M = 0.16
 """Mode of the length of branch stubs outside the bark at the lower end of the dead branches, so that 90 %
 have 0.05 to
@@ -297,17 +290,14 @@ distribution, whose
 mode falls with that time to the power 1.5."""
 _LIVING_DEPTH = 0.3
 """Upper limit of `living_depth_m` over the height of the crown base: light falls faster below the short
-crowns of young
-trees; assumption."""
+crowns of young trees; assumption."""
 _SLENDERNESS = 75.0
 """Length of an unbroken branch over its diameter, which follows from its length (Karkkainen 1972, Silva
-Fennica 6(2),
-2118 spruce branches); the number is an assumption."""
+Fennica 6(2), 2118 spruce branches); the number is an assumption."""
 _TWIGS_KEPT = 0.9
 _TWIG_AGE = 0.4
 """Share of a dead branch's twigs that remain at the crown base; and the decay time of twigs over the decay
-time of
-branches (to 1/e each); assumptions."""
+time of branches (to 1/e each); assumptions."""
 _BOLE_NODES = 9
 _DEAD_TWIG_ORDER = 3
 """Nodes of the curves, as for other first-order branches; and the order whose fineness dead twigs have."""
@@ -319,13 +309,12 @@ def bole_branches(
     """Branches below the crown, in the crown frame.
 
     The probability that a branch lives falls with the light, by a factor of e for each `living_depth_m` below
-    the crown base.
-    The crown base has risen at a constant rate past the dead branches, so the time since their death is
-    proportional to their
+    the crown base. The crown base has risen at a constant rate past the dead branches, so the time since
+    their death is proportional to their
 
     depth below it. `longest_m` is the length of branches at the crown base, and `stem_m` (s,) are radii from
-    there to the
-    ground, evenly spaced. Returns living first-order branches, dead ones, and the twigs of the dead ones.
+    there to the ground, evenly spaced. Returns living first-order branches, dead ones, and the twigs of the
+    dead ones.
     """
     below_m = max(crown_base_m - _FREE_M, 0.0)
     reach_m = max(habit.dead_reach * below_m, _LEAST_REACH_M)

@@ -155,8 +155,7 @@ _BOW = 0.08
 _SWAY = 0.03
 _LOPSIDED = 0.5
 """Upper limits for saplings: offset of the tip, simple and S-shaped bow of the stem, all over the height, and
-extra reach
-of the crown on one side; assumptions."""
+extra reach of the crown on one side; assumptions."""
 _CONE = (0.0, 0.12, 0.25, 0.38, 0.5, 0.62, 0.75, 0.88)  # relative heights of a stem's rings
 _BURIED_SHARE = 0.05  # depth of the stem in the ground over its height
 

@@ -116,8 +116,7 @@ class Habit(Section):
     """Share of the bole, from the crown base downwards, with remaining dead branches; at least 4 m."""
     living_depth_m: Annotated[float, Field(gt=0, le=50)] = 1.0
     """Depth below the crown over which the share of living branches falls to 1/e; at most 0.3 of the height
-    of the crown
-    base."""
+    of the crown base."""
     twigs: Twigs
     twiglets: Twigs | None = None
     """Third-order branches, for broad crowns."""

@@ -1,9 +1,8 @@
 """Stems: two meshes per tree, root flare and stem, which together are closed and exact at breast height.
 
 A ring of vertices lies where a stem's axis is 1.3 m above the ground at its foot. Perpendicular to the axis,
-the mesh's
-cross-section there has exactly the area of a circle of the recorded diameter. A second leader is a closed
-part of the stem's mesh that begins within the first leader; its tip is the mesh's last vertex.
+the mesh's cross-section there has exactly the area of a circle of the recorded diameter. A second leader is a
+closed part of the stem's mesh that begins within the first leader; its tip is the mesh's last vertex.
 """
 
 from collections.abc import Callable
@@ -33,16 +32,15 @@ _SWEEP_M = 0.6  # height over which the sweep of the butt falls to 1/e; assumpti
 _LOBES = (3, 6)
 _LOBES_M = 0.45
 """Range of the number of lobes of a butt, and the height over which they fall to 1/e: flutes are deeper at
-the butt than
-higher up (Singleton et al. 2003, Western Journal of Applied Forestry 18); the numbers are assumptions."""
+the butt than higher up (Singleton et al. 2003, Western Journal of Applied Forestry 18); the numbers are
+assumptions."""
 _EGG_SHARE = 0.2  # egg-shaped component of a section over the ovality; assumption
 _RIDGE_VERTICES = 3  # fewest mesh vertices per bark ridge
 _LEADER_SHARE = (0.3, 0.5)
 _LEADER_DEG = (15.0, 35.0)
 _LEADER_GAP = (0.1, 0.22)
 """Ranges for a second leader: share of the section at the fork, angle to the first leader, and distance from
-it over the
-crown width; assumptions."""
+it over the crown width; assumptions."""
 _LEADER_TOP = 0.93  # height of its tip, as a share of the way from fork to tip; assumption
 _DIRECTIONS = 720  # directions for a tape measurement of a section: accurate to 1e-5
 
@@ -52,8 +50,7 @@ class StemForms:
     """Forms of n stems.
 
     A form bends the axis only below the crown, so that crowns are straight on the line from foot to tip. It
-    changes the
-    outline of a section but not its area.
+    changes the outline of a section but not its area.
     """
 
     bole_m: F8  # (n,) height of the crown base
@@ -65,8 +62,7 @@ class StemForms:
     bark: F8
     forks: F8
     """(n, 6) fork: 1 if there is one, its height over the tree's height, share of the section of the second
-    leader, slope and
-    distance in m of that leader from the first, its direction in rad."""
+    leader, slope and distance in m of that leader from the first, its direction in rad."""
 
     def aside_m(self, above_m: F8) -> F8:
         """Offset (n, r, 2), east and north, of axes from straight lines at heights (n, r) over their feet."""
@@ -82,8 +78,7 @@ class StemForms:
         """Distance (n, r, sides) of vertices from the axis, so that each polygon has the area of its circle.
 
         Vertices are at evenly spaced angles (n, sides), circles have radii (n, r) at heights (n, r) over the
-        foot; `breast_m`
-        (n,) is the radius at breast height.
+        foot; `breast_m` (n,) is the radius at breast height.
         """
         theta = angle[:, None]
         z = above_m[..., None]
@@ -323,14 +318,12 @@ _THINNER = 0.7
 _RISE = 1.5
 _RISE_M = 0.2
 """Share of its radius that a root loses along its length; its excess of height over width at the butt, and
-the length
-over which that falls to 1/e; assumptions."""
+the length over which that falls to 1/e; assumptions."""
 _BURIED = 0.15
 _BEND = 0.12
 _ASIDE_RAD = 0.3
 """Depth of a root's centre in the ground over its height before it dives; bends over its length; range of its
-direction
-about the lobe's direction; assumptions."""
+direction about the lobe's direction; assumptions."""
 _TOP_M = 0.3
 """Greatest height of a root over the foot, so that it is no part of a section at breast height: uphill it
 dives."""
@@ -340,8 +333,7 @@ def root_points(stems: Stems, height_m: HeightField) -> tuple[I8, F8]:
     """Roots of stems (n,), each from the seed of its stem's form.
 
     Returns for each root (k,) the stem's index, and vertices (k, 1 + rings * sides + 1, 3) relative to the
-    stem's foot: the
-    centre of the end in the butt, rings from there, and the tip.
+    stem's foot: the centre of the end in the butt, rings from there, and the tip.
     """
     trees = stems.trees
     (number, _, lobe_phase) = stems.forms.lobes.T

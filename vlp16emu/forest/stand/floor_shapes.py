@@ -1,8 +1,7 @@
 """Shapes and labels of things on the ground: stones, dead wood, tufts of grass and low plants, all of unit size.
 
 They are grown once per variant and scaled where they are placed. The look of plants is an assumption, after
-pictures in
-floras; leaves are kites, two triangles each.
+pictures in floras; leaves are kites, two triangles each.
 """
 
 from collections.abc import Callable
@@ -150,9 +149,8 @@ _PLATE_SIDES = 20
 _PLATE_ROOTS = 10
 _PLATE_PROFILE = ((-0.8, 0.4), (-0.55, 0.75), (-0.25, 1.0), (0.0, 0.9), (0.15, 0.5))
 """Profile of a root plate: position along the log over the plate's thickness, and distance from the axis over
-the radius.
-The root side is a paraboloid, as for birch (Forests 12(1), 2021, 20: elliptic); the stem side, once level
-ground, is flat."""
+the radius. The root side is a paraboloid, as for birch (Forests 12(1), 2021, 20: elliptic); the stem side,
+once level ground, is flat."""
 _PLATE_BUMPS = 0.08  # half-range of the surface over the thickness; assumption
 _REFLECTANCE = {
     "stone": 0.30,

@@ -29,8 +29,7 @@ from vlp16emu.types import F8, FIRST_FREE_INSTANCE, I8, Mesh, PlantPart, ShapeKe
 _NUMBERS_PER_TILE = 8192  # numbers reserved for the trees and things of a tile
 _DENSEST_PER_HA = 125_000
 """Greatest density; a tile then holds 5000 things on average. Even in clusters of ten the number has a sigma
-below 240, and
-with all possible patches below 500, far from `_NUMBERS_PER_TILE`."""
+below 240, and with all possible patches below 500, far from `_NUMBERS_PER_TILE`."""
 _TILES_IN_GROWTH = 16
 """Number of tiles whose stems are grown together, kept until all are taken: more than grow at the same
 time."""
@@ -38,8 +37,7 @@ _OVERHANG_M = 10.0  # greatest reach of crowns beyond the tile of their stem
 _ASIDE_M = 35.0  # greatest distance of a sensor from the path at which it sees numbered trees only
 _MARGIN_M = 80.0
 """Margin of the numbered tiles beyond the reach of the path: distance of the sensor from the path, overhang
-of crowns, half
-a tile's diagonal, and one tile, since voxels of a tile also depend on the tiles around it."""
+of crowns, half a tile's diagonal, and one tile, since voxels of a tile also depend on the tiles around it."""
 T = TypeVar("T")
 
 

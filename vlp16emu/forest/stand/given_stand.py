@@ -55,23 +55,20 @@ def read_stem_list(
 
     The first line names the columns, in any order, between commas, semicolons or tabs: x and y (in m; also
     `x_m`, `y_m`), `species` (a name of the species table, common or scientific), `dbh_cm` or `dbh_m`,
-    `height_m`, and if known
-    `crown_base_m`, `crown_width_m`, `taper`, `lean_deg` and `lean_azimuth_deg` (clockwise from north) or
-    `lean_towards_deg` (counter-clockwise from east). So an inventory of a forest is also a stem list. Other
-    columns
-    are ignored, as are heights above sea level: trees stand on the scene's ground.
+    `height_m`, and if known `crown_base_m`, `crown_width_m`, `taper`, `lean_deg` and `lean_azimuth_deg`
+    (clockwise from north) or `lean_towards_deg` (counter-clockwise from east). So an inventory of a forest is
+    also a stem list. Other columns are ignored, as are heights above sea level: trees stand on the scene's
+    ground.
 
-    Cells from `height_m` on may be empty. Heights then follow the species' height curve through the
-    quadratic mean diameter of its measured trees and their mean height; crown base and width follow the
-    species' equations, the neighbours, and a residual drawn by the seed, as are taper, reflectance and the
-    azimuth of each
-    crown about its stem; a stem without lean is upright.
+    Cells from `height_m` on may be empty. Heights then follow the species' height curve through the quadratic
+    mean diameter of its measured trees and their mean height; crown base and width follow the species'
+    equations, the neighbours, and a residual drawn by the seed, as are taper, reflectance and the azimuth of
+    each crown about its stem; a stem without lean is upright.
 
     Returns trees (n,) `TREE` in the order of the list, with id, z and form still 0; easting, northing and
-    height of the origin
-    become (0, 0, 0) in the scene. Raises GeometryError, naming file, line and column, for a value that is
-    missing, not a
-    number, out of its limits, or no known species, and for a tree listed twice.
+    height of the origin become (0, 0, 0) in the scene. Raises GeometryError, naming file, line and column,
+    for a value that is missing, not a number, out of its limits, or no known species, and for a tree listed
+    twice.
     """
     table = read_table(path, _COLUMNS, "a stem list in CSV", GeometryError)
     if {"lean_azimuth_deg", "lean_towards_deg"} <= table.names.keys():
@@ -190,9 +187,8 @@ class GivenStand:
     """Trees of a list, tile by tile; missing values, such as the azimuth of a crown about its stem, are drawn by the seed.
 
     A crown is a prototype for the list's trees of that species and diameter class, scaled to the tree. Each
-    tree has the
-    leaf area index of its species on its own crown projection, as the ground area of a tree does not follow
-    from a list.
+    tree has the leaf area index of its species on its own crown projection, as the ground area of a tree does
+    not follow from a list.
 
     Raises GeometryError for a faulty list, and for trees on the path unless they are dropped.
     """

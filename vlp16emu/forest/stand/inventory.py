@@ -182,8 +182,7 @@ def branch_circles(
     """Circles (k,) `STEM_CIRCLE` along the branches of the first order, tree by tree, each from the stem's axis to its tip.
 
     The crowns of trees (n,) `TREE` are prototypes grown from the seed and scaled; a circle has the area of
-    the scaled
-    branch's section.
+    the scaled branch's section.
     """
     prototypes = {key: crown_branches(seed, key, table=table) for key in dict.fromkeys(crowns)}
     found = [np.zeros(0, STEM_CIRCLE)]

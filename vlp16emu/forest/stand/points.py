@@ -70,9 +70,8 @@ def patchy(*, seed: int, purpose: Growth, even_per_ha: float, patchy_per_ha: flo
     """Scatter points, a part of them in patches (Cox process), like plants that spread by runners or follow light.
 
     The density in patches follows the square of normal noise: a quarter of the ground has less than a tenth
-    of the mean, and
-    a twelfth more than three times the mean. `even_per_ha` points are independent of patches, `patchy_per_ha`
-    are in them.
+    of the mean, and a twelfth more than three times the mean. `even_per_ha` points are independent of
+    patches, `patchy_per_ha` are in them.
     """
     band = waves(generator(seed, purpose, 0, 0, 2), _PATCH_WAVELENGTHS_M, 1.0)
     most_per_ha = even_per_ha + _DENSEST_PATCH * patchy_per_ha

@@ -1,8 +1,7 @@
 """Plants and things under the trees, scattered over the ground: one layer per section of a scene.
 
 Positions come from a point pattern, sizes and appearance from random numbers of the tile; things in the way
-of the path
-or of a trunk are left out.
+of the path or of a trunk are left out.
 """
 
 import math
@@ -52,8 +51,7 @@ _CLASS_RATIO = 1.4  # ratio of the heights of neighbouring prototypes: none is s
 _ROOM_SHARE = 0.15
 _MOST_ROOM_M = 0.5
 """Distance of a sapling from a tree, bark to bark, over its height, and its upper limit: assumption; none
-grows through
-the foot of another."""
+grows through the foot of another."""
 _FOOT_SHARE = 0.1  # radius of the foot of a shrub's stems over its width
 
 
@@ -85,8 +83,7 @@ class Layer:
     """Plants or things of one section of a scene, off the trails.
 
     A section without species uses the canopy's species, for saplings the living ones. Raises GeometryError
-    for a species that
-    is not in the table, and for saplings without any species.
+    for a species that is not in the table, and for saplings without any species.
     """
 
     def __init__(
@@ -205,8 +202,7 @@ _BREAK_AT = (0.35, 0.65)
 _BREAK_GAP = (0.02, 0.1)
 _BREAK_TURN = np.radians(12.0)
 """Range of the position of a break and of its gap, over the length, and half-range of the angle between the
-pieces;
-assumptions."""
+pieces; assumptions."""
 _PLATE_M = 1.0
 _PLATE_PER_DIAMETER = 4.0
 """Diameter of a root plate: intercept, and slope over the mean diameter of the log; assumption."""
@@ -398,10 +394,9 @@ def plants_per_ha(section: settings.Cover, spread: float, *, patches: bool) -> t
     """Plants per hectare, even ones and ones in patches, to cover a share c of the ground, overlaps counted once.
 
     Discs of area a in patches of mean density d leave (1 + 2 a d)^(-1/2) of the plane bare: the mean of
-    exp(-a d n^2) over
-    normal noise n. It is assumed to be 1 / (1 + c (1 - c)): most plants are in patches at low cover, and few
-    at closed cover.
-    Even ones cover the rest. Heights are uniform between least and greatest, `spread` is width over height.
+    exp(-a d n^2) over normal noise n. It is assumed to be 1 / (1 + c (1 - c)): most plants are in patches at
+    low cover, and few at closed cover. Even ones cover the rest. Heights are uniform between least and
+    greatest, `spread` is width over height.
     """
     (low, high) = section.height_m
     cover = section.cover
@@ -428,8 +423,7 @@ def _pattern(section: Section, kind: LayerKind, land: Land) -> PointPattern:
             even = 10_000 * section.tufts_per_m2
         case settings.Stones():
             # Overlaps counted once, scattered discs of mean area a and density d leave exp(-a d) of the plane
-            # bare
-            # (Boolean model; Chiu et al., Stochastic Geometry, section 3.1).
+            # bare (Boolean model; Chiu et al., Stochastic Geometry, section 3.1).
             even = -log1p(-section.cover) / _stone_area_m2() * 10_000
         case settings.Logs() | settings.Stumps():
             even = section.per_ha

@@ -72,10 +72,8 @@ _STEM_GAP_M = 0.05  # least gap between two stems at the ground; assumption
 _TILES_KEPT = 1024  # tiles whose trees are kept for their neighbours: more than a window with its border has
 _MOST_BASAL_M2_PER_HA = 350.0
 """Greatest basal area of all storeys. Coast redwoods, the densest known, reportedly have 343 (Fujimori 1977,
-Journal of the
-Japanese Forestry Society 59, not accessible; Busing and Fujimori 2005, 10.1007/s11258-005-2322-8, give that
-stand 3000 to
-5200 t of stems per ha)."""
+Journal of the Japanese Forestry Society 59, not accessible; Busing and Fujimori 2005,
+10.1007/s11258-005-2322-8, give that stand 3000 to 5200 t of stems per ha)."""
 _STOREYS = (Growth.STAND, Growth.SECOND_STOREY, Growth.THIRD_STOREY)
 
 
@@ -117,8 +115,8 @@ def competition(
     """Basal area of larger trees in m2 per ha, and crown competition factor in percent, each (n,).
 
     `rivals` (m, 2) are sections at breast height and open-grown crown projections in m2; `area_m2` is the
-    area around each of
-    n trees; `larger` and `near` (n, m) are true if a rival is thicker, and within that area.
+    area around each of n trees; `larger` and `near` (n, m) are true if a rival is thicker, and within that
+    area.
     """
     basal_m2, crown_m2 = rivals.T
     return 1e4 / area_m2 * (larger * near * basal_m2).sum(axis=1), 100 / area_m2 * (near * crown_m2).sum(
@@ -184,8 +182,7 @@ class Stand:
     """A mixed stand on a terrain, without edge, with path and trails free of stems.
 
     If two stems would overlap, the thicker one remains. Raises GeometryError for a species that is not in the
-    table,
-    and for too many stems.
+    table, and for too many stems.
     """
 
     def __init__(self, section: Forest, land: Land) -> None:

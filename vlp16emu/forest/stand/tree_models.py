@@ -346,8 +346,7 @@ class TreeModels:
         """Return the inventory (n,) `INVENTORY` of trees that all have models, from their meshes.
 
         The crown begins with the lowest leaf, or branch where there are no leaves; its width is the mean over
-        all
-        directions. One side of each leaf face counts.
+        all directions. One side of each leaf face counts.
         """
         rows = np.zeros(len(trees), INVENTORY)
         for name in COPIED:

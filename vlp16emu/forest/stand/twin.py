@@ -35,8 +35,7 @@ class Thing:
     place_m: F8  # (3,) origin of its shape in the world
     size_m: tuple[float, float, float]
     """Size along the axes of its shape: for stones length, width and height; for logs length and mean
-    diameter; for
-    stumps the diameter at the top and the height; for anything else its extent."""
+    diameter; for stumps the diameter at the top and the height; for anything else its extent."""
 
 
 def things_near(

@@ -2,15 +2,13 @@
 
 A gust is a sum of cosines of time with the energies of Kaimal's spectrum. It is carried downwind with the
 mean speed (Taylor's frozen turbulence). Each line also has a random wave number across the wind, drawn from a
-Cauchy
-distribution, which gives Davenport's exponential coherence across the wind. A damped oscillator
+Cauchy distribution, which gives Davenport's exponential coherence across the wind. A damped oscillator
 responds to a cosine with a cosine, so its state at any time is also a sum and no time steps are needed.
 
-A tree sways as a rigid shear: every point moves horizontally in proportion to its height over the
-foot. So the foot stays, level sections keep their area, the DBH is unchanged, and a transform describes it. A
-real stem bends: with a straight lean breast height moves by 1.3 m / height of the tip's motion, for a
-cantilever under a
-load at its tip by about 3/2 (1.3 m / height)^2. Saplings and everything under the trees stay still.
+A tree sways as a rigid shear: every point moves horizontally in proportion to its height over the foot. So
+the foot stays, level sections keep their area, the DBH is unchanged, and a transform describes it. A real
+stem bends: with a straight lean breast height moves by 1.3 m / height of the tip's motion, for a cantilever
+under a load at its tip by about 3/2 (1.3 m / height)^2. Saplings and everything under the trees stay still.
 """
 
 import math
@@ -43,19 +41,15 @@ _DEVIATION = (
 _LENGTH = (1.0, 2.7 / 8.1)  # their length scales, likewise (IEC 61400-1 ed. 3, table B.1)
 _DECAY = 10.0
 """Decay of the coherence exp(-decay * frequency * distance / speed) across the wind; 8 to 16 have been
-measured
-(Davenport, Q J R Meteorol Soc 87, 1961; Simiu and Scanlan, Wind Effects on Structures)."""
+measured (Davenport, Q J R Meteorol Soc 87, 1961; Simiu and Scanlan, Wind Effects on Structures)."""
 KNOT_NS = 100_000_000
 """Time between knots, with linear motion in between. A tree that sways with amplitude A at f is then off by
-up to
-A (2 pi f KNOT_NS)^2 / 8, 0.3 % of A at 0.25 Hz, 1.2 % at 0.5 Hz, and with faster gusts up to 2.2 times as
-much. The cost
-of opening a window grows with the number of knots."""
+up to A (2 pi f KNOT_NS)^2 / 8, 0.3 % of A at 0.25 Hz, 1.2 % at 0.5 Hz, and with faster gusts up to 2.2 times
+as much. The cost of opening a window grows with the number of knots."""
 _AIR_KG_M3 = 1.2
 _FRICTION_SHARE = 0.3
 """Friction velocity over mean speed at the top of a canopy (Raupach, Finnigan and Brunet, Boundary-Layer
-Meteorol
-78, 1996, table 1: 1 / 3.3)."""
+Meteorol 78, 1996, table 1: 1 / 3.3)."""
 _SHELTERED = 0.2  # drag on a tree of a lower storey over the drag on an equal tree of the canopy; assumption
 _BARE = 0.4  # drag on a crown without leaves over the drag with leaves; assumption
 _IN_LEAF = 0.8
@@ -64,8 +58,7 @@ J R Soc Interface 16, 20190116, 2019); the amount is an assumption."""
 _GREEN_WOOD_KG_M3 = 900.0  # density of stems with bark and sap; assumption, fresh logs have 700 to 1100
 _CROWN_MASS = 0.3
 """Mass of branches and leaves over the stem's (IPCC Good Practice Guidance 2003, table 3A.1.10: biomass
-expansion factors
-of 1.3 for conifers, 1.4 for broadleaved trees)."""
+expansion factors of 1.3 for conifers, 1.4 for broadleaved trees)."""
 _SECTIONS = 16  # of a stem, for its moment of inertia
 
 
@@ -91,10 +84,8 @@ def gust_lines(section: Wind, seed: int, component: int) -> Lines:
     """Lines of a component; the squares of their amplitudes add up to twice the variance of the spectrum.
 
     Kaimal's spectrum with integral length L at mean speed U: f S / sigma^2 = 4 n / (1 + 6 n)^(5/3), n = f L /
-    U
-    (IEC 61400-1 ed. 3, equation B.14; Kaimal et al., Q J R Meteorol Soc 98, 1972); the share of its energy up
-    to n is
-    1 - (1 + 6 n)^(-2/3).
+    U (IEC 61400-1 ed. 3, equation B.14; Kaimal et al., Q J R Meteorol Soc 98, 1972); the share of its energy
+    up to n is 1 - (1 + 6 n)^(-2/3).
     """
     rng = generator(seed, Growth.WIND, component)
     per_n_hz = section.speed_m_s / (section.gust_length_m * _LENGTH[component])
@@ -154,10 +145,9 @@ def mechanics(trees: Stand, plants: Flora, season: Season) -> tuple[F8, F8]:
 
     Frequency: 0.0766 + 3.1219 DBH / height^2, in cm and m (Moore and Maguire, Trees 18, 195-203, 2004; 602
     conifers), lower in leaf. Drag: the canopy absorbs the wind's shear stress, each tree over the ground
-    under its
-    crown, acting halfway up the crown (the roughness method of Gardiner, Peltola and Kellomaki, Ecol Modell
-    129,
-    2000). Stiffness: the value that gives the mass of stem and crown that frequency about the foot.
+    under its crown, acting halfway up the crown (the roughness method of Gardiner, Peltola and Kellomaki,
+    Ecol Modell 129, 2000). Stiffness: the value that gives the mass of stem and crown that frequency about
+    the foot.
     """
     foliage = {species.number: species.foliage for species in plants.trees.values()}
     kinds = np.array(
