@@ -3,6 +3,7 @@
 import contextlib
 import socket
 import threading
+import time
 
 import pynmea2
 
@@ -72,6 +73,18 @@ class Listener(threading.Thread):
             for payload in iter(lambda: self.socket.recv(2048), b""):
                 self.payloads.append(payload)
                 self.came.set()
+
+    def wait_for(self, wanted, timeout_s=120.0):
+        """Wait until a payload that comes from now on is wanted; whether one has come in time."""
+        until_s = time.monotonic() + timeout_s
+        seen = len(self.payloads)
+        while time.monotonic() < until_s:
+            self.came.clear()
+            if any(map(wanted, self.payloads[seen:])):
+                return True
+            seen = max(len(self.payloads) - 1, seen)
+            self.came.wait(1.0)
+        return False
 
     def end(self):
         """Give all payloads that were sent before."""
