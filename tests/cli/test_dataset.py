@@ -61,7 +61,7 @@ def test_a_dry_run_says_what_is_made_and_makes_nothing(cli, spec, tmp_path):
 def test_a_scheduler_that_cannot_be_reached_is_one_line(
     refused, spec, tmp_path, monkeypatch, scheduler, said
 ):
-    """What is no address, no scheduler file or does not answer is refused before anything is made."""
+    """A wrong address, a missing scheduler file or a silent scheduler is refused before anything is made."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(cluster, "_REACHED_WITHIN_S", 0.1)
     assert refused(["dataset", spec, "out", "--scheduler", scheduler]).startswith(said)

@@ -72,7 +72,7 @@ def test_a_port_needs_its_page(refused):
 
 
 def test_without_the_extra_one_line_names_it(refused, monkeypatch):
-    """Where viser is not installed, --view names the extra to install."""
+    """Without viser, --view names the extra to install."""
     monkeypatch.setattr("vlp16emu.cli.stream.find_spec", lambda _: None)
     line = refused([*STREAM, "--view"])
     assert line == "error: the page in the browser needs viser: pip install 'vlp16emu[viewer]'\n"

@@ -293,7 +293,7 @@ def picture(
         raise InputError("--trajectory", "found beside a scene", "a capture")
     with ExitStack() as stack:
         stop = stack.enter_context(stop_on_ctrl_c())
-        _ = stack.enter_context(Progress(0.0, "drawing"))
+        stack.enter_context(Progress(0.0, "drawing"))
         if is_capture:
             in_sensor = is_film(out) and look.view != "slant"
             source = source_of_capture(Path(scene), trajectory, span, in_sensor=in_sensor)

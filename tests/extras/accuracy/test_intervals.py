@@ -31,7 +31,7 @@ def joined(groups):
 
 
 def test_intervals_contain_the_truth_as_often_as_they_say():
-    """Of 150 samples of 32 groups with heavy-tailed errors, 88 % or more of the intervals contain the error of all, for each error."""
+    """For each error, at least 88 % of the intervals of 150 heavy-tailed samples of 32 groups contain the error of all."""
     draw = np.random.default_rng(4)
     everything = groups_of(draw, 2000, sigma=0.6)
     truth = errors_of(joined(everything), 1.0)

@@ -241,7 +241,7 @@ def test_errors_of_the_extrinsics_are_the_cameras_own(tmp_path):
     ],
 )
 def test_cameras_that_cannot_be_are_refused(tmp_path, settings, options, line):
-    """What is wrong is named in a line, and no folder is made."""
+    """Wrong input gives one line, and no folder is made."""
     with pytest.raises(InputError) as error:
         write_images(Emulator("static_bench", {**SMALL, **settings}), tmp_path / "images", **options)
     assert line in str(error.value)

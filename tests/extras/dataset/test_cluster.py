@@ -224,7 +224,7 @@ def test_a_worker_of_another_version_is_named(others, found):
 
 
 def test_a_scheduler_without_workers_is_one_line(tmp_path, monkeypatch):
-    """Where no worker comes in time, the line says how to start one; no folder is made."""
+    """Without a worker in time, the line says how to start one, and no folder is made."""
     monkeypatch.setattr(cluster, "_FIRST_WORKER_WITHIN_S", 0.05)
     options = {
         "n_workers": 0,

@@ -290,7 +290,7 @@ def test_an_estimate_is_near_what_is_made_and_makes_nothing(made, tmp_path):
 
 
 def test_an_estimate_of_many_sensors_measures_eight(tmp_path, monkeypatch):
-    """Of twelve sensors eight are measured, and the others are taken as their mean."""
+    """Eight of twelve sensors are measured, and the others are estimated by their mean."""
     sensors = ", ".join(
         f'{{ name = "s{n}", set = ["sensor.model=free", "sensor.beams={n}"] }}' for n in range(1, 13)
     )

@@ -1,4 +1,4 @@
-"""What plots show, read back from their artists and files."""
+"""Contents of plots, read back from their artists and files."""
 
 import io
 import json
@@ -69,7 +69,7 @@ def row(name, us, error_m, *, in_use=False, ends=(0.5, 2.0)):
 
 
 def accuracy():
-    """Errors of three settings, the second of which is in use and suggested."""
+    """Errors of three settings; the second one is in use and suggested."""
     rows = [
         row("none", 1.0, 0.2),
         row("fixed rays=8", 3.0, 0.05, in_use=True),

@@ -1,11 +1,11 @@
 """Confidence intervals of the errors of a sample of pulses.
 
 Pulses of a group see the same trees, so only groups are independent. Squares of errors have a heavy tail: a
-percentile bootstrap over the groups contains the RMSE of all pulses in 88 to 95 % of cases, mostly below 92 %, because a
-sample that lacks the large errors lacks them in each resample. Student's interval on the logarithm, with
-half of the effective number of groups as degrees of freedom, contains it in 94 to 97 %, and the intervals
-of the other errors theirs in 92 to 98 % (300 samples of 32 and of 64 groups out of 512 groups of
-`birch_walk` and of `reference_forest`, with the beam of the scene and with one ray).
+percentile bootstrap over the groups contains the RMSE of all pulses in 88 to 95 % of cases, mostly below
+92 %, because a sample that lacks the large errors lacks them in each resample. Student's interval on the
+logarithm, with half of the effective number of groups as degrees of freedom, contains it in 94 to 97 %, and
+the intervals of the other errors theirs in 92 to 98 % (300 samples of 32 and of 64 groups out of 512 groups
+of `birch_walk` and of `reference_forest`, with the beam of the scene and with one ray).
 """
 
 import math
