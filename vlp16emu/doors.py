@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from vlp16emu.errors import InputError
 
@@ -18,6 +18,33 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 _log = logging.getLogger(__name__)
+_T = TypeVar("_T")
+
+
+class Part(Generic[_T]):
+    """A function or class outside the core that the core uses: a `_T`, which the core declares beside its use.
+
+    It is imported when it is used. `tests/test_parts.py` lists all parts, and mypy compares them with their types
+    there.
+
+    Parameters
+    ----------
+    place : module:name
+    """
+
+    def __init__(self, place: str) -> None:
+        self.place = place
+
+    @property
+    def is_installed(self) -> bool:
+        """True if its module is installed."""
+        return _is_installed(self.place)
+
+    def load(self) -> _T:
+        """Return the function or class; raises InputError if this part of the package is not installed."""
+        loaded: _T = _imported(self.place)
+        return loaded
+
 
 DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its object as module:name
     "worlds": {
@@ -119,23 +146,14 @@ def door(name: str, group: str = "parts") -> Any:
     """
     if name not in DOORS[group]:
         return _load(_added(group)[name])
-    module, _, attribute = DOORS[group][name].partition(":")
-    try:
-        return getattr(import_module(module), attribute)
-    except ModuleNotFoundError as error:
-        if error.name is None or not error.name.startswith("vlp16emu"):
-            raise
-        raise InputError(name, f"no module {error.name}", "a complete installation") from None
+    return _imported(DOORS[group][name])
 
 
 def has_door(name: str, group: str = "parts") -> bool:
     """Return whether a group has a name whose module is installed."""
     if name not in DOORS[group]:
         return name in _added(group)
-    try:
-        return find_spec(DOORS[group][name].partition(":")[0]) is not None
-    except ModuleNotFoundError:
-        return False
+    return _is_installed(DOORS[group][name])
 
 
 def added(group: str) -> Iterator[tuple[str, Any]]:
@@ -145,6 +163,24 @@ def added(group: str) -> Iterator[tuple[str, Any]]:
             yield name, _load(entry)
         except InputError as error:
             _log.info("%s", error)  # a scene or command that names it gets the line as an error
+
+
+def _is_installed(place: str) -> bool:
+    module, _, _ = place.partition(":")
+    try:
+        return find_spec(module) is not None
+    except ModuleNotFoundError:
+        return False
+
+
+def _imported(place: str) -> Any:
+    module, _, name = place.partition(":")
+    try:
+        return getattr(import_module(module), name)
+    except ModuleNotFoundError as error:
+        if error.name is None or not error.name.startswith("vlp16emu"):
+            raise
+        raise InputError(name, f"no module {error.name}", "a complete installation") from None
 
 
 @cache

@@ -24,6 +24,7 @@ from vlp16emu.kernels.compiler import inner_kernel, kernel, numba
 
 _Floats = NDArray[np.float64]
 _Numbers = NDArray[np.floating[Any]]
+_Value = Any  # a number or an array in Python, one number in kernels: they have no common base
 _WHOLE = 6755399441055744.0  # 1.5 * 2**52: adding it rounds to a whole number, held in the lowest bits
 _TINY = 2.0**-1022  # smallest normal number
 _HALF_PI = 1.5707963109016418, 1.5893254712295857e-08, 6.123233932053594e-17, 6.36831716351095e-25
@@ -48,24 +49,24 @@ class _Both:
     If `inlined`, it becomes part of each kernel that calls it, which loops with four values per step need.
     """
 
-    def __init__(self, function: Callable[..., Any], *, inlined: bool = False) -> None:
+    def __init__(self, function: Callable[..., _Value], *, inlined: bool = False) -> None:
         functools.update_wrapper(self, function)
         self.function = function
         self._inlined = inlined
 
     @functools.cached_property
-    def compiled(self) -> Any:
+    def compiled(self) -> Callable[..., object]:
         """Compiled function for kernels; made when the first kernel is compiled."""
         return inner_kernel(self.function, inlined=self._inlined)
 
-    def __call__(self, *numbers: Any) -> Any:
+    def __call__(self, *numbers: _Value) -> _Value:
         return self.function(*numbers)
 
 
 class _Broadcast(_Both):
     """Function of float64 that Python calls too, with numbers and arrays that broadcast."""
 
-    def __call__(self, *numbers: Any) -> Any:
+    def __call__(self, *numbers: _Value) -> _Value:
         arrays = [np.asarray(x, np.float64) for x in numbers]
         if self.function.__name__ in _LOOPS:
             value = np.empty(np.broadcast(*arrays).shape)
@@ -79,31 +80,34 @@ class _Broadcast(_Both):
 
 
 @numba.extending.typeof_impl.register(_Both)  # type: ignore[untyped-decorator]
-def _typed(both: _Both, _context: Any) -> types.Dispatcher:
+def _typed(both: _Both, _context: object) -> types.Dispatcher:
     return types.Dispatcher(both.compiled)
 
 
-def _inlined(function: Callable[..., Any]) -> _Both:
+def _inlined(function: Callable[..., _Value]) -> _Both:
     return _Both(function, inlined=True)
 
 
-def _elementary(function: Callable[..., Any]) -> _Elementary:
+def _elementary(function: Callable[..., _Value]) -> _Elementary:
     return cast("_Elementary", _Broadcast(function))
 
 
-def _pick(condition: Any, a: Any, b: Any) -> Any:
-    return np.where(condition, a, b)[()]
+def _pick(condition: _Value, a: _Value, b: _Value) -> _Value:
+    chosen: _Value = np.where(condition, a, b)
+    return chosen[()]
 
 
-def _bits(x: Any) -> Any:
+def _bits(x: _Value) -> _Value:
     return x.view(np.int64)
 
 
-def _number(bits: Any) -> Any:
+def _number(bits: _Value) -> _Value:
     return bits.view(np.float64)
 
 
-def _as_instruction(function: Callable[..., Any], typed: Any, emit: Callable[..., Any], *sorts: Any) -> None:
+def _as_instruction(
+    function: Callable[..., object], typed: object, emit: Callable[..., object], *sorts: object
+) -> None:
     """Register the LLVM instruction that kernels use for `function`."""
     numba.extending.type_callable(function)(lambda _context: typed)
     numba.extending.lower_builtin(function, *sorts)(
@@ -134,7 +138,7 @@ _as_instruction(
 
 
 @_inlined
-def around_zero(y: Any) -> tuple[Any, Any]:
+def around_zero(y: _Value) -> tuple[_Value, _Value]:
     """Cosine and sine of angles up to pi / 4, numbers or arrays: fdlibm, k_cos.c and k_sin.c."""
     z = y * y
     high = 2.75573137070700676789e-06 + z * (-2.50507602534068634195e-08 + z * 1.58969099521155010221e-10)
@@ -146,7 +150,7 @@ def around_zero(y: Any) -> tuple[Any, Any]:
 
 
 @_inlined
-def _cos_sin(x: Any) -> tuple[Any, Any]:
+def _cos_sin(x: _Value) -> tuple[_Value, _Value]:
     """Return cosine and sine from the nearest right angle and the remainder, a sum of two numbers."""
     shifted = _pick(abs(x) <= _LARGEST_RAD, x, math.nan) * (2.0 / math.pi) + _WHOLE
     n = shifted - _WHOLE
@@ -167,25 +171,25 @@ def _cos_sin(x: Any) -> tuple[Any, Any]:
 
 
 @_elementary
-def sin(x: Any) -> Any:
+def sin(x: _Value) -> _Value:
     """Sine, within 1.6 ulp up to 4.2e8 rad, beyond within the last bit of the angle; NaN from 1e12 rad on."""
     return _cos_sin(x)[1]
 
 
 @_elementary
-def cos(x: Any) -> Any:
+def cos(x: _Value) -> _Value:
     """Cosine, within 1.6 ulp up to 4.2e8 rad, beyond within the last bit of the angle; NaN from 1e12 rad on."""
     return _cos_sin(x)[0]
 
 
 @_elementary
-def tan(x: Any) -> Any:
+def tan(x: _Value) -> _Value:
     """Tangent, within 3.5 ulp up to 4.2e8 rad, beyond within the last bit of the angle; NaN from 1e12 rad on."""
     return sin(x) / cos(x)
 
 
 @_elementary
-def atan2(y: Any, x: Any) -> Any:
+def atan2(y: _Value, x: _Value) -> _Value:
     """Angle of (x, y) from the x axis, -pi .. pi, within 1.5 ulp; zeros have signs, as in IEEE 754.
 
     As in s_atan.c and e_atan2.c, one of four known angles, or none, is subtracted first.
@@ -229,19 +233,19 @@ def atan2(y: Any, x: Any) -> Any:
 
 
 @_elementary
-def asin(x: Any) -> Any:
+def asin(x: _Value) -> _Value:
     """Arcsine, within 2.5 ulp, by the sides of the triangle."""
     return atan2(x, np.sqrt((1.0 - x) * (1.0 + x)))
 
 
 @_elementary
-def acos(x: Any) -> Any:
+def acos(x: _Value) -> _Value:
     """Arccosine, within 2.5 ulp, by the sides of the triangle."""
     return atan2(np.sqrt((1.0 - x) * (1.0 + x)), x)
 
 
 @_elementary
-def exp(x: Any) -> Any:
+def exp(x: _Value) -> _Value:
     """Exponential, within 1 ulp: e_exp.c."""
     x = _pick(x > 720.0, 720.0, _pick(x < -750.0, -750.0, x))
     n = (x * 1.4426950408889634 + _WHOLE) - _WHOLE
@@ -258,7 +262,7 @@ def exp(x: Any) -> Any:
 
 
 @_elementary
-def expm1(x: Any) -> Any:
+def expm1(x: _Value) -> _Value:
     """Return exp(x) - 1, within 3 ulp: Kahan's quotient of two values with equal errors (Higham 2002, section 1.14.1)."""
     y = exp(x)
     quotient = (y - 1.0) * x / log(y)
@@ -266,7 +270,7 @@ def expm1(x: Any) -> Any:
 
 
 @_inlined
-def log_of_normal(x: Any) -> Any:
+def log_of_normal(x: _Value) -> _Value:
     """Logarithm of normal numbers above 0, within 1 ulp: e_log.c; inlined, for loops with four values per step."""
     whole = _bits(x) - 0x3FE6A09E667F3BCD >> 52  # so that x / 2**whole is about 1
     f = _number(_bits(x) - (whole << 52)) - 1.0
@@ -284,7 +288,7 @@ def log_of_normal(x: Any) -> Any:
 
 
 @_elementary
-def log(x: Any) -> Any:
+def log(x: _Value) -> _Value:
     """Logarithm, within 1 ulp; minus infinity of 0, and NaN below."""
     subnormal = x < _TINY
     y = log_of_normal(_pick(subnormal, x * 2.0**54, x)) - _pick(subnormal, 37.42994775023705, 0.0)
@@ -292,7 +296,7 @@ def log(x: Any) -> Any:
 
 
 @_elementary
-def log1p(x: Any) -> Any:
+def log1p(x: _Value) -> _Value:
     """Return log(1 + x), within 2 ulp, by a quotient as in `expm1` (Higham 2002, problem 1.5)."""
     y = 1.0 + x
     quotient = log(y) * x / (y - 1.0)
@@ -300,13 +304,13 @@ def log1p(x: Any) -> Any:
 
 
 @_elementary
-def power(base: Any, exponent: Any) -> Any:
+def power(base: _Value, exponent: _Value) -> _Value:
     """Power of a base from 0 on, within 1 + 2 * |exponent * log(base)| ulp: not for large exponents."""
     return _pick(exponent == 0.0, 1.0, exp(exponent * log(base)))
 
 
 @_elementary
-def tanh(x: Any) -> Any:
+def tanh(x: _Value) -> _Value:
     """Hyperbolic tangent, within 4.5 ulp: s_tanh.c."""
     t = expm1(-2.0 * abs(x))
     y = -t / (t + 2.0)
@@ -314,7 +318,7 @@ def tanh(x: Any) -> Any:
 
 
 @_elementary
-def hypot(x: Any, y: Any) -> Any:
+def hypot(x: _Value, y: _Value) -> _Value:
     """Root of the sum of squares, within 1 ulp, of numbers whose squares are neither infinite nor subnormal."""
     return np.sqrt(x * x + y * y)
 
@@ -341,7 +345,7 @@ def _fill(which: int, x: _Floats, y: _Floats, out: _Floats) -> None:
             out[i] = power(x[i], y[i])
 
 
-def norm(vectors: _Floats) -> Any:
+def norm(vectors: _Floats) -> _Value:
     """Return lengths of vectors (..., n); squares are summed from the first component on."""
     total = vectors[..., 0] * vectors[..., 0]
     for i in range(1, vectors.shape[-1]):

@@ -5,12 +5,13 @@ import json
 import math
 from collections.abc import Iterator
 from datetime import date, datetime, time
-from typing import Any
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-Node = dict[str, Any]
+from vlp16emu.settings import Tree
+
+Node = Tree  # of a JSON Schema
 
 _MISSING = "missing"
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")

@@ -7,12 +7,13 @@ import logging
 import os
 import re
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, BinaryIO, Self
+from typing import BinaryIO, Self
 
 from vlp16emu.errors import OutputError, RunError
+from vlp16emu.settings import Table
 
 STDOUT = Path("-")  # stands for standard output, as for tcpdump and tshark
 
@@ -103,7 +104,7 @@ class OutputFile:
         self.leave()
 
 
-def write_json(path: Path, tree: Mapping[str, Any]) -> None:
+def write_json(path: Path, tree: Table) -> None:
     """Write a file of one JSON object, in place of an earlier one; raises the errors of `OutputFile`."""
     with OutputFile(path) as output, output.writing() as file:
         file.write(f"{json.dumps(tree, indent=2, ensure_ascii=False)}\n".encode())

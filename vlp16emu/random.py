@@ -192,28 +192,28 @@ class _Generator(np.random.Generator):
     whether a number is redrawn: its last bit changes 1 in 1e14.
     """
 
-    def standard_normal(self, size: _Size = None) -> Any:  # type: ignore[override]  # float64 alone
+    def standard_normal(self, size: _Size = None) -> _Drawn:  # type: ignore[override]  # float64 alone
         """Draw standard normal numbers."""
         return _rounded_beyond(_NORMAL_TAIL, super().standard_normal(size))
 
-    def normal(self, loc: float = 0.0, scale: float = 1.0, size: _Size = None) -> Any:  # type: ignore[override]  # no arrays
+    def normal(self, loc: float = 0.0, scale: float = 1.0, size: _Size = None) -> _Drawn:  # type: ignore[override]  # no arrays
         """Draw normal numbers."""
         return loc + scale * self.standard_normal(size)
 
-    def standard_exponential(self, size: _Size = None) -> Any:  # type: ignore[override]  # by the ziggurat alone
+    def standard_exponential(self, size: _Size = None) -> _Drawn:  # type: ignore[override]  # by the ziggurat alone
         """Draw exponential numbers of mean 1."""
         return _rounded_beyond(_EXPONENTIAL_TAIL, super().standard_exponential(size))
 
-    def rayleigh(self, scale: Any = 1.0, size: _Size = None) -> Any:  # type: ignore[override]  # any array
+    def rayleigh(self, scale: _Drawn = 1.0, size: _Size = None) -> _Drawn:  # type: ignore[override]  # any array
         """Draw Rayleigh-distributed numbers."""
         return scale * np.sqrt(2.0 * self.standard_exponential(np.shape(scale) if size is None else size))
 
-    def beta(self, a: Any, b: Any, size: _Size = None) -> Any:  # type: ignore[override]  # any array
+    def beta(self, a: _Drawn, b: _Drawn, size: _Size = None) -> _Drawn:  # type: ignore[override]  # any array
         """Draw beta-distributed numbers."""
         return _rounded_beyond(0.0, super().beta(a, b, size))
 
 
-def _rounded_beyond(edge: float, numbers: Any) -> Any:
+def _rounded_beyond(edge: float, numbers: _Drawn) -> _Drawn:
     """Round numbers farther from 0 than an edge to steps of 2**-24."""
     return np.where(np.abs(numbers) > edge, np.rint(numbers * 16777216.0) / 16777216.0, numbers)[()]
 

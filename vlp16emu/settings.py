@@ -24,7 +24,11 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticKnownError
 from pydantic_core.core_schema import tagged_union_schema, union_schema, with_info_plain_validator_function
 
-from vlp16emu.doors import DOORS, added, door, has_door
+from vlp16emu.doors import DOORS, Part, added, door, has_door
+
+Tree = dict[str, Any]
+"""A table of a TOML or JSON file, as it is read or written."""
+Table = Mapping[str, Any]  # one that is not changed
 
 DEEPEST = 100  # greatest nesting of tables and lists, and number of names in a dotted key
 _DEEP_KEY = re.compile(
@@ -35,7 +39,7 @@ _LONG_NUMBER = re.compile(r"\b0[xob][0-9a-fA-F_]{3500}")
 """An integer that may have more than 4300 decimal digits, which Python does not print."""
 
 
-def toml(text: str) -> dict[str, Any]:
+def toml(text: str) -> Tree:
     """Parse TOML.
 
     Raises ValueError if it is not valid, a key has more than `DEEPEST` names, or a number thousands of
@@ -60,9 +64,9 @@ class Section(BaseModel):
     """Sets of keys that exclude one another."""
 
     @model_serializer(mode="wrap")
-    def _without_excluded_keys(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _without_excluded_keys(self, write: SerializerFunctionWrapHandler) -> Tree:
         """Leave out keys that another key excludes, so that a written scenario can be read again."""
-        tree: dict[str, Any] = write(self)
+        tree: Tree = write(self)
         given = self.either_or & self.model_fields_set
         ruled_out = self.either_or - given if given else frozenset()
         return {key: value for key, value in tree.items() if key not in ruled_out}
@@ -76,7 +80,7 @@ class Preset(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _from_preset(cls, table: Any) -> Any:
+    def _from_preset(cls, table: object) -> object:
         if not isinstance(table, dict):
             return table
         preset = table.get(cls.preset_key, cls.model_fields[cls.preset_key].default)
@@ -99,7 +103,7 @@ class OneOf:
     default: str | None = None
     """Value of the tag in a table without it."""
 
-    def __get_pydantic_core_schema__(self, _source: Any, _handler: GetCoreSchemaHandler) -> CoreSchema:
+    def __get_pydantic_core_schema__(self, _source: object, _handler: GetCoreSchemaHandler) -> CoreSchema:
         return with_info_plain_validator_function(self._validate)
 
     def __get_pydantic_json_schema__(
@@ -108,10 +112,12 @@ class OneOf:
         choices = {word: section.__pydantic_core_schema__ for word, section in self.sections().items()}
         return handler(tagged_union_schema(choices, discriminator=self.tag))
 
-    def sections(self) -> dict[Any, type[Section]]:
+    def sections(self) -> dict[object, type[Section]]:
         """Return all sections by the words that select them, ours first."""
-        own = {word: door(word, self.group) for word in DOORS[self.group] if has_door(word, self.group)}
-        return {**own, **dict(added(self.group)), **dict(self._defined(self.base)), **own}
+        ours: dict[object, type[Section]] = {
+            word: door(word, self.group) for word in DOORS[self.group] if has_door(word, self.group)
+        }
+        return {**ours, **dict(added(self.group)), **dict(self._defined(self.base)), **ours}
 
     def _section(self, word: object) -> type[Section] | None:
         if not isinstance(word, str):
@@ -128,7 +134,7 @@ class OneOf:
                 yield from ((word, section) for word in get_args(field.annotation))
             yield from self._defined(section)
 
-    def _validate(self, value: Any, info: ValidationInfo) -> Section:
+    def _validate(self, value: object, info: ValidationInfo) -> Section:
         if isinstance(value, self.base):
             return value
         if not isinstance(value, dict):
@@ -151,10 +157,10 @@ class OneOf:
 class LazySection:
     """Annotation of a table whose section is outside the core and is loaded by the first scene with that table."""
 
-    name: str
-    """Name in `doors.DOORS`, group "parts"."""
+    part: Part[type[Section]]
+    """The section."""
 
-    def __get_pydantic_core_schema__(self, _source: Any, _handler: GetCoreSchemaHandler) -> CoreSchema:
+    def __get_pydantic_core_schema__(self, _source: object, _handler: GetCoreSchemaHandler) -> CoreSchema:
         return with_info_plain_validator_function(self._validate)
 
     def __get_pydantic_json_schema__(
@@ -162,20 +168,19 @@ class LazySection:
     ) -> JsonSchemaValue:
         # A union with one member gives a reference in the page; a section alone would be written out each
         # time.
-        return handler(union_schema([self.section.__pydantic_core_schema__])) if has_door(self.name) else {}
+        if not self.part.is_installed:
+            return {}
+        return handler(union_schema([self.section.__pydantic_core_schema__]))
 
     @property
     def section(self) -> type[Section]:
         """The section itself."""
-        section: type[Section] = door(self.name)
-        return section
+        return self.part.load()
 
-    def _validate(self, value: Any, info: ValidationInfo) -> Section:
-        return (
-            value
-            if isinstance(value, self.section)
-            else self.section.model_validate(value, context=info.context)
-        )
+    def _validate(self, value: object, info: ValidationInfo) -> Section:
+        if isinstance(value, self.section):
+            return value
+        return self.section.model_validate(value, context=info.context)
 
 
 def _from_scene_folder(file: str, info: ValidationInfo) -> str:
@@ -194,10 +199,7 @@ Size = Annotated[float, Field(ge=1e-3, le=1e4)]  # an extent in the world, in m
 Fraction = Annotated[float, Field(ge=0, le=1)]
 
 
-Table = Mapping[str, Any]  # a table of a scene file
-
-
-def merged(base: Table, own: Table) -> dict[str, Any]:
+def merged(base: Table, own: Table) -> Tree:
     """Return the keys of both tables, with the values of `own` for common ones; tables of one kind are merged likewise."""
     both = {**base, **own}
     for key in base.keys() & own.keys():

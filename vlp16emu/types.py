@@ -361,6 +361,13 @@ class Window:
 HeightField = Callable[[F8, F8], F8]  # Ground height in metres over arrays of x and y in metres
 
 
+class MovingTrees(Protocol):
+    """The trees of a world in the wind."""
+
+    def with_sway(self, window: Window, track_m: F8, start_ns: int, stop_ns: int) -> Window:
+        """Return a window around positions (n, 3), with the sway of its trees between instants, UTC."""
+
+
 class World(Protocol):
     """A world at rest: it describes windows and grows shapes."""
 

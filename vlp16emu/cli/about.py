@@ -3,13 +3,14 @@
 import os
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from vlp16emu.cli.arguments import AsJson, PlotFile, RunOptions, SceneName, Settings
 from vlp16emu.cli.printer import (
     count,
+    members,
     print_file,
     print_json,
     print_rows,
@@ -19,11 +20,11 @@ from vlp16emu.cli.printer import (
     size,
     table_of,
     text_of,
-    tree_of,
 )
 from vlp16emu.cli.terminal import Progress, compile_first, make_emulator
 from vlp16emu.errors import InputError
 from vlp16emu.run.options import Duration, Option
+from vlp16emu.settings import Tree
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -107,7 +108,7 @@ def plan(
     print_file(plot)
 
 
-def _plan(scene: str, making: RunOptions, duration_s: float | None) -> dict[str, Any]:
+def _plan(scene: str, making: RunOptions, duration_s: float | None) -> Tree:
     """Measure a scene, and return its plan."""
     began_s = time.perf_counter()
     emulator = make_emulator(scene, making)
@@ -177,7 +178,7 @@ def cache(
         raise InputError("--compile", "found --clear", "one of both")
     if compile_all:
         compile_first(None)
-    tree: dict[str, Any] = {"cleared": clear}
+    tree: Tree = {"cleared": clear}
     rows = {}
     for name, kept in ("worlds", user_store()), ("kernels", user_kernels()):
         files, used = kept.clear() if clear else kept.kept()
@@ -269,7 +270,7 @@ def forest(
 _MAPPED = "stems", "ground", "profile", "hall_m"  # members that only plots and programs use
 
 
-def _print_forest(summary: dict[str, Any]) -> None:
+def _print_forest(summary: Tree) -> None:
     figures = dict(summary)
     tables = {
         name: figures.pop(name, ()) for name in ("scene", "title", "trees", "things", "named", *_MAPPED)
@@ -328,7 +329,7 @@ def accuracy(
             foliage = measure_foliage(scenario, pulses=_TIMES * pulses, done=show)
         best = choices(measured.rows)
         taken = [{"wanted_m": wanted_m, "take": name} for name, wanted_m in best.items()]
-        report = report_of("accuracy", {**tree_of(measured), "foliage": foliage, "choices": taken})
+        report = report_of("accuracy", dict(members(measured)) | {"foliage": foliage, "choices": taken})
         draw(report)
     if as_json:
         print_json(report)

@@ -2,15 +2,16 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from vlp16emu.cli.arguments import AsJson, CaptureFile, PlotFile, UnitName
-from vlp16emu.cli.printer import print_file, print_json, print_rows, report_of, rows_of, tree_of
+from vlp16emu.cli.printer import members, print_file, print_json, print_rows, report_of, rows_of
 from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.extras.options import ScoreInputs
 from vlp16emu.run.options import Option
+from vlp16emu.settings import Tree
 
 if TYPE_CHECKING:
     from vlp16emu.extras.compare import Compared
@@ -59,7 +60,7 @@ def verify(
     units = units_in(file) if unit is None else [chosen_unit(file, unit, where="--unit")]
     if len(units) < 2:
         results = {str(file): verify_units(file, units or [None])[0]}
-        tree = {"file": file} | _tree(results[str(file)])
+        tree: Tree = {"file": file} | _tree(results[str(file)])
     else:
         results = dict(zip(map(str, units), verify_units(file, units), strict=True))
         trees = [{"unit": unit} | _tree(result) for unit, result in results.items()]
@@ -95,7 +96,7 @@ def _verify_bag(file: Path, unit: str | None, slam: str, *, as_json: bool) -> No
         raise typer.Exit(1)
 
 
-def _tree(result: "Verification") -> dict[str, Any]:
+def _tree(result: "Verification") -> Tree:
     counted = "position_packets", "other_frames", "lost_packets", "void_sentences"
     return {
         "clean": result.is_clean,
@@ -225,7 +226,7 @@ def score(
     with plotting(plot, files) as draw, page_writing(out, files) as write:
         card = make_card(inputs)
         missed = card.missed(limits)
-        report = report_of("score", {**tree_of(card), "missed": missed})
+        report = report_of("score", dict(members(card)) | {"missed": missed})
         draw(report)
         write(report)
     if as_json:

@@ -7,9 +7,20 @@ from dataclasses import fields, is_dataclass
 from enum import Enum
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
+
+from vlp16emu.settings import Table, Tree
+
+if TYPE_CHECKING:  # help prints none of them
+    from vlp16emu.extras.accuracy.audit import AuditFinding
+    from vlp16emu.extras.bench.gps_in import GpsInResult
+    from vlp16emu.extras.bench.outlets import Away, OutletResult
+    from vlp16emu.run.report import Turn, UnitSent
+    from vlp16emu.sinks import FellBehind
+    from vlp16emu.sinks.pacing import Lateness
+    from vlp16emu.sinks.stream import FirstPacket
 
 INTERRUPTED = (
     130  # exit code after Ctrl-C: 128 + SIGINT, as shells count (POSIX.1-2024, Shell, section 2.8.2)
@@ -42,7 +53,7 @@ _SMALL_BYTES = 100_000
 _WIDEST = 10.0  # ratio of the ends of an interval; beyond it not even the order of magnitude is known
 
 
-def finish(result: Any, title: str | None = None, *, as_json: bool) -> None:
+def finish(result: object, title: str | None = None, *, as_json: bool) -> None:
     """Print a result, a dataclass or mapping, as rows under a title or as JSON; exit with 130 if it was interrupted.
 
     Without a title, the first line says that the first member was written.
@@ -59,16 +70,17 @@ def finish(result: Any, title: str | None = None, *, as_json: bool) -> None:
         raise typer.Exit(INTERRUPTED)
 
 
-def print_json(result: Any) -> None:
+def print_json(result: object) -> None:
     """Print one JSON object, each list of numbers on one line."""
     print(
         _NUMBERS.sub(lambda found: f"[{' '.join(found[1].split())}]", json.dumps(tree_of(result), indent=2))
     )
 
 
-def report_of(verb: str, tree: Mapping[str, Any]) -> dict[str, Any]:
+def report_of(verb: str, tree: Table) -> Tree:
     """Return the report of a verb in JSON types; `vlp16emu plot` draws it by its member `report`."""
-    return {"report": verb, "written_by": f"vlp16emu {version('vlp16emu')}", **tree_of(tree)}
+    members_of = {name: tree_of(value) for name, value in tree.items()}
+    return {"report": verb, "written_by": f"vlp16emu {version('vlp16emu')}", **members_of}
 
 
 def print_file(path: Path | None) -> None:
@@ -93,7 +105,7 @@ def print_table(rows: Sequence[Sequence[str]]) -> None:
         print("  ".join([first.ljust(widths[0]), *cells]))
 
 
-def table_of(rows: Sequence[Any]) -> list[list[str]]:
+def table_of(rows: Sequence[object]) -> list[list[str]]:
     """Return dataclasses as rows of cells, under a header of field names with units."""
     return [
         [name.replace("_", " ") for name, _ in members(rows[0])],
@@ -101,7 +113,7 @@ def table_of(rows: Sequence[Any]) -> list[list[str]]:
     ]
 
 
-def tree_of(value: Any) -> Any:
+def tree_of(value: object) -> object:
     """Return a result in JSON types, with the properties of dataclasses beside their fields; NaN becomes null."""
     if is_dataclass(value) or isinstance(value, Mapping):
         return {name: tree_of(one) for name, one in members(value)}
@@ -114,7 +126,7 @@ def tree_of(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
-def rows_of(result: Any) -> dict[str, str]:
+def rows_of(result: object) -> dict[str, str]:
     """Return the non-empty members of a result, and of dataclasses in it, as names and texts."""
     rows = dict[str, str]()
     for name, value in members(result):
@@ -147,7 +159,7 @@ def size(number_of_bytes: int) -> str:
     )
 
 
-def behind_text(times: Any) -> str:
+def behind_text(times: "Sequence[FellBehind]") -> str:
     """Format how often, by how much, when first and why a stream fell behind."""
     if not times:
         return "never"
@@ -158,7 +170,7 @@ def behind_text(times: Any) -> str:
     return f"{often}, {most}, {first} {times[0].at_s:.1f} s: {causes}"
 
 
-def audit_text(found: Any) -> str:
+def audit_text(found: "AuditFinding") -> str:
     """Format the result of an audit."""
     if found.exact:
         return "rounding to float32 only: by the scene's choice a pulse is one ray"
@@ -176,13 +188,15 @@ def audit_text(found: Any) -> str:
     return f"RMSE {1e3 * found.range_rmse_m:.1f} mm before noise ({sure}), {texts}"
 
 
-def members(result: Any) -> Iterator[tuple[str, Any]]:
+def members(result: object) -> Iterator[tuple[str, Any]]:
     """Yield name and value of the items of a mapping, or of the fields and properties of a dataclass."""
     if isinstance(result, Mapping):
         yield from ((str(name), value) for name, value in result.items())
         return
+    kind: type = type(result)
+    assert is_dataclass(result)
     yield from ((field.name, getattr(result, field.name)) for field in fields(result))
-    for owner in type(result).__mro__:
+    for owner in kind.__mro__:
         yield from (
             (name, getattr(result, name)) for name, one in vars(owner).items() if isinstance(one, property)
         )
@@ -197,7 +211,7 @@ def _label(name: str) -> str:
     return _LABELS.get(name) or (bare if "." in bare else bare.replace("_", " "))  # names of files stay
 
 
-def text_of(value: Any) -> str:
+def text_of(value: object) -> str:
     """Format a value; empty for None and empty members."""
     if value is None or value is False or isinstance(value, str):
         return value or ""
@@ -219,14 +233,14 @@ def text_of(value: Any) -> str:
     return str(value)
 
 
-def _unit(unit: Any) -> str:
+def _unit(unit: "UnitSent") -> str:
     sent = f"{count(unit.packets)} data, {count(unit.position_packets)} position"
     sent += "" if unit.returns is None else f", {count(unit.returns)} returns"
     turn = "" if unit.turn is None else f"; {_turn(unit.turn)}"
     return f"{unit.name}, ports {unit.data_port} and {unit.position_port}: {sent}{turn}"
 
 
-def _turn(turn: Any) -> str:
+def _turn(turn: "Turn") -> str:
     turns = round(turn.revolutions, 1)
     return (
         f"{turns:.12g} revolution{'' if turns == 1 else 's'} of {count(round(turn.sequences_per_revolution))} firing "
@@ -234,7 +248,7 @@ def _turn(turn: Any) -> str:
     )
 
 
-def _lateness(late: Any) -> str:
+def _lateness(late: "Lateness") -> str:
     median, p99, most = (
         f"{ns * 1e-3:.0f} us" if ns < 1e7 else f"{ns * 1e-9:.2f} s"
         for ns in (late.median_ns, late.p99_ns, late.max_ns)
@@ -242,13 +256,13 @@ def _lateness(late: Any) -> str:
     return f"median {median}, 99 % within {p99}, at most {most}"
 
 
-def _first(first: Any) -> str:
+def _first(first: "FirstPacket") -> str:
     if first.sensor_ns is None:
         return ""
     return f"{(first.host_ns - first.sensor_ns) * 1e-6:.3f} ms after its time by the sensor's clock, by this machine's"
 
 
-def _outlet(sent: Any) -> str:
+def _outlet(sent: "OutletResult") -> str:
     row = f"{count(sent.messages)} to {sent.to}" + (
         f", {count(sent.dropped)} dropped" if sent.dropped else ""
     )
@@ -262,7 +276,7 @@ def _outlet(sent: Any) -> str:
     return row + _away(sent.away)
 
 
-def _receiver(gps_in: Any) -> str:
+def _receiver(gps_in: "GpsInResult") -> str:
     heard = gps_in.heard
     counts = (
         f"{count(heard.sentences)} sentences, {count(heard.pulses)} pulses, {count(heard.refused)} garbled"
@@ -270,7 +284,7 @@ def _receiver(gps_in: Any) -> str:
     return f"{counts} from {gps_in.port}; {gps_in.state.name.lower()}{_away(gps_in.away)}"
 
 
-def _away(times: Any) -> str:
+def _away(times: "Sequence[Away]") -> str:
     total_s = sum(time.away_s for time in times)
     return f"; the device was away {count(len(times))} times, for {total_s:.1f} s" if times else ""
 

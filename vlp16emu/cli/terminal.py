@@ -7,9 +7,10 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
 from vlp16emu.run.options import Span
+from vlp16emu.settings import Tree
 
 if TYPE_CHECKING:
     from vlp16emu.cli.arguments import SceneOptions
@@ -143,7 +144,7 @@ def make_emulator(scene: str, changes: "SceneOptions") -> "Emulator":
 
 
 @contextmanager
-def running(emulator: "Emulator", task: str, span: Span) -> Iterator[dict[str, Any]]:
+def running(emulator: "Emulator", task: str, span: Span) -> Iterator[Tree]:
     """Yield keyword arguments for a run that show its progress and end it after a signal."""
     begin_s, end_s = emulator.scenario.span_s(span.start_s, span.duration_s, where="--start")
     with stop_on_ctrl_c() as stop, Progress(end_s - begin_s) as bar:

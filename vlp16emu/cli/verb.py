@@ -24,7 +24,7 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
     if parameters and not leaves:
         return function
 
-    def run(**values: Any) -> None:
+    def run(**values: object) -> None:
         values = {leaf.name: values[_key(leaf)] for leaf in leaves}
         for leaf in leaves:
             if leaf.kind is bool and leaf.default is True:  # its name negates it
@@ -45,13 +45,13 @@ def leaves_of(function: Callable[..., None]) -> Iterator[Declared]:
         yield from _leaves(one.name, one.annotation, one.default)
 
 
-def _dataclass_in(annotation: Any) -> type[Options] | None:
+def _dataclass_in(annotation: object) -> type[Options] | None:
     """Return the dataclass of options in an annotation; None if there is none."""
     kinds = (annotation, *get_args(annotation))
     return next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Options)), None)
 
 
-def _leaves(name: str, annotation: Any, default: Any) -> Iterator[Declared]:
+def _leaves(name: str, annotation: object, default: object) -> Iterator[Declared]:
     if one := declared(name, annotation, MISSING if default is inspect.Parameter.empty else default):
         yield one
     elif owner := _dataclass_in(annotation):
@@ -59,7 +59,7 @@ def _leaves(name: str, annotation: Any, default: Any) -> Iterator[Declared]:
             yield from _leaves(field.name, field.type, field.default)
 
 
-def _made(name: str, annotation: Any, values: Mapping[str, Any]) -> Any:
+def _made(name: str, annotation: object, values: Mapping[str, object]) -> object:
     """Return a value, or a dataclass with its values; None for an optional dataclass if none of its options is given."""
     if one := declared(name, annotation):
         return values[one.name]
@@ -101,7 +101,7 @@ def _parameter(leaf: Declared) -> inspect.Parameter:
         info = typer.Option(leaf.name, help=option.help, metavar=option.metavar)
     else:
 
-        def read(text: Any) -> Any:  # typer reads defaults too
+        def read(text: object) -> object:  # typer reads defaults too
             return (
                 option.read(leaf.name, leaf.kind, text)
                 if isinstance(text, str) and text is not default

@@ -1,21 +1,19 @@
 """Conditions of a real walk in the field: the tables that `conditions = "field"` gives."""
 
-from typing import Any
-
-from vlp16emu.settings import merged
+from vlp16emu.settings import Tree, merged
 
 _MOUNT = {"error_deg": 0.3, "error_mm": 5.0}
-_FIELD: dict[str, Any] = {"imu": {"preset": "field", "mount": _MOUNT}}
+_FIELD: Tree = {"imu": {"preset": "field", "mount": _MOUNT}}
 """Tables of `conditions = "field"`. Extrinsics of a backpack are known within a degree and a centimetre by
 self-calibration (Pan, Shao et al., IEEE TGRS 61, 5703713, 2023); from a drawing within a third of a degree
 and half a centimetre for each axis (assumption)."""
-_ON_FOOT: dict[str, Any] = {"motion": {"kind": "walk", "mount": _MOUNT, "mast": {}}, "people": {}}
+_ON_FOOT: Tree = {"motion": {"kind": "walk", "mount": _MOUNT, "mast": {}}, "people": {}}
 _FORESTS = ("forest", "plot")
-_IN_A_FOREST: dict[str, Any] = {"wind": {"speed_m_s": 2.0}}
+_IN_A_FOREST: Tree = {"wind": {"speed_m_s": 2.0}}
 """A light breeze, 1.6 to 3.3 m/s (Beaufort scale, WMO code table 1100)."""
 
 
-def in_the_field(tree: dict[str, Any]) -> dict[str, Any]:
+def in_the_field(tree: Tree) -> Tree:
     """Return a scene with the keys of field conditions that it does not give itself."""
     motion, world = (
         one.get("kind") if isinstance(one := tree.get(key), dict) else None for key in ("motion", "world")

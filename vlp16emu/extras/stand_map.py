@@ -12,6 +12,7 @@ from scipy.spatial import KDTree
 from vlp16emu.cores import usable_cores
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M
 from vlp16emu.raycast.caster import caster
+from vlp16emu.settings import Tree
 from vlp16emu.types import F8, I8, Firings, HeightField, PlantPart, Semantic, Window, World
 from vlp16emu.world.vectors import places_m
 
@@ -29,7 +30,7 @@ def map_of(
     species: Mapping[int, str],
     bounds_m: tuple[F8, F8],
     height_m: HeightField,
-) -> dict[str, Any]:
+) -> Tree:
     """Return stems, ground and profile of a stand as lists, for reports.
 
     Parameters
@@ -59,15 +60,12 @@ def _along_m(path_m: F8) -> F8:
     return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path_m[:, :2], axis=0).T))])
 
 
-def _stems(path_m: F8, trees: NDArray[np.void], species: Mapping[int, str]) -> dict[str, Any]:
+def _stems(path_m: F8, trees: NDArray[np.void], species: Mapping[int, str]) -> Tree:
     xy_m = places_m(trees, "xy")
     aside_m, nearest = (
         KDTree(path_m[:, :2]).query(xy_m) if len(trees) else (np.zeros(0), np.zeros(0, np.int64))
     )
-    lists: dict[str, Any] = {
-        "id": trees["id"].tolist(),
-        "species": [species[n] for n in trees["species"].tolist()],
-    }
+    lists: Tree = {"id": trees["id"].tolist(), "species": [species[n] for n in trees["species"].tolist()]}
     for name in ("x_m", "y_m", "z_m", "height_m", "crown_base_m", "crown_width_m"):
         lists[name] = np.round(trees[name], _DECIMALS).tolist()
     lists["dbh_m"] = np.round(trees["dbh_m"], 4).tolist()

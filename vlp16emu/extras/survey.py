@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ from vlp16emu.forest.stand.twin import Thing, things_near, write_glb
 from vlp16emu.motion.pose import Motion
 from vlp16emu.output import OutputFile
 from vlp16emu.scenario import Scenario
+from vlp16emu.settings import Tree
 from vlp16emu.types import F8, HeightField, Window, World
 from vlp16emu.units import seconds_to_ns
 from vlp16emu.world.hall import HallWorld
@@ -176,9 +177,7 @@ def _path_m(scenario: Scenario, motion: Motion) -> F8:
     return motion.poses_at(scenario.start_ns + steps).world_p_body_m
 
 
-def stand_rows(
-    inventory: NDArray[np.void], species: Mapping[int, str], ground_m2: float
-) -> list[dict[str, Any]]:
+def stand_rows(inventory: NDArray[np.void], species: Mapping[int, str], ground_m2: float) -> list[Tree]:
     """Return figures by species of an inventory (n,), the most frequent first, then for all trees if there are several species."""
     numbers, stems = np.unique(inventory["species"], return_counts=True)
     own = [
@@ -186,7 +185,7 @@ def stand_rows(
         for n in numbers[np.argsort(-stems, kind="stable")]
     ]
     ground_ha = ground_m2 / 10_000
-    rows = list[dict[str, Any]]()
+    rows = list[Tree]()
     for name, trees in own if len(own) < 2 else [*own, ("all", inventory)]:
         dbh_m = trees["dbh_m"]
         # The mean of diameters is quadratic.
@@ -247,7 +246,7 @@ def relief(cells_xy_m: F8, height_m: HeightField) -> dict[str, float]:
     }
 
 
-def summary_of(scene: str, scenario: Scenario, seen: Survey, rows: NDArray[np.void]) -> dict[str, Any]:
+def summary_of(scene: str, scenario: Scenario, seen: Survey, rows: NDArray[np.void]) -> Tree:
     """Summarise the survey of the scene named `scene`: for any world path and named objects, for a forest also figures within the radius.
 
     The inventory `rows` has the trees within the radius, and perhaps others.
@@ -255,7 +254,7 @@ def summary_of(scene: str, scenario: Scenario, seen: Survey, rows: NDArray[np.vo
     path_xy_m = seen.path_m[:, :2]
     length_m = float(np.hypot(*np.diff(path_xy_m, axis=0).T).sum())
     named = [(seen.names[one.instance], one) for one in seen.things if one.instance in seen.names]
-    summary: dict[str, Any] = {
+    summary: Tree = {
         "scene": scene,
         "title": scenario.title,
         "seed": scenario.seed,
@@ -286,9 +285,9 @@ def summary_of(scene: str, scenario: Scenario, seen: Survey, rows: NDArray[np.vo
     }
 
 
-def _things(seen: Survey, ground_m2: float) -> dict[str, dict[str, Any]]:
+def _things(seen: Survey, ground_m2: float) -> dict[str, Tree]:
     """Count unnamed objects by kind, with their species by frequency, and the extremes of their size."""
-    kinds = dict[str, dict[str, Any]]()
+    kinds = dict[str, Tree]()
     nameless = [thing for thing in seen.things if thing.instance not in seen.names]
     for kind in sorted({thing.kind for thing in nameless}):
         things = [thing for thing in nameless if thing.kind == kind]
@@ -303,7 +302,7 @@ def _things(seen: Survey, ground_m2: float) -> dict[str, dict[str, Any]]:
 
 def write_survey(
     scene: str, scenario: Scenario, radius_m: float, wanted: Mapping[str, Path], *, bark: bool = False
-) -> dict[str, Any]:
+) -> Tree:
     """Survey a scene, write the files of the options in `wanted`, and return the summary.
 
     With `bark` its stems have the share of their bark that is seen from the path.
@@ -347,16 +346,13 @@ def _write(name: str, file: BinaryIO, seen: Survey, rows: NDArray[np.void]) -> N
     if name == "--inventory":  # all trees within the sensor's range
         write_csv(file, rows, table=seen.plants.trees)
     elif name == "--stems":  # skeletons with radii, as in a QSM
-        text: dict[str, Any] = {"fmt": [*["%d"] * 4, *["%.4f"] * 5], "delimiter": ",", "comments": ""}
+        text: Tree = {"fmt": [*["%d"] * 4, *["%.4f"] * 5], "delimiter": ",", "comments": ""}
         np.savetxt(file, seen.stem_circles(seen.trees), header=",".join(STEM_CIRCLE.names or ()), **text)
     elif name == "--ground":
         write_ascii(file, seen.bare.height_m, *seen.bounds_m, _GROUND_CELL_M)
     else:  # everything within the radius, or the whole hall, as a twin
         at_m = {thing.instance: thing.place_m for thing in seen.things}
         at_m |= dict(zip(seen.near["id"].tolist(), places_m(seen.near), strict=True))
-        look: dict[str, Any] = {
-            "species": seen.species,
-            "colours": surface_colours(seen.window.surfaces, seen.species),
-        }
+        look: Tree = {"species": seen.species, "colours": surface_colours(seen.window.surfaces, seen.species)}
         inside = None if seen.hall else seen.inside
         write_glb(file, seen.window, seen.world.shape, places_m=at_m, inside=inside, **look)

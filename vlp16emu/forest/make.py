@@ -19,6 +19,7 @@ from vlp16emu.forest.stand.given_stand import GivenStand, stems_in_the_way
 from vlp16emu.forest.stand.points import Land
 from vlp16emu.forest.stand.stand import Stand
 from vlp16emu.forest.stand.wind import TreeSway
+from vlp16emu.settings import Section
 from vlp16emu.types import F8, World
 
 _log = logging.getLogger(__name__)
@@ -63,7 +64,7 @@ class ForestSite:
         return np.ones(len(xy_m), np.bool_)
 
     def world(
-        self, path_xy_m: F8, *, reach_m: float, farthest_m: float, wind: Wind | None, start_ns: int
+        self, path_xy_m: F8, *, reach_m: float, farthest_m: float, wind: Section | None, start_ns: int
     ) -> tuple[World, TreeSway | None]:
         """Return the forest and the sway of its trees; parameters and errors as in `Site`."""
         section = self._section
@@ -76,7 +77,7 @@ class ForestSite:
                 "world.path_clearance_m = %g: leaves no tree within the %.0f m that are seen; expected less",
                 *(path.clearance_m, reach_m),
             )
-        blows = wind if wind is not None and wind.speed_m_s > 0 else None
+        blows = wind if isinstance(wind, Wind) and wind.speed_m_s > 0 else None
         trails = ground.trails if isinstance(ground, TerrainHeights) else None
         land = Land(self._seed, self.height_m, path, flora(section.species_file), trails)
         stems: Stand | GivenStand

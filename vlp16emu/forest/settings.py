@@ -2,12 +2,14 @@
 
 import math
 import tomllib
+from collections.abc import Callable
 from functools import cache
 from importlib import resources
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, field_validator, model_validator
 
+from vlp16emu.doors import Part
 from vlp16emu.settings import (
     Fraction,
     MapPoint,
@@ -22,7 +24,9 @@ from vlp16emu.settings import (
     Table,
     merged,
 )
-from vlp16emu.world.settings import MeshSource, Roughness, Texture, WorldSection
+from vlp16emu.world.settings import MeshSource, Roughness, Site, Texture, WorldSection
+
+FOREST_SITE = Part[Callable[["Woods", int], Site]]("vlp16emu.forest.make:ForestSite")
 
 Season = Literal["leaf_on", "leaf_off"]  # with leaves, or as in winter: broadleaves bare, needles on
 DENSITY_KEYS = frozenset({"stems_per_ha", "basal_area_m2_per_ha"})
@@ -399,7 +403,10 @@ class Woods(WorldSection):
     """Easting, northing and height of the world's origin (0, 0, 0), for files in map coordinates."""
 
     has_trees: ClassVar[bool] = True
-    site_door = "forest_site"
+
+    def site(self, seed: int) -> Site:
+        """Return the ground of the stand; raises GeometryError if heights cannot be read."""
+        return FOREST_SITE.load()(self, seed)
 
 
 @cache

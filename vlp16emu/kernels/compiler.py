@@ -19,7 +19,7 @@ from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, TypeVar
 
 import numba
 from llvmlite import binding
@@ -27,6 +27,19 @@ from numba import types
 
 from vlp16emu.cores import usable_cores
 from vlp16emu.kernels.cache import KernelCache, user_kernels
+
+Kernel = TypeVar("Kernel", bound=Callable[..., object])
+NumbaObject = Any
+"""An object of numba or llvmlite, which ship no types: a kernel, the type of an argument, a value in LLVM's code."""
+
+
+class Row(TypedDict):
+    """A kernel of the table."""
+
+    kernel: str  # module:name, in this package
+    types: list[object]  # of its arguments, as `decoded` reads them
+    groups: list[str]  # of runs that call it
+
 
 _TARGETS = {  # targets of the x86-64 psABI and the features they require, in LLVM's names, the fastest first
     "x86-64-v3": ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe"),
@@ -86,35 +99,36 @@ def is_plain() -> bool:
 _prepare()
 
 
-def kernel(function: Callable[..., Any]) -> Any:
+def kernel(function: Kernel) -> Kernel:
     """Compile a kernel that allocates no arrays: numba need not count references, which saves a sixth of the time."""
-    return _njit(_nrt=False)(function)
+    return _njit(function, _nrt=False)
 
 
-def array_kernel(function: Callable[..., Any]) -> Any:
+def array_kernel(function: Kernel) -> Kernel:
     """Compile a kernel that allocates arrays."""
-    return _njit()(function)
+    return _njit(function)
 
 
-def inline_kernel(function: Callable[..., Any]) -> Any:
+def inline_kernel(function: Kernel) -> Kernel:
     """Compile a kernel that becomes part of each kernel that calls it; it allocates no arrays."""
-    return _njit(_nrt=False, forceinline=True)(function)
+    return _njit(function, _nrt=False, forceinline=True)
 
 
-def inner_kernel(function: Callable[..., Any], *, inlined: bool) -> Any:
+def inner_kernel(function: Kernel, *, inlined: bool) -> Kernel:
     """Compile a kernel for callers alone: it has no entry from Python or C.
 
     It keeps its order of operations even if the caller uses `fastmath`.
     """
     options = {"fastmath": False, "no_cfunc_wrapper": True, "no_cpython_wrapper": True}
-    return _njit(_nrt=False, forceinline=inlined, **options)(function)
+    return _njit(function, _nrt=False, forceinline=inlined, **options)
 
 
-def _njit(**options: Any) -> Any:
-    """Return numba's decorator: kernels release the GIL, and divide by 0 as numpy does."""
+def _njit(function: Kernel, **options: bool) -> Kernel:
+    """Compile a kernel with numba; kernels release the GIL, and divide by 0 as numpy does."""
     if is_plain():
         options = {name: value for name, value in options.items() if name not in _PRIVATE}
-    return numba.njit(cache=True, nogil=True, error_model="numpy", **options)
+    compiled: Kernel = numba.njit(cache=True, nogil=True, error_model="numpy", **options)(function)
+    return compiled
 
 
 _PRIVATE = frozenset(
@@ -124,9 +138,9 @@ _ENDINGS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 _POLL_S = 1.0  # interval at which children are looked after
 
 
-def table(group: str | None = None) -> list[dict[str, Any]]:
+def table(group: str | None = None) -> list[Row]:
     """Return the table, or its part for a group of runs."""
-    rows: list[dict[str, Any]] = json.loads(_TABLE.read_text(encoding="utf-8"))
+    rows: list[Row] = json.loads(_TABLE.read_text(encoding="utf-8"))
     return [row for row in rows if group is None or group in row["groups"]]
 
 
@@ -147,7 +161,7 @@ def compile_kernels(group: str | None = None) -> Iterator[tuple[int, int]]:
     if user_kernels().own is None or threading.active_count() > 1:
         return
     # Kernels of one file share most of what they call: a process compiles that once.
-    files: dict[str, list[dict[str, Any]]] = {}
+    files: dict[str, list[Row]] = {}
     for row in missing:
         files.setdefault(row["kernel"].partition(":")[0], []).append(row)
     # A child that a signal meets before `_ignore_signals` would end as this process does.
@@ -173,10 +187,11 @@ def compile_kernels(group: str | None = None) -> Iterator[tuple[int, int]]:
                 yield done, len(missing)
 
 
-def decoded(text: Any) -> Any:
+def decoded(text: object) -> NumbaObject:
     """Read a numba type from JSON; fails if the program no longer has the type."""
     if isinstance(text, str):
         return getattr(types, text)
+    assert isinstance(text, list)
     first, *rest = text
     if first == "array":
         dtype, ndim, layout, readonly = rest
@@ -189,19 +204,19 @@ def decoded(text: Any) -> Any:
     return types.BaseTuple.from_types([*map(decoded, rest)], getattr(import_module(module), name))
 
 
-def _signature(row: dict[str, Any]) -> tuple[Any, tuple[Any, ...]]:
+def _signature(row: Row) -> tuple[NumbaObject, tuple[NumbaObject, ...]]:
     module, _, name = row["kernel"].partition(":")
     return getattr(import_module(f"vlp16emu.{module}"), name), tuple(map(decoded, row["types"]))
 
 
-def _is_kept(row: dict[str, Any]) -> bool:
+def _is_kept(row: Row) -> bool:
     with suppress(ImportError, AttributeError, TypeError, ValueError):
         kernel, arguments = _signature(row)
         return KernelCache(kernel.py_func).has(arguments)
     return True
 
 
-def _compile(rows: list[dict[str, Any]]) -> int:
+def _compile(rows: list[Row]) -> int:
     """Compile the kernels of some rows in a separate process, and count them; the run reports their errors."""
     for row in rows:
         kernel, arguments = _signature(row)

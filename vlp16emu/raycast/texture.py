@@ -171,7 +171,7 @@ def _of_patch(
 
 
 @inline_kernel
-def _of_cell(seed: int, u: int, v: int, w: int, slot: int, j: int, known: _Known) -> float:
+def _of_cell(seed: int, u: np.int64, v: np.int64, w: np.int64, slot: int, j: int, known: _Known) -> float:
     """Draw the number of a cell, unless the last pulse of laser j hit it too."""
     cells, values = known
     if cells[slot, j, 0] != u or cells[slot, j, 1] != v or cells[slot, j, 2] != w:

@@ -1,7 +1,7 @@
 """Receiver of a unit, made once per run."""
 
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
@@ -145,9 +145,11 @@ class UnitDetector:
     def without_chance(self) -> Self:
         """Return a receiver with the same threshold in the same air that detects all echoes, without randomness and errors."""
         errors = "amplitude_noise", "clutter", "range_noise", "range_walk", "reflectivity_"
-        nothing: dict[str, Any] = {name: 0.0 for name in DetectorConstants._fields if name.startswith(errors)}
         lost = LossRates(*[0.0] * len(LossRates._fields))
-        constants = self.constants._replace(strongest_only=False, lost=lost, **nothing)
+        given = self.constants._asdict() | {"strongest_only": False, "lost": lost}
+        constants = DetectorConstants(
+            **given | {name: 0.0 for name in DetectorConstants._fields if name.startswith(errors)}
+        )
         return replace(
             self,
             constants=constants,

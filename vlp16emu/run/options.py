@@ -47,11 +47,11 @@ class Option:
     le: float | None = None
     lt: float | None = None
     words: tuple[str, ...] = ()
-    parse: Callable[[str], Any] | None = None
+    parse: Callable[[str], object] | None = None
     expected: str | None = None
     shown: bool | str = True
 
-    def check(self, where: str, kind: type, value: Any, found: object = None) -> None:
+    def check(self, where: str, kind: type, value: object, found: object = None) -> None:
         """Raise InputError for `where` if `value` is not valid."""
         limits = (
             (operator.ge, self.ge),
@@ -59,7 +59,7 @@ class Option:
             (operator.le, self.le),
             (operator.lt, self.lt),
         )
-        if kind in (int, float):
+        if isinstance(value, int | float) and kind in (int, float):
             kept = [holds(value, limit) for holds, limit in limits if limit is not None]
             is_right = abs(value) < math.inf and all(kept)  # `math.isfinite` fails for an integer above 1e308
         else:
@@ -67,7 +67,7 @@ class Option:
         if not is_right:
             raise InputError(where, f"found {value if found is None else found}", self._expected(kind))
 
-    def read(self, where: str, kind: type, text: str) -> Any:
+    def read(self, where: str, kind: type, text: str) -> object:
         """Return the value of a text of the command line; InputError for `where` if it is not valid."""
         try:
             value = (self.parse or kind)(text)
@@ -95,11 +95,11 @@ class Declared(NamedTuple):
     field: str
     name: str  # name on the command line: with dashes, or the word of an argument
     kind: type  # type of the value, without None; `list` if the option can be repeated
-    default: Any  # MISSING if there is none
+    default: object  # MISSING if there is none
     option: Option
 
 
-def declared(name: str, annotation: Any, default: Any = MISSING) -> Declared | None:
+def declared(name: str, annotation: object, default: object = MISSING) -> Declared | None:
     """Return the option that `Annotated[kind, Option(...)]` declares; None if it declares none."""
     if get_origin(annotation) is not Annotated:
         return None
@@ -124,7 +124,7 @@ class Options:
                 one.option.check(one.field, one.kind, value)
 
     @classmethod
-    def from_fields(cls, given: Mapping[str, Any]) -> Self:
+    def from_fields(cls, given: Mapping[str, object]) -> Self:
         """Return the options with some values by field.
 
         Raises InputError for a name that is no field, or a value that is not valid.

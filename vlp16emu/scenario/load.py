@@ -18,7 +18,7 @@ from vlp16emu.errors import ScenarioError, readable
 from vlp16emu.explain import explain
 from vlp16emu.scenario.model import Scenario, schema
 from vlp16emu.sensor.settings import Lidar
-from vlp16emu.settings import DEEPEST, LazySection, OneOf, Preset, SceneFile, Section, toml
+from vlp16emu.settings import DEEPEST, LazySection, OneOf, Preset, SceneFile, Section, Table, Tree, toml
 
 _UNIT_ERRORS = dict.fromkeys((*Lidar.presets["unit"], "eccentricity_deg", "clock_error_ppm"), 0.0)
 """Values that switch off the errors in `[sensor]` and `[[rig]]`."""
@@ -37,13 +37,13 @@ class _Source(NamedTuple):
     """A scene as a tree, before it is checked."""
 
     where: str  # Its name in errors
-    tree: dict[str, Any]
+    tree: Tree
     folder: Path  # Base folder of its relative paths
     is_json: bool  # JSON has no dates; they are read from text
 
 
 def load(
-    scene: str | Path | Mapping[str, Any] | Scenario,
+    scene: str | Path | Table | Scenario,
     settings: Mapping[str, object] | Sequence[str] = (),
     *,
     ideal: bool = False,
@@ -76,9 +76,7 @@ def load(
         raise ScenarioError(_origin(source, changes, fault), *fault[1:]) from None
 
 
-def rewrite(
-    tree: dict[str, Any], settings: Mapping[str, object] | Sequence[str], *, folder: Path, to: Path
-) -> None:
+def rewrite(tree: Tree, settings: Mapping[str, object] | Sequence[str], *, folder: Path, to: Path) -> None:
     """Apply settings to the tables of a scene file in place, and name its relative files from another folder.
 
     Parameters
@@ -128,7 +126,7 @@ def _changed(source: _Source, changes: Iterable[_Setting]) -> _Source:
     )
 
 
-def _source(scene: str | Path | Mapping[str, Any] | Scenario, folder: Path | None) -> _Source:
+def _source(scene: str | Path | Table | Scenario, folder: Path | None) -> _Source:
     if isinstance(scene, Scenario):
         tree = scene.model_dump(mode="json", by_alias=True, exclude_none=True)
         return _Source("scenario", tree, Path.cwd(), is_json=True)
@@ -154,7 +152,7 @@ def _checked(source: _Source) -> Scenario:
     return Scenario.model_validate(source.tree, context=context)
 
 
-def _read(path: Path) -> dict[str, Any]:
+def _read(path: Path) -> Tree:
     kind, parse = ("JSON", json.loads) if path.suffix == ".json" else ("TOML", toml)
     with readable(path, "a scene file", ScenarioError):
         text = path.read_text(encoding="utf-8-sig")
@@ -177,7 +175,7 @@ def _check_depth(where: str, tree: Any) -> None:
     raise ScenarioError(where, f"tables or lists in one another, {DEEPEST} deep", "the tables of a scene")
 
 
-def _without_errors(tree: dict[str, Any]) -> None:
+def _without_errors(tree: Tree) -> None:
     """Make a scene's beam, air and sensors ideal."""
     tree.update(beam={"model": "none"}, noise={"preset": "ideal"}, weather={}, capture={"preset": "ideal"})
     units = rig if isinstance(rig := tree.get("rig"), list) else []
@@ -204,7 +202,7 @@ def _converted(setting: _Setting) -> _Setting:
 
 
 @cache
-def _hints(section: type[Section]) -> dict[str, Any]:
+def _hints(section: type[Section]) -> Tree:
     return get_type_hints(section, include_extras=True)
 
 
@@ -255,7 +253,7 @@ def _parsed(text: str) -> _Setting:
     return _Setting(key if value else "", parsed["value"] if len(parsed) == 1 else value, f"--set {text}")
 
 
-def _apply(tree: dict[str, Any], setting: _Setting) -> None:
+def _apply(tree: Tree, setting: _Setting) -> None:
     names = setting.key.split(".")
     if not all(names):
         raise ScenarioError(setting.where, "no assignment", "key.path=value")

@@ -2,11 +2,12 @@
 
 import ast
 import inspect
+from collections.abc import Callable
 from datetime import UTC, datetime
 from functools import cache
 from ipaddress import IPv4Address
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Protocol
 
 from pydantic import (
     AwareDatetime,
@@ -15,19 +16,20 @@ from pydantic import (
     Field,
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
+    TypeAdapter,
     ValidationInfo,
     field_validator,
 )
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import CoreSchema, core_schema
 
-from vlp16emu.doors import door, has_door
+from vlp16emu.doors import Part
 from vlp16emu.errors import InputError
 from vlp16emu.motion.settings import Gps, MotionSection, Mount
 from vlp16emu.raycast.settings import Beam
 from vlp16emu.returns import Detector, Noise, Weather
 from vlp16emu.sensor.settings import AnySensor, Lidar, Sensor
-from vlp16emu.settings import LazySection, OneOf, Preset, Section, Seed, merged
+from vlp16emu.settings import LazySection, OneOf, Preset, Section, Seed, Tree, merged
 from vlp16emu.units import S_NS, US_NS
 from vlp16emu.world.settings import People, WorldSection
 
@@ -87,7 +89,7 @@ class RigUnit(Sensor):
     """Seed of its random errors; by default derived from the seed of `[sensor]`."""
 
 
-def completed(table: Any, first: Sensor, place: int) -> Any:
+def completed(table: object, first: Sensor, place: int) -> object:
     """Return the table of a unit completed with keys from the first unit.
 
     Parameters
@@ -112,27 +114,46 @@ def completed(table: Any, first: Sensor, place: int) -> Any:
     return merged(counted | given, table)
 
 
-def _from_text(start: Any) -> Any:
+def _from_text(start: object) -> object:
     try:
         return datetime.fromisoformat(start) if isinstance(start, str) else start
     except ValueError:
         return start
 
 
+class Mounted(Protocol):
+    """Section of a device on the carrier."""
+
+    @property
+    def mount(self) -> Mount:
+        """Mount on the carrier as it is documented."""
+
+
+IMU_SECTION = Part[type[Section]]("vlp16emu.extras.imu.settings:Imu")
+CAMERA_SECTION = Part[type[Section]]("vlp16emu.extras.camera.settings:Camera")
+WIND_SECTION = Part[type[Section]]("vlp16emu.forest.settings:Wind")
+EVENT_TABLES = Part[Callable[[], TypeAdapter[Any]]]("vlp16emu.extras.bench.events:tables")
+"""Type of `events`."""
+CHECKED_EVENTS = Part[Callable[[object, Tree], object]]("vlp16emu.extras.bench.events:checked")
+"""Check of the events of a scene, which is given as the sections that are valid so far."""
+
+
 class _Events:
     """The type of `events`, loaded by the first scene that has events."""
 
     @classmethod
-    def __get_pydantic_core_schema__(cls, _source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+    def __get_pydantic_core_schema__(cls, _source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.with_info_before_validator_function(cls._checked, handler(list[Any]))
 
     @classmethod
-    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> Any:
-        return handler(door("events_schema")().core_schema if has_door("events_schema") else schema)
+    def __get_pydantic_json_schema__(
+        cls, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        return handler(EVENT_TABLES.load()().core_schema if EVENT_TABLES.is_installed else schema)
 
     @staticmethod
-    def _checked(tables: Any, info: ValidationInfo) -> Any:
-        return tables if tables == [] else door("events_of_scene")(tables, info.data)
+    def _checked(tables: object, info: ValidationInfo) -> object:
+        return tables if tables == [] else CHECKED_EVENTS.load()(tables, info.data)
 
 
 class Scenario(Section):
@@ -160,9 +181,9 @@ class Scenario(Section):
     capture: CaptureClock = CaptureClock()
     motion: Annotated[MotionSection, OneOf(MotionSection, "motions")]
     """Motion of the sensor."""
-    imu: Annotated[Any, LazySection("imu_section")] | None = None
+    imu: Annotated[Mounted, LazySection(IMU_SECTION)] | None = None
     """An inertial measurement unit beside the sensor; its samples are part of the ground truth."""
-    camera: Annotated[Any, LazySection("camera_section")] | None = None
+    camera: Annotated[Mounted, LazySection(CAMERA_SECTION)] | None = None
     """A camera beside the sensor, whose images bags have."""
     rig: Annotated[list[RigUnit], Field(max_length=253, default_factory=list)]
     """Further sensors on the same carrier, numbered from 2; `[sensor]` is unit 1."""
@@ -170,7 +191,7 @@ class Scenario(Section):
     """Changes of sensor settings during the run, and faults."""
     world: Annotated[WorldSection, OneOf(WorldSection, "worlds")]
     """World around the sensor."""
-    wind: Annotated[Any, LazySection("wind_section")] | None = None
+    wind: Annotated[Section, LazySection(WIND_SECTION)] | None = None
     """Wind that makes the trees sway; not in a hall."""
     people: People | None = None
     """People beside a walking carrier; none without this table."""
@@ -194,7 +215,7 @@ class Scenario(Section):
 
     @field_validator("rig", mode="before")
     @classmethod
-    def _completed_rig(cls, tables: Any, info: ValidationInfo) -> Any:
+    def _completed_rig(cls, tables: object, info: ValidationInfo) -> object:
         first = info.data.get("sensor")  # absent if it is itself in error
         if not isinstance(first, Sensor) or not isinstance(tables, list):
             if first is not None and tables and not isinstance(first, Sensor):
@@ -219,7 +240,7 @@ class Scenario(Section):
 
     @field_validator("wind")
     @classmethod
-    def _check_wind(cls, wind: Any, info: ValidationInfo) -> Any:
+    def _check_wind(cls, wind: Section | None, info: ValidationInfo) -> Section | None:
         world = info.data.get("world")
         if wind is not None and world is not None and not world.has_trees:
             raise ValueError("none in a hall, which has no trees")
@@ -301,13 +322,13 @@ class _SceneSchema(GenerateJsonSchema):
                 table["properties"][field.alias or name]["description"] = text
         return table
 
-    def field_title_should_be_set(self, schema: CoreSchema | Any) -> bool:  # noqa: ARG002  # pydantic's signature
+    def field_title_should_be_set(self, schema: object) -> bool:  # noqa: ARG002  # pydantic's signature
         """Return False: titles would only repeat the keys."""
         return False
 
 
 @cache
-def schema() -> dict[str, Any]:
+def schema() -> Tree:
     """Return the JSON Schema (draft 2020-12) of a scene file; read-only, as the object is shared."""
     tree = Scenario.model_json_schema(schema_generator=_SceneSchema)
     return {"$schema": GenerateJsonSchema.schema_dialect} | tree | {"title": "vlp16emu scene"}

@@ -3,13 +3,13 @@
 import logging
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import acos, cos, log, sin, tan
 from vlp16emu.errors import GeometryError
+from vlp16emu.settings import Section
 from vlp16emu.types import F8, SURFACE, Mesh, Semantic, ShapeKey, Window, World
 from vlp16emu.world.settings import Hall, HallBox, HallPole, HallSphere
 from vlp16emu.world.vectors import closed
@@ -75,7 +75,7 @@ class HallWorld:
         *,
         reach_m: float,
         farthest_m: float,  # noqa: ARG002  # all of it is near
-        wind: Any,  # noqa: ARG002  # nothing in it moves
+        wind: Section | None,  # noqa: ARG002  # nothing in it moves
         start_ns: int,  # noqa: ARG002
     ) -> tuple[World, None]:
         """Return the hall; parameters and errors as in `Site`."""

@@ -1,15 +1,16 @@
 """The tables `[world]` of a hall and `[people]`, and the interface between worlds and the engine."""
 
 import math
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol, Self
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Protocol, Self
 
 from pydantic import Field, model_validator
 
-from vlp16emu.doors import door
+from vlp16emu.doors import Part
 from vlp16emu.settings import Fraction, LazySection, SceneFile, Section, Size
 
 if TYPE_CHECKING:  # scenes load without numpy
-    from vlp16emu.types import F8, World
+    from vlp16emu.types import F8, MovingTrees, World
 
 Texture = Annotated[float, Field(ge=0, le=0.3)]
 Roughness = Annotated[float, Field(ge=0.05, le=0.5)]
@@ -92,9 +93,9 @@ class Site(Protocol):
         """Height of the ground at positions."""
 
     def world(
-        self, path_xy_m: "F8", *, reach_m: float, farthest_m: float, wind: Any, start_ns: int
-    ) -> "tuple[World, Any]":
-        """Return the world around a path, and its motion, a `forest.stand.wind.TreeSway`, or None in still air.
+        self, path_xy_m: "F8", *, reach_m: float, farthest_m: float, wind: Section | None, start_ns: int
+    ) -> "tuple[World, MovingTrees | None]":
+        """Return the world around a path, and its trees in the wind; None in still air.
 
         Raises GeometryError if the world cannot be made, or ends within reach.
 
@@ -108,30 +109,35 @@ class Site(Protocol):
         """
 
 
+HALL_SITE = Part[Callable[["Hall", int], Site]]("vlp16emu.world.hall:HallWorld")
+MESH_SECTION = Part[type[Section]]("vlp16emu.extras.meshes.settings:MeshFile")
+FURNISHED = Part[Callable[["World", Sequence[Section], "F8", float], "World"]](
+    "vlp16emu.extras.meshes.furnished:furnished"
+)
+"""Function that puts the user's meshes into a world, as `WorldSection.furnished` does."""
+
+
 class WorldSection(Section):
     """Base class of the kinds of world."""
 
     has_trees: ClassVar[bool] = False
     """True if wind can move something in it."""
-    site_door: ClassVar[str]
-    """Name in `doors.DOORS` of the class that `site` makes; a section of another package overrides `site`."""
     if TYPE_CHECKING:
         kind: str
 
-    meshes: list[Annotated[Any, LazySection("mesh_section")]] = Field(default_factory=list)
+    meshes: list[Annotated[Section, LazySection(MESH_SECTION)]] = Field(default_factory=list)
     """Objects from the user; they may be anywhere."""
 
     def site(self, seed: int) -> Site:
         """Return the ground, on which path and world are made; raises GeometryError if it cannot be made."""
-        site: Site = door(self.site_door)(self, seed)
-        return site
+        raise NotImplementedError(type(self))
 
     def furnished(self, bare: "World", path_xy_m: "F8", reach_m: float) -> "World":
         """Return a world with the user's meshes, as far as they are visible along a path (n, 2).
 
         Raises GeometryError if a mesh cannot be read.
         """
-        return door("furnished")(bare, self.meshes, path_xy_m, reach_m) if self.meshes else bare
+        return FURNISHED.load()(bare, self.meshes, path_xy_m, reach_m) if self.meshes else bare
 
 
 class People(Section):
@@ -186,8 +192,6 @@ class HallSphere(HallThing):
 class Hall(WorldSection):
     """A closed room of known size, centred on the origin, floor at z = 0, with things in it."""
 
-    site_door = "hall_site"
-
     kind: Literal["hall"]
     """Selects a hall of known shapes."""
     length_m: Size
@@ -214,3 +218,7 @@ class Hall(WorldSection):
     """Upright round poles."""
     spheres: list[HallSphere] = Field(default_factory=list)
     """Balls."""
+
+    def site(self, seed: int) -> Site:
+        """Return the hall, which is its own ground; raises GeometryError for a thing that is not inside."""
+        return HALL_SITE.load()(self, seed)

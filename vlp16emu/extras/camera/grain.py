@@ -46,7 +46,7 @@ def grain_table(surfaces: NDArray[np.void], species: Mapping[int, str]) -> F8:
 
 
 @inline_kernel
-def _lattice(x: int, y: int, z: int, octave: int) -> float:
+def _lattice(x: np.int64, y: np.int64, z: np.int64, octave: int) -> float:
     """Return a number in -1..1 for a corner of the lattice: MurmurHash3's finaliser, as for voxels."""
     h = np.uint32(
         np.uint32(x) * np.uint32(0x9E3779B1)

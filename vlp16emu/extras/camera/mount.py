@@ -14,8 +14,7 @@ _DEVICE = 1001  # device number of its mount, above all sensors and the inertial
 
 def camera_of(scenario: Scenario) -> Camera:
     """Return the camera of a scene: its own, or the default one."""
-    camera: Camera = scenario.camera or Camera()
-    return camera
+    return scenario.camera if isinstance(scenario.camera, Camera) else Camera()
 
 
 def camera_mount(scenario: Scenario) -> Mount:

@@ -5,7 +5,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from vlp16emu.errors import GeometryError
 from vlp16emu.extras.meshes.files import UserMesh, load_mesh
 from vlp16emu.extras.meshes.settings import MeshFile, MeshPlace
 from vlp16emu.foliage.polyline import distance_m
+from vlp16emu.settings import Section
 from vlp16emu.types import (
     F8,
     FIRST_FREE_INSTANCE,
@@ -55,6 +56,7 @@ class MeshKey:
     path: Path
 
 
+@runtime_checkable
 class BareWorld(World, Protocol):
     """A world without the user's meshes."""
 
@@ -183,12 +185,16 @@ def _placed(place: MeshPlace, mesh: UserMesh, height_m: HeightField) -> F8:
     return np.column_stack([turn, origin + matvec(turn, mesh.centre_m)])
 
 
-def furnished(bare: BareWorld, files: Sequence[MeshFile], path_xy_m: F8, reach_m: float) -> World:
+def furnished(bare: World, files: Sequence[Section], path_xy_m: F8, reach_m: float) -> World:
     """Put the user's own meshes into a world, and warn of those that are out of sight along a path (n, 2).
 
-    Raises GeometryError if a mesh cannot be read.
+    Raises GeometryError if a mesh cannot be read, or another package's world has no place for meshes.
     """
-    meshes = [(one, load_mesh(Path(one.file), unit=one.unit, up=one.up)) for one in files]
+    if not isinstance(bare, BareWorld):
+        expected = "a world with `materials` and `height_m`"
+        raise GeometryError("world.meshes", f"found a world of the class {type(bare).__name__}", expected)
+    sections = [section for section in files if isinstance(section, MeshFile)]
+    meshes = [(one, load_mesh(Path(one.file), unit=one.unit, up=one.up)) for one in sections]
     world = Furnished(bare, meshes=meshes, reach_m=reach_m)
     world.check(path_xy_m)
     return world

@@ -20,6 +20,7 @@ from vlp16emu.extras.score.files import Stem, read_cloud, read_stems
 from vlp16emu.extras.score.paths import RPE_DELTA_M, PathErrors, score_path
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M
 from vlp16emu.scenario import load
+from vlp16emu.settings import Table, Tree
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.units import MS_NS, S_NS
 
@@ -70,9 +71,7 @@ class ScoreCard:
     notes: dict[str, str] = field(default_factory=dict)  # description of the measure by group of scores
     trees: list[TreeRow] = field(default_factory=list)
     path: PathErrors | None = None
-    reference: Mapping[str, Any] | None = (
-        None  # title and seed of the walk; None if the truth has no scenario
-    )
+    reference: Table | None = None  # title and seed of the walk; None if the truth has no scenario
 
     def missed(self, limits: Sequence[Limit]) -> list[str]:
         """Return the failed thresholds, with the values, as text; InputError if there is no score of that name."""
@@ -217,7 +216,7 @@ def _row(
     )
 
 
-def _reference(truth: Path) -> dict[str, Any] | None:
+def _reference(truth: Path) -> Tree | None:
     """Return title and seed of the walk whose truth is in a folder."""
     if not (scene := truth / "scenario.json").is_file():
         return None

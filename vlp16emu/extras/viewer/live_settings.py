@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import viser
 
 from vlp16emu.extras.viewer.layers import boxed
+from vlp16emu.settings import Tree
 
 _POLL_S = 1.0  # time between two looks at the settings, which events and other clients change too
 _CALM_S = 0.25  # a control that is dragged is sent once it rests for so long
@@ -134,17 +135,17 @@ class SettingsPanel:
         if not self._wake.is_set():  # else a control is being moved
             self._show(settings)
 
-    def _ask(self, method: str, path: str, body: str | None = None) -> dict[str, Any]:
+    def _ask(self, method: str, path: str, body: str | None = None) -> Tree:
         assert self._place is not None
         headers = {"Content-Type": "application/x-www-form-urlencoded"} if body else {}
         with closing(HTTPConnection(*self._place, timeout=_TIMEOUT_S)) as connection:
             connection.request(method, path, body, headers)
             answer = connection.getresponse()
             content = answer.read(_MOST_BYTES)
-        tree: dict[str, Any] = {} if answer.status == HTTPStatus.NO_CONTENT else json.loads(content)
+        tree: Tree = {} if answer.status == HTTPStatus.NO_CONTENT else json.loads(content)
         return tree
 
-    def _show(self, settings: dict[str, Any]) -> None:
+    def _show(self, settings: Tree) -> None:
         for index, control in enumerate(self._controls):
             if index in self._touched:
                 continue

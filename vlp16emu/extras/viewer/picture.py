@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from itertools import chain, islice, product
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from vlp16emu.extras.viewer.sweeps import Sweep, by_trajectory, species_of, swee
 from vlp16emu.output import OutputFile, spare
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.run.options import Span
+from vlp16emu.settings import Tree
 from vlp16emu.types import F8, I8, U1
 from vlp16emu.units import S_NS
 
@@ -295,7 +296,7 @@ class _Drawing:
         return f"{span_s[0]:g} to {now_s:.1f} s" if so_far else f"{span_s[0]:g} to {span_s[1]:g} s"
 
 
-def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> dict[str, Any]:
+def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> Tree:
     """Draw the points of all revolutions, or of the first one, as PNG, or each revolution as a frame of a film.
 
     Returns the contents of the picture. InputError if there is no revolution, or none with such a layer;
