@@ -69,6 +69,7 @@ class Purpose(IntEnum):
 
 _Word = int | np.uint32
 _Size = int | tuple[int, ...] | None
+_Drawn = Any  # a number, or an array of a given size
 
 _NORMAL_TAIL = 3.6541528853610088
 _EXPONENTIAL_TAIL = 7.69711747013104972
