@@ -38,6 +38,7 @@ FLOORS = (
         "settings",
         "store",
         "tables",
+        "trees",
         "trig",
         "types",
         "units",

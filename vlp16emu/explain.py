@@ -9,7 +9,7 @@ from datetime import date, datetime, time
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from vlp16emu.settings import Tree
+from vlp16emu.trees import Tree
 
 Node = Tree  # of a JSON Schema
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import BinaryIO, Self
 
 from vlp16emu.errors import OutputError, RunError
-from vlp16emu.settings import Table
+from vlp16emu.trees import Table
 
 STDOUT = Path("-")  # stands for standard output, as for tcpdump and tshark
 

@@ -25,10 +25,7 @@ from pydantic_core import CoreSchema, PydanticKnownError
 from pydantic_core.core_schema import tagged_union_schema, union_schema, with_info_plain_validator_function
 
 from vlp16emu.doors import DOORS, Part, added, door, has_door
-
-Tree = dict[str, Any]
-"""A table of a TOML or JSON file, as it is read or written."""
-Table = Mapping[str, Any]  # one that is not changed
+from vlp16emu.trees import Table, Tree
 
 DEEPEST = 100  # greatest nesting of tables and lists, and number of names in a dotted key
 _DEEP_KEY = re.compile(

@@ -24,7 +24,7 @@ from vlp16emu.cli.printer import (
 from vlp16emu.cli.terminal import Progress, compile_first, make_emulator
 from vlp16emu.errors import InputError
 from vlp16emu.run.options import Duration, Option
-from vlp16emu.settings import Tree
+from vlp16emu.trees import Tree
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -11,7 +11,7 @@ from vlp16emu.cli.printer import members, print_file, print_json, print_rows, re
 from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.extras.options import ScoreInputs
 from vlp16emu.run.options import Option
-from vlp16emu.settings import Tree
+from vlp16emu.trees import Tree
 
 if TYPE_CHECKING:
     from vlp16emu.extras.compare import Compared

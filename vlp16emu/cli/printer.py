@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from vlp16emu.settings import Table, Tree
+from vlp16emu.trees import Table, Tree
 
 if TYPE_CHECKING:  # help prints none of them
     from vlp16emu.extras.accuracy.audit import AuditFinding

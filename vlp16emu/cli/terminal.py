@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Self
 
 from vlp16emu.run.options import Span
-from vlp16emu.settings import Tree
+from vlp16emu.trees import Tree
 
 if TYPE_CHECKING:
     from vlp16emu.cli.arguments import SceneOptions

@@ -1,6 +1,7 @@
 """Conditions of a real walk in the field: the tables that `conditions = "field"` gives."""
 
-from vlp16emu.settings import Tree, merged
+from vlp16emu.settings import merged
+from vlp16emu.trees import Tree
 
 _MOUNT = {"error_deg": 0.3, "error_mm": 5.0}
 _FIELD: Tree = {"imu": {"preset": "field", "mount": _MOUNT}}

@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 from vlp16emu.cores import usable_cores
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M
 from vlp16emu.raycast.caster import caster
-from vlp16emu.settings import Tree
+from vlp16emu.trees import Tree
 from vlp16emu.types import F8, I8, Firings, HeightField, PlantPart, Semantic, Window, World
 from vlp16emu.world.vectors import places_m
 

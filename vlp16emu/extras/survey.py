@@ -29,7 +29,7 @@ from vlp16emu.forest.stand.twin import Thing, things_near, write_glb
 from vlp16emu.motion.pose import Motion
 from vlp16emu.output import OutputFile
 from vlp16emu.scenario import Scenario
-from vlp16emu.settings import Tree
+from vlp16emu.trees import Tree
 from vlp16emu.types import F8, HeightField, Window, World
 from vlp16emu.units import seconds_to_ns
 from vlp16emu.world.hall import HallWorld

@@ -21,9 +21,9 @@ from vlp16emu.settings import (
     Section,
     Seed,
     Size,
-    Table,
     merged,
 )
+from vlp16emu.trees import Table
 from vlp16emu.world.settings import MeshSource, Roughness, Site, Texture, WorldSection
 
 FOREST_SITE = Part[Callable[["Woods", int], Site]]("vlp16emu.forest.make:ForestSite")

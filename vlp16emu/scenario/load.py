@@ -18,7 +18,8 @@ from vlp16emu.errors import ScenarioError, readable
 from vlp16emu.explain import explain
 from vlp16emu.scenario.model import Scenario, schema
 from vlp16emu.sensor.settings import Lidar
-from vlp16emu.settings import DEEPEST, LazySection, OneOf, Preset, SceneFile, Section, Table, Tree, toml
+from vlp16emu.settings import DEEPEST, LazySection, OneOf, Preset, SceneFile, Section, toml
+from vlp16emu.trees import Table, Tree
 
 _UNIT_ERRORS = dict.fromkeys((*Lidar.presets["unit"], "eccentricity_deg", "clock_error_ppm"), 0.0)
 """Values that switch off the errors in `[sensor]` and `[[rig]]`."""

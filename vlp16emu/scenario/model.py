@@ -29,7 +29,8 @@ from vlp16emu.motion.settings import Gps, MotionSection, Mount
 from vlp16emu.raycast.settings import Beam
 from vlp16emu.returns import Detector, Noise, Weather
 from vlp16emu.sensor.settings import AnySensor, Lidar, Sensor
-from vlp16emu.settings import LazySection, OneOf, Preset, Section, Seed, Tree, merged
+from vlp16emu.settings import LazySection, OneOf, Preset, Section, Seed, merged
+from vlp16emu.trees import Tree
 from vlp16emu.units import S_NS, US_NS
 from vlp16emu.world.settings import People, WorldSection
 

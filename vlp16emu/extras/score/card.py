@@ -20,7 +20,7 @@ from vlp16emu.extras.score.files import Stem, read_cloud, read_stems
 from vlp16emu.extras.score.paths import RPE_DELTA_M, PathErrors, score_path
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M
 from vlp16emu.scenario import load
-from vlp16emu.settings import Table, Tree
+from vlp16emu.trees import Table, Tree
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.units import MS_NS, S_NS
 

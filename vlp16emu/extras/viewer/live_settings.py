@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import viser
 
 from vlp16emu.extras.viewer.layers import boxed
-from vlp16emu.settings import Tree
+from vlp16emu.trees import Tree
 
 _POLL_S = 1.0  # time between two looks at the settings, which events and other clients change too
 _CALM_S = 0.25  # a control that is dragged is sent once it rests for so long

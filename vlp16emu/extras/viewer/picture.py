@@ -20,7 +20,7 @@ from vlp16emu.extras.viewer.sweeps import Sweep, by_trajectory, species_of, swee
 from vlp16emu.output import OutputFile, spare
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.run.options import Span
-from vlp16emu.settings import Tree
+from vlp16emu.trees import Tree
 from vlp16emu.types import F8, I8, U1
 from vlp16emu.units import S_NS
 
