@@ -1,4 +1,6 @@
-"""Objects that are loaded by name when a scene, a command or an option needs them, from this and other packages.
+"""Objects that are loaded by name when a scene, a command or an option needs them.
+
+They are from this and other packages.
 
 Other packages add entry points to the groups `vlp16emu.worlds`, `.motions`, `.sensors`, `.scenes`, `.clouds`
 and `.verbs`. Entry points are searched only for names that this package lacks: reading the metadata of all
@@ -22,7 +24,9 @@ _T = TypeVar("_T")
 
 
 class Part(Generic[_T]):
-    """A function or class outside the core that the core uses: a `_T`, which the core declares beside its use.
+    """A function or class outside the core that the core uses.
+
+    Its type `_T` is declared by the core beside its use.
 
     It is imported when it is used. `tests/test_parts.py` lists all parts, and mypy compares them with their types
     there.
@@ -157,7 +161,10 @@ def has_door(name: str, group: str = "parts") -> bool:
 
 
 def added(group: str) -> Iterator[tuple[str, Any]]:
-    """Yield name and object of each entry point of other packages in a group; those that fail to load are skipped."""
+    """Yield name and object of each entry point of other packages in a group.
+
+    Those that fail to load are skipped.
+    """
     for name, entry in _added(group).items():
         try:
             yield name, _load(entry)

@@ -1,4 +1,6 @@
-"""Elementary functions of float64 from IEEE 754 additions, products, quotients and roots: same bits on all processors.
+"""Elementary functions of float64 with the same bits on all processors.
+
+They consist of additions, products, quotients and roots, which IEEE 754 rounds exactly.
 
 Libraries choose variants by processor, and these differ in the last bits. Here each operation is defined by
 IEEE 754 and runs in the order that is written. The algorithms are from fdlibm (Sun Microsystems, 1993) unless
@@ -178,13 +180,19 @@ def sin(x: _Value) -> _Value:
 
 @_elementary
 def cos(x: _Value) -> _Value:
-    """Cosine, within 1.6 ulp up to 4.2e8 rad, beyond within the last bit of the angle; NaN from 1e12 rad on."""
+    """Cosine, within 1.6 ulp up to 4.2e8 rad, beyond within the last bit of the angle.
+
+    It is NaN from 1e12 rad on.
+    """
     return _cos_sin(x)[0]
 
 
 @_elementary
 def tan(x: _Value) -> _Value:
-    """Tangent, within 3.5 ulp up to 4.2e8 rad, beyond within the last bit of the angle; NaN from 1e12 rad on."""
+    """Tangent, within 3.5 ulp up to 4.2e8 rad, beyond within the last bit of the angle.
+
+    It is NaN from 1e12 rad on.
+    """
     return sin(x) / cos(x)
 
 
@@ -263,7 +271,10 @@ def exp(x: _Value) -> _Value:
 
 @_elementary
 def expm1(x: _Value) -> _Value:
-    """Return exp(x) - 1, within 3 ulp: Kahan's quotient of two values with equal errors (Higham 2002, section 1.14.1)."""
+    """Return exp(x) - 1, within 3 ulp.
+
+    Kahan's quotient of two values with equal errors (Higham 2002, section 1.14.1).
+    """
     y = exp(x)
     quotient = (y - 1.0) * x / log(y)
     return _pick(abs(x) < 1.0, _pick(y == 1.0, x, quotient), y - 1.0)
@@ -271,7 +282,10 @@ def expm1(x: _Value) -> _Value:
 
 @_inlined
 def log_of_normal(x: _Value) -> _Value:
-    """Logarithm of normal numbers above 0, within 1 ulp: e_log.c; inlined, for loops with four values per step."""
+    """Logarithm of normal numbers above 0, within 1 ulp.
+
+    As in e_log.c; inlined, for loops with four values per step.
+    """
     whole = _bits(x) - 0x3FE6A09E667F3BCD >> 52  # so that x / 2**whole is about 1
     f = _number(_bits(x) - (whole << 52)) - 1.0
     e = _number(whole + 0x4338000000000000) - _WHOLE  # as a float
@@ -319,7 +333,10 @@ def tanh(x: _Value) -> _Value:
 
 @_elementary
 def hypot(x: _Value, y: _Value) -> _Value:
-    """Root of the sum of squares, within 1 ulp, of numbers whose squares are neither infinite nor subnormal."""
+    """Root of the sum of squares, within 1 ulp.
+
+    The squares must be neither infinite nor subnormal.
+    """
     return np.sqrt(x * x + y * y)
 
 
@@ -354,7 +371,10 @@ def norm(vectors: _Floats) -> _Value:
 
 
 def matvec(matrix: _Floats, vector: _Floats) -> _Floats:
-    """Multiply matrices (..., n, m) by vectors (..., m), summing from the first column on: BLAS differs by processor."""
+    """Multiply matrices (..., n, m) by vectors (..., m), summing from the first column on.
+
+    BLAS gives other bits on other processors.
+    """
     return matmul(matrix, vector[..., None])[..., 0]
 
 
@@ -369,7 +389,10 @@ def inverse(pose: _Floats) -> _Floats:
 
 
 def matmul(a: _Floats, b: _Floats) -> _Floats:
-    """Multiply matrices (..., n, m) and (..., m, p), summing from the first column on: BLAS differs by processor."""
+    """Multiply matrices (..., n, m) and (..., m, p), summing from the first column on.
+
+    BLAS gives other bits on other processors.
+    """
     out = a[..., :, :1] * b[..., :1, :]
     for i in range(1, a.shape[-1]):
         out = out + a[..., :, i : i + 1] * b[..., i : i + 1, :]

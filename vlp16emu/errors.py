@@ -110,7 +110,9 @@ class RunError(Vlp16emuError):
 def readable(
     path: Path, expected: str, kind: type[InputError], *, most_bytes: int = LARGEST_TEXT_BYTES
 ) -> Iterator[None]:
-    """Report a user's file that cannot be read, or is not text when text is read, as an error of class `kind`.
+    """Report a user's file that cannot be read as an error of class `kind`.
+
+    So is a file that is read as text and is none.
 
     A path that is not a regular file, or a file longer than `most_bytes`, is refused before it is opened.
     """

@@ -110,7 +110,10 @@ def _path(keys: list[int | str]) -> str:
 
 
 def _known(keys: list[int | str], parent: Node, schema: Node) -> str:
-    """Return, for an unknown key, the kind of table or the other tables that have it, or the nearest known key."""
+    """Return where an unknown key would be valid, or the nearest known key.
+
+    A key is valid in a table of another kind, or in other tables.
+    """
     homes = [(path, tag) for path, tag in _all_keys(schema, schema) if path[-1] == keys[-1]]
     if beside := [tag for path, tag in homes if list(path) == keys and tag is not None]:
         name, _, own = beside[0]

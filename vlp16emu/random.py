@@ -177,7 +177,10 @@ def uniform(seed: int, purpose: IntEnum, first: int, count: int, lane: int = 0) 
 
 
 def normal(seed: int, purpose: IntEnum, first: int, count: int, lane: int = 0) -> NDArray[np.float64]:
-    """Draw standard normal numbers, (count,), for the arguments of `uniform`: the first ones of `normal_pair`."""
+    """Draw standard normal numbers (count,) for the arguments of `uniform`.
+
+    They are the first ones of `normal_pair`.
+    """
     out = np.empty(count)
     _fill(out, True, seed, int(purpose), first, lane)
     return out
@@ -220,6 +223,9 @@ def _rounded_beyond(edge: float, numbers: _Drawn) -> _Drawn:
 
 
 def generator(seed: int, purpose: IntEnum, *key: int) -> np.random.Generator:
-    """Return a numpy generator for a static object, such as a tile or a tree, identified by signed integers."""
+    """Return a numpy generator for a static object, identified by signed integers.
+
+    Such objects are tiles and trees.
+    """
     words = [seed & 0xFFFFFFFF, seed >> 32, int(purpose), *(k & 0xFFFFFFFFFFFFFFFF for k in key)]
     return _Generator(np.random.Philox(np.random.SeedSequence(words)))

@@ -86,7 +86,9 @@ class Preset(Section):
 
 @dataclass(frozen=True)
 class OneOf:
-    """Annotation of a table of one of several sections, selected by its tag: from this or another package, or a program.
+    """Annotation of a table of one of several sections, selected by its tag.
+
+    The section is from this or another package, or from a program.
 
     Only the selected section is searched and imported.
     """
@@ -152,7 +154,10 @@ class OneOf:
 
 @dataclass(frozen=True)
 class LazySection:
-    """Annotation of a table whose section is outside the core and is loaded by the first scene with that table."""
+    """Annotation of a table whose section is outside the core.
+
+    The first scene with that table loads the section.
+    """
 
     part: Part[type[Section]]
     """The section."""
@@ -197,7 +202,10 @@ Fraction = Annotated[float, Field(ge=0, le=1)]
 
 
 def merged(base: Table, own: Table) -> Tree:
-    """Return the keys of both tables, with the values of `own` for common ones; tables of one kind are merged likewise."""
+    """Return the keys of both tables, with the values of `own` for common ones.
+
+    Tables of one kind are merged likewise.
+    """
     both = {**base, **own}
     for key in base.keys() & own.keys():
         if isinstance(base[key], dict) and isinstance(own[key], dict) and _same_kind(base[key], own[key]):

@@ -1,4 +1,6 @@
-"""Cache files, compiled kernels and parts of worlds: complete or ignored, in a folder that only the user can write.
+"""Cache files, compiled kernels and parts of worlds.
+
+Each is complete or ignored, in a folder that only the user can write.
 
 The name of a file is a digest of all inputs of its content, with the package's files and the libraries that
 made it. A file is a marker, the SHA-256 of its name and its content, and the content: a pickle, which runs
@@ -160,7 +162,10 @@ def _remove(files: Iterable[tuple[Path, os.stat_result]]) -> tuple[int, int]:
 
 
 def digest_of(sources: Iterable[str], *more: object) -> str:
-    """Return a digest of files and folders of the package, regardless of path and time stamps, and of further values."""
+    """Return a digest of files and folders of the package, and of further values.
+
+    It is independent of their path and time stamps.
+    """
     digest = hashlib.sha256(repr(more).encode())
     for source in sources:
         path = PACKAGE / source
@@ -181,7 +186,10 @@ def user_folder(name: str) -> Path | None:
 
 @cache
 def user_store() -> Store:
-    """Return the store of parts of worlds, in `VLP16EMU_CACHE_DIR` or the user's cache, up to `VLP16EMU_CACHE_MB` or 1 GB."""
+    """Return the store of parts of worlds, up to `VLP16EMU_CACHE_MB` or 1 GB.
+
+    It is in `VLP16EMU_CACHE_DIR` or the user's cache.
+    """
     try:
         most_bytes = max(int(float(os.environ.get("VLP16EMU_CACHE_MB", "")) * 1e6), 0)
     except (ValueError, OverflowError):  # not a finite number

@@ -98,7 +98,10 @@ class Table:
         return table if len(columns) > 1 else table[:, 0]
 
     def times_ns(self, column: str) -> list[int]:
-        """Return times in seconds as nanoseconds (n,), with all digits: float64 would keep UTC to a microsecond only."""
+        """Return times in seconds as nanoseconds (n,), with all digits.
+
+        Numbers of float64 would keep UTC to a microsecond only.
+        """
         times_ns = []
         for row, cell in enumerate(self.cells[column]):
             try:  # `Decimal` alone would allow underscores
@@ -133,7 +136,10 @@ class Table:
         return number * factor
 
     def _pointed(self, row: int, column: str, cell: str) -> str:
-        """Return a number with a decimal point; a table has one decimal mark, as the other one may group thousands."""
+        """Return a number with a decimal point.
+
+        A table has one decimal mark, as the other one may group thousands.
+        """
         marks = {mark for mark in ".," if mark in cell} | {*self._decimal}
         if self._has_commas and marks == {","}:
             expected = "a decimal point; decimal commas need ; or a tab between columns"
@@ -224,7 +230,10 @@ def _records(
 
 
 def _header(records: Iterator[tuple[int, list[str]]], known: AbstractSet[str]) -> tuple[int, list[str]]:
-    """Return line and names of the first record with a known name, or that is no comment and no separator for Excel."""
+    """Return line and names of the first record with a known name.
+
+    Without one, it is the first that is no comment and no separator for Excel.
+    """
     for line, (first, *others) in records:
         names = [name.lower() for name in (first.lstrip("# "), *others)]  # numpy.savetxt begins it with #
         if known & {*names} or not first.lower().startswith(("#", "sep=")):

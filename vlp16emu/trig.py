@@ -30,7 +30,10 @@ def in_quarter(quarter: float, y: float) -> tuple[float, float]:
 
 @inline_kernel
 def cos_sin(angle_rad: float) -> tuple[float, float]:
-    """Return cosine and sine of an angle, within 2e-16; beyond a million radians within its last bit; for kernels."""
+    """Return cosine and sine of an angle, within 2e-16.
+
+    Beyond a million radians, the error is within the angle's last bit. For kernels.
+    """
     quarters = math.floor(angle_rad * (2.0 / math.pi) + 0.5)
     y = (angle_rad - quarters * _HALF_PI[0]) - quarters * _HALF_PI[1]
     return in_quarter(quarters - 4.0 * math.floor(0.25 * quarters), y)

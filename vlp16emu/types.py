@@ -51,7 +51,10 @@ class PpsState(IntEnum):
 
 
 class PacketKind(StrEnum):
-    """Kind of a packet: from the sensor, a GPS sentence, the level after an edge of the pulse, an inertial sample."""
+    """Kind of a packet.
+
+    It is from the sensor, a GPS sentence, the level after an edge of the pulse, or an inertial sample.
+    """
 
     DATA = "data"
     POSITION = "position"
@@ -176,7 +179,10 @@ class Firings:
 
 @dataclass(frozen=True, slots=True)
 class Hits:
-    """Hits of sub-rays, pulse by pulse in order of sequence, then of laser. Sub-rays of a pulse have equal energy."""
+    """Hits of sub-rays, pulse by pulse in order of sequence, then of laser.
+
+    Sub-rays of a pulse have equal energy.
+    """
 
     count: U2  # (k, L) sub-rays of each pulse, at least 1; n in all
     range_m: F4  # (n,) from the pulse's origin; +inf without a hit
@@ -317,7 +323,10 @@ class Mesh:
 
 @dataclass(frozen=True, slots=True)
 class Sway:
-    """Motion of m placements of a window: a point at height h over the foot moves by h * `shear`, linear between knots."""
+    """Motion of m placements of a window, linear between knots.
+
+    A point at height h over the foot moves by h * `shear`.
+    """
 
     start_ns: int  # UTC of the first knot
     step_ns: int  # Time from knot to knot
@@ -373,7 +382,10 @@ class World(Protocol):
 
     @property
     def near_m(self) -> float:
-        """Range beyond which it is a far medium, square by square (`vlp16emu.foliage.tiles`); inf for none."""
+        """Range beyond which it is a far medium, square by square (`vlp16emu.foliage.tiles`).
+
+        It is inf for none.
+        """
 
     @property
     def seed(self) -> int:

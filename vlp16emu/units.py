@@ -19,7 +19,10 @@ INCLUSIVE = 1.0 + 2.0**-21
 
 
 def seconds_to_ns(seconds: float) -> int:
-    """Return the nearest whole number of nanoseconds; raises InputError for NaN, infinity, and numbers beyond int64."""
+    """Return the nearest whole number of nanoseconds.
+
+    Raises InputError for NaN, infinity, and numbers beyond int64.
+    """
     if not math.isfinite(seconds):
         raise InputError("time", f"found {seconds} s", "a finite number")
     if abs(seconds) > FOREVER_NS / S_NS:

@@ -77,7 +77,9 @@ def plan(
     plot: PlotFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """Report what a scene needs and leaves out, what its stages and a recording cost, and whether a stream keeps up.
+    """Report what a scene needs, what its stages cost, and whether a stream keeps up.
+
+    It also names what the scene leaves out, and estimates run time and size of a recording.
 
     The world is grown, the kernels are loaded, and two seconds are recorded without a file: the speed holds
     for this machine at its present load. It does not include the new window of the world that a walk needs

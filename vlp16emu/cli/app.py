@@ -76,7 +76,11 @@ def _root(
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run one command line and return its exit code: 0 done, 1 failed or rules broken, 2 bad input, 130 interrupted."""
+    """Run one command line and return its exit code.
+
+    The code is 0 if all is done, 1 if it failed or rules are broken, 2 for bad input, and 130 if it was
+    interrupted.
+    """
     try:
         first = next((word for word in arguments if not word.startswith("-")), None)
         is_verb = first is not None and has_door(first, "verbs")
@@ -155,7 +159,10 @@ def _set_up() -> None:
 
 
 def _code_of(error: OSError, code: int | None) -> int:
-    """Report an unexpected OSError and return the exit code; `code` is the exit code of a verb that has ended."""
+    """Report an unexpected OSError and return the exit code.
+
+    A verb that has ended has the exit code `code`.
+    """
     try:
         print(end="", flush=True)
         if error.filename is None and error.errno in _OF_WRITING:  # for a long text nothing is left to flush

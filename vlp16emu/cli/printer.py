@@ -54,7 +54,9 @@ _WIDEST = 10.0  # ratio of the ends of an interval; beyond it not even the order
 
 
 def finish(result: object, title: str | None = None, *, as_json: bool) -> None:
-    """Print a result, a dataclass or mapping, as rows under a title or as JSON; exit with 130 if it was interrupted.
+    """Print a result, a dataclass or mapping, as rows under a title or as JSON.
+
+    The program exits with 130 if it was interrupted.
 
     Without a title, the first line says that the first member was written.
     """
@@ -114,7 +116,10 @@ def table_of(rows: Sequence[object]) -> list[list[str]]:
 
 
 def tree_of(value: object) -> object:
-    """Return a result in JSON types, with the properties of dataclasses beside their fields; NaN becomes null."""
+    """Return a result in JSON types, with the properties of dataclasses beside their fields.
+
+    It is NaN becomes null.
+    """
     if is_dataclass(value) or isinstance(value, Mapping):
         return {name: tree_of(one) for name, one in members(value)}
     if isinstance(value, list | tuple | frozenset):

@@ -60,7 +60,10 @@ def _leaves(name: str, annotation: object, default: object) -> Iterator[Declared
 
 
 def _made(name: str, annotation: object, values: Mapping[str, object]) -> object:
-    """Return a value, or a dataclass with its values; None for an optional dataclass if none of its options is given."""
+    """Return a value, or a dataclass with its values.
+
+    It is None for an optional dataclass if none of its options is given.
+    """
     if one := declared(name, annotation):
         return values[one.name]
     owner = _dataclass_in(annotation)

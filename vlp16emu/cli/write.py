@@ -1,4 +1,7 @@
-"""Verbs that write or show a run, a scene or a capture: truth, points, bag, dataset, picture, images and view."""
+"""Verbs that write or show a run, a scene or a capture.
+
+They are truth, points, bag, dataset, picture, images and view.
+"""
 
 import time
 from collections.abc import Mapping, Sequence

@@ -21,12 +21,17 @@ _DISPLACEMENT = int(Purpose.BEAM_ERROR)
 
 
 def displace(range_m: F4, beam: Footprint, index: int) -> None:
-    """Replace ranges (k, L) of hits by the ranges of the displaced points, in place; `index` is the first firing sequence."""
+    """Replace ranges (k, L) of hits by the ranges of the displaced points, in place.
+
+    The first firing sequence is `index`.
+    """
     _displace(range_m, 4.0 * beam.sigmas, beam.seed, index)
 
 
 def offset_tangents(distance_m: F4, beam: Footprint, sequence: I8, laser: I8, lasers: int) -> F8:
-    """Return the offsets (n, 2) of displaced points from their pulses, to greater azimuths and upwards, over their distance.
+    """Return the offsets (n, 2) of displaced points from their pulses, over their distance.
+
+    Offsets are to greater azimuths and upwards.
 
     Parameters
     ----------
@@ -65,7 +70,10 @@ def _fill_tangents(
 def _displacement(
     widths: F8, reach_m: float, seed: int, sequence: int, laser: int, lasers: int
 ) -> tuple[float, float, float]:
-    """Draw a displacement: horizontal, vertical and along the beam; `widths` are spot and divergence, horizontal and vertical."""
+    """Draw a displacement: horizontal, vertical and along the beam.
+
+    The `widths` are spot and divergence, horizontal and vertical.
+    """
     across_m = (widths[0] + widths[2] * reach_m) / 2
     up_m = (widths[1] + widths[3] * reach_m) / 2
     a, b = uniform_pair(seed, _DISPLACEMENT, sequence, laser)

@@ -19,7 +19,9 @@ short."""
 
 @contextmanager
 def free_ports(number: int) -> Iterator[list[int]]:
-    """Find UDP ports without a bound socket on this machine, and reserve them for receivers that bind them later.
+    """Find UDP ports without a bound socket on this machine, and reserve them.
+
+    Receivers bind them later.
 
     A TCP socket of the same number is the reservation: a receiver can bind the UDP port, and no other search
     finds it.

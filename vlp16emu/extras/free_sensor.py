@@ -56,7 +56,9 @@ class FreeSensor(Lidar):
         return tuple(low + (high - low) * i / (self.beams - 1) for i in range(self.beams))
 
     def beam_table(self) -> "BeamTable":
-        """Return a table of lasers that fire once per azimuth step, at equal intervals, to the nearest nanosecond.
+        """Return a table of lasers that fire once per azimuth step, at equal intervals.
+
+        Intervals are to the nearest nanosecond.
 
         All beams pass through one point of the lens.
         """

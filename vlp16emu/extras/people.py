@@ -29,7 +29,9 @@ anthropometry)."""
 
 
 class People:
-    """People who walk on the carrier's path: they are at the carrier's position of another time, or behind the carrier.
+    """People who walk on the carrier's path.
+
+    They are at the carrier's position of another time, or behind the carrier.
 
     Parameters
     ----------
@@ -60,7 +62,10 @@ class People:
         return Peopled(geometry, self)
 
     def in_front(self, firings: Firings, hits: Hits, first_surface: int) -> Hits:
-        """Return hits in which a pulse that hits a person first ends there, with all its sub-rays; `first_surface` is the companion's row."""
+        """Return hits in which a pulse that hits a person first ends there, with all its sub-rays.
+
+        The companion's row is `first_surface`.
+        """
         owner = np.repeat(np.arange(hits.count.size), hits.count.ravel())
         t_ns = firings.t_ns[:, 0]
         present = self._section.behind_m, self._section.passes_every_s
@@ -79,13 +84,19 @@ class People:
         return hits
 
     def _companion(self, t_ns: I8) -> F8:
-        """Return the positions (k, 3) of the companion at instants (k,): on the ground, straight behind the carrier."""
+        """Return the positions (k, 3) of the companion at instants (k,).
+
+        The companion is on the ground, straight behind the carrier.
+        """
         poses = self._carrier.poses_at(t_ns)
         behind_m = np.full(len(t_ns), -self._section.behind_m)
         return self._offset_on_ground(poses.world_p_body_m, poses.world_R_body[:, :2, 0], behind_m)
 
     def _passer(self, t_ns: I8) -> F8:
-        """Return the positions (k, 3) of the person who passes: beside the carrier's position mirrored in time about their meeting."""
+        """Return the positions (k, 3) of the person who passes.
+
+        They are beside the carrier's position, mirrored in time about their meeting.
+        """
         every_ns = seconds_to_ns(self._section.passes_every_s)
         periods, which = np.unique((t_ns - self._start_ns) // every_ns, return_inverse=True)
         when, side = np.array([uniform(self._seed, Purpose.PASSER, 2 * int(one), 2, 0) for one in periods])[
@@ -101,7 +112,10 @@ class People:
         return self._offset_on_ground(poses.world_p_body_m, poses.world_R_body[:, :2, 1], aside_m)
 
     def _offset_on_ground(self, place_m: F8, axis: F8, by_m: F8) -> F8:
-        """Return positions (k, 3) on the ground at offsets `by_m` from positions (k, 3) along horizontal axes (k, 2) of any length."""
+        """Return positions (k, 3) on the ground, at offsets `by_m` from positions (k, 3).
+
+        The offsets are along horizontal axes (k, 2) of any length.
+        """
         level_m = place_m[:, :2] + by_m[:, None] * axis / norm(axis)[:, None]
         return np.column_stack([level_m, self._height_m(level_m[:, 0].copy(), level_m[:, 1].copy())])
 
@@ -122,7 +136,10 @@ class People:
 def _cylinder(
     from_foot_m: F8, direction: F8, radius_m: float, low_m: float, high_m: float
 ) -> list[tuple[F8, F8]]:
-    """Return range and cosine of incidence at the side and at the top of an upright cylinder; inf for a miss."""
+    """Return range and cosine of incidence at the side and at the top of an upright cylinder.
+
+    It is inf for a miss.
+    """
     (x, y, z) = np.moveaxis(from_foot_m, -1, 0)
     (dx, dy, dz) = np.moveaxis(direction, -1, 0)
     level = dx * dx + dy * dy

@@ -1,4 +1,7 @@
-"""Survey of trees and objects near the path of a sensor: figures, and the files that `vlp16emu forest` writes."""
+"""Survey of trees and objects near the path of a sensor.
+
+It has figures, and the files that `vlp16emu forest` writes.
+"""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -92,7 +95,10 @@ class Survey:
 
     @property
     def bounds_m(self) -> tuple[F8, F8]:
-        """South-west and north-east corner (2,) of the hall, or of the bounding rectangle of the radius around the path."""
+        """South-west and north-east corner (2,) of the surveyed area.
+
+        The area is the hall, or the bounding rectangle of the radius around the path.
+        """
         if self.hall is not None:
             corner_m = np.array(self.hall.size_m[:2]) / 2
             return -corner_m, corner_m
@@ -109,7 +115,10 @@ class Survey:
         return rows
 
     def stem_circles(self, trees: NDArray[np.void]) -> NDArray[np.void]:
-        """Return circles `STEM_CIRCLE` along the stems of some of the trees (k,), and along the branches of near trees, by tree."""
+        """Return circles `STEM_CIRCLE` along the stems of some of the trees (k,), by tree.
+
+        Near trees also have circles along their branches.
+        """
         is_modelled = self.models.has(trees)
         grown = trees[~is_modelled]
         stems = Stems(grown, table=self.plants.trees).circles()
@@ -178,7 +187,10 @@ def _path_m(scenario: Scenario, motion: Motion) -> F8:
 
 
 def stand_rows(inventory: NDArray[np.void], species: Mapping[int, str], ground_m2: float) -> list[Tree]:
-    """Return figures by species of an inventory (n,), the most frequent first, then for all trees if there are several species."""
+    """Return figures by species of an inventory (n,), the most frequent first.
+
+    Figures of all trees follow if there are several species.
+    """
     numbers, stems = np.unique(inventory["species"], return_counts=True)
     own = [
         (species[int(n)], inventory[inventory["species"] == n])
@@ -204,7 +216,9 @@ def stand_rows(inventory: NDArray[np.void], species: Mapping[int, str], ground_m
 
 
 def clark_evans(xy_m: F8, all_xy_m: F8, ground_m2: float) -> float:
-    """Return the index of Clark and Evans (1954): mean distance to the nearest neighbour over its expectation at random.
+    """Return the index of Clark and Evans (1954).
+
+    It is the mean distance to the nearest neighbour over its expectation at random.
 
     It is 1 for a random pattern, less for clumps, and up to 2.149 for a regular pattern.
 
@@ -231,7 +245,10 @@ def cells_near(way_xy_m: F8, radius_m: float) -> F8:
 
 
 def relief(cells_xy_m: F8, height_m: HeightField) -> dict[str, float]:
-    """Return extremes of height and slope of the ground at points (n, 2), n >= 1; slopes over `CELL_M` in x and in y."""
+    """Return extremes of height and slope of the ground at points (n, 2), n >= 1.
+
+    Slopes are over `CELL_M` in x and in y.
+    """
     x_m, y_m = cells_xy_m.T
     half = CELL_M / 2
     rise_x = (height_m(x_m + half, y_m) - height_m(x_m - half, y_m)) / CELL_M
@@ -247,7 +264,9 @@ def relief(cells_xy_m: F8, height_m: HeightField) -> dict[str, float]:
 
 
 def summary_of(scene: str, scenario: Scenario, seen: Survey, rows: NDArray[np.void]) -> Tree:
-    """Summarise the survey of the scene named `scene`: for any world path and named objects, for a forest also figures within the radius.
+    """Summarise the survey of the scene named `scene`.
+
+    Any world has path and named objects, a forest also figures within the radius.
 
     The inventory `rows` has the trees within the radius, and perhaps others.
     """
@@ -328,7 +347,10 @@ def write_survey(
 
 
 def _bark_seen(seen: Survey, rows: NDArray[np.void], scenario: Scenario) -> list[float]:
-    """Return the share of bark that is seen of the stems within the radius, in the order of the inventory `rows`."""
+    """Return the share of bark that is seen of the stems within the radius.
+
+    Stems are in the order of the inventory `rows`.
+    """
     near = rows[np.isin(rows["id"], seen.near["id"])]
     share = bark_seen(
         seen.path_m,

@@ -81,7 +81,10 @@ def user_kernels() -> Store:
 
 
 def kernel_names() -> list[str]:
-    """List the compiled kernels for this processor and these libraries as `room.module.kernel`, once per signature."""
+    """List the compiled kernels for this processor and these libraries, once per signature.
+
+    Names are `room.module.kernel`.
+    """
     folders = [folder for folder in (_PACKAGED, user_kernels().own) if folder]
     paths = [path for folder in folders for path in folder.glob(f"{_state()}-*{_SUFFIX}")]
     return [name.split("-")[1] for name in {path.name.rpartition("-")[0] for path in paths}]
@@ -116,7 +119,7 @@ def _modules(kind: Any) -> Iterator[str]:
 
 @cache
 def _read(file: str) -> tuple[str, list[str]]:
-    """Return the digest of a file of the package and its tables, and the modules of the package that it may import."""
+    """Return the digest of a file of the package and its tables, and the modules that it may import."""
     path = PACKAGE / file
     text = path.read_text(encoding="utf-8")
     imports = list[str]()

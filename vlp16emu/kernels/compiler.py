@@ -1,4 +1,6 @@
-"""Compilation of kernels: for a fixed processor, without numba's extras for functions that may be called from anywhere.
+"""Compilation of kernels for a fixed processor.
+
+Numba's extras for functions that may be called from anywhere are left out.
 
 Modules with kernels import `numba` from here, as it is configured before the first kernel is made.
 
@@ -100,7 +102,10 @@ _prepare()
 
 
 def kernel(function: Kernel) -> Kernel:
-    """Compile a kernel that allocates no arrays: numba need not count references, which saves a sixth of the time."""
+    """Compile a kernel that allocates no arrays.
+
+    Numba need not count references then, which saves a sixth of the time.
+    """
     return _njit(function, _nrt=False)
 
 
@@ -217,7 +222,10 @@ def _is_kept(row: Row) -> bool:
 
 
 def _compile(rows: list[Row]) -> int:
-    """Compile the kernels of some rows in a separate process, and count them; the run reports their errors."""
+    """Compile the kernels of some rows in a separate process, and count them.
+
+    The run reports their errors.
+    """
     for row in rows:
         kernel, arguments = _signature(row)
         try:
@@ -228,7 +236,10 @@ def _compile(rows: list[Row]) -> int:
 
 
 def _ignore_signals() -> None:
-    """Ignore signals in a child: Ctrl-C in a terminal reaches all processes, and the parent ends the children."""
+    """Ignore signals in a child.
+
+    Ctrl-C in a terminal reaches all processes, and the parent ends the children.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)

@@ -1,4 +1,6 @@
-"""All that depends on private interfaces of numba: dispatchers with our cache, inner kernels without code of their own.
+"""All that depends on private interfaces of numba.
+
+Dispatchers have our cache, and inner kernels have no code of their own.
 
 A kernel that is compiled because another one calls it is code for that one only: it gets no entry from Python
 or C, no machine code of its own and no file. If Python calls it later, it is compiled again in full.
@@ -24,7 +26,10 @@ from vlp16emu.kernels.cache import KernelCache
 
 
 def take_over_kernels() -> None:
-    """Let kernels of this package have our dispatcher and cache; kernels of other programs stay with numba."""
+    """Let kernels of this package have our dispatcher and cache.
+
+    Kernels of other programs stay with numba.
+    """
     enable_caching = Dispatcher.enable_caching
 
     def enable_our_caching(dispatcher: CPUDispatcher) -> None:
@@ -37,7 +42,10 @@ def take_over_kernels() -> None:
 
 
 def check_interfaces() -> None:
-    """Compile a kernel that calls another one through all interfaces, store and load it; any exception if one has changed."""
+    """Compile a kernel that calls another one through all interfaces, store it and load it.
+
+    Raises any exception if an interface has changed.
+    """
 
     def twice(x: float) -> float:
         return 2.0 * x
@@ -58,7 +66,10 @@ def check_interfaces() -> None:
 
 
 def kernel_bytes(result: Any) -> bytes:
-    """Return the stored form of a compiled kernel, for `load_kernel`: its code for linking, half of numba's, is left out."""
+    """Return the stored form of a compiled kernel, for `load_kernel`.
+
+    Its code for linking, half of numba's form, is left out.
+    """
     library, described, environment, types, *_, environments = result._reduce()
     name, _, (code, _) = library
     full = [inner for inner in environments if inner.consts]  # the others name modules that are not needed
@@ -74,7 +85,9 @@ def load_kernel(
     types: object,
     environments: Iterable[Any],
 ) -> object:
-    """Make a kernel from its stored parts, for calls from Python: its code for linking, half of the file, is not stored.
+    """Make a kernel from its stored parts, for calls from Python.
+
+    Its code for linking, half of the file, is not stored.
 
     Unlike `CompileResult._rebuild`, it loads nothing that only compilation needs.
     """

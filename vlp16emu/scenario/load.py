@@ -1,4 +1,7 @@
-"""Loading of a `Scenario` from a name, TOML, JSON or a dictionary; errors name file, key, finding and expectation."""
+"""Loading of a `Scenario` from a name, TOML, JSON or a dictionary.
+
+Errors name file, key, finding and expectation.
+"""
 
 import difflib
 import json
@@ -186,7 +189,10 @@ def _without_errors(tree: Tree) -> None:
 
 
 def _converted(setting: _Setting) -> _Setting:
-    """Return a setting with its value converted for its key, and with excluded keys, from the tables on its path."""
+    """Return a setting with its value converted for its key.
+
+    Keys that it excludes are those of the tables on its path.
+    """
     kinds = list[Any]([Scenario])
     rivals = list[set[str]]()
     for name in setting.key.split("."):
@@ -226,7 +232,10 @@ def _parts_of(kind: Any) -> list[Any]:
 
 
 def _converted_value(value: object, kinds: Sequence[Any]) -> object:
-    """Convert a value to the types of a key: a whole number, a path relative to this folder, a word with correct case."""
+    """Convert a value to the types of a key.
+
+    It becomes a whole number, a path relative to this folder, or a word with correct case.
+    """
     if isinstance(value, dict):
         return {key: _converted_value(inner, _kinds_of(kinds, key)) for key, inner in value.items()}
     if isinstance(value, list):

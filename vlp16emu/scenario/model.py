@@ -1,4 +1,7 @@
-"""The scenario file as a frozen tree, with its own tables `[capture]` and `[[rig]]`. All defaults are in the sections."""
+"""The scenario file as a frozen tree, with its tables `[capture]` and `[[rig]]`.
+
+All defaults are in the sections.
+"""
 
 import ast
 import inspect

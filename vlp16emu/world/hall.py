@@ -163,7 +163,10 @@ def _sides(radius_m: float) -> int:
 
 
 def _pole(pole: HallPole) -> Mesh:
-    """Make a closed cylinder about its foot; the mean radius of its polygon over azimuth is half the diameter."""
+    """Make a closed cylinder about its foot.
+
+    The mean radius of its polygon over azimuth is half the diameter.
+    """
     sides = _sides(pole.diameter_m / 2)
     half = math.pi / sides
     # Mean of cos(half) / cos(azimuth) over one side is cos(half) * ln(tan(pi/4 + half/2)) / half.
@@ -175,7 +178,10 @@ def _pole(pole: HallPole) -> Mesh:
 
 
 def _sphere(radius_m: float) -> Mesh:
-    """Make a ball of meridians and parallels about its centre, half inside and half outside the true surface."""
+    """Make a ball of meridians and parallels about its centre.
+
+    Half of it is inside and half outside the true surface.
+    """
     sides = _sides(radius_m)
     half = math.pi / sides
     # The centre of a face near the equator is below its corners by cos(half) in either angle.

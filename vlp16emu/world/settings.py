@@ -58,7 +58,10 @@ class Finish(PartFinish):
 
     @property
     def brightness(self) -> float:
-        """Reflectance at normal incidence, relative to a white Lambertian surface; above 1 for a retroreflector."""
+        """Reflectance at normal incidence, relative to a white Lambertian surface.
+
+        It is above 1 for a retroreflector.
+        """
         given = super().brightness
         return self.reflectance if given is None else given
 
@@ -87,7 +90,10 @@ class Site(Protocol):
 
     @property
     def obstacles(self) -> "tuple[F8, F8] | None":
-        """Positions (n, 2) that paths must avoid, and distances (n,) from them; None if paths stay as they are."""
+        """Positions (n, 2) that paths must avoid, and distances (n,) from them.
+
+        It is None if paths stay as they are.
+        """
 
     def height_m(self, x_m: "F8", y_m: "F8") -> "F8":
         """Height of the ground at positions."""

@@ -1,4 +1,7 @@
-"""Positions, unit vectors and determinants from sums, products, quotients and square roots; and closed bodies of rings."""
+"""Positions, unit vectors, determinants and closed bodies of rings.
+
+They are computed by sums, products, quotients and square roots.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +27,10 @@ def determinant(matrices: F8) -> F8:
 
 
 def closed(rings: F8, ends: F8) -> Mesh:
-    """Make a closed body from rings (r, sides, 3), counter-clockwise seen from the last, and centres (2, 3) of its ends."""
+    """Make a closed body from rings (r, sides, 3) and the centres (2, 3) of its ends.
+
+    Rings are counter-clockwise seen from the last.
+    """
     count, sides, _ = rings.shape
     vertices = np.concatenate([rings.reshape(-1, 3), ends])
     here = np.arange(sides)

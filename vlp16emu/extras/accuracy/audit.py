@@ -75,12 +75,18 @@ class Errors:
 
 
 def apart_m(detector: Detector) -> float:
-    """Return the least range between two separate echoes: the resolution, or a pulse's full width if that is more."""
+    """Return the least range between two separate echoes.
+
+    It is the resolution, or a pulse's full width if that is more.
+    """
     return max(detector.resolution_m, _HALF_LIGHT_M_PER_NS * detector.pulse_ns)
 
 
 def answer_beam(beam: Footprint, rays: int, seed: int, number: int = 0) -> Footprint:
-    """Return the beam of an answer; its sub-rays must differ from the judged ones, so each number has a seed of its own."""
+    """Return the beam of an answer.
+
+    Its sub-rays must differ from the judged ones, so each number has a seed of its own.
+    """
     own = int(generator(seed, Purpose.AUDIT, number).integers(2**63))
     return replace(beam.changed(model="fixed", rays=rays), seed=own)
 
@@ -94,7 +100,10 @@ def detections_of(
 
 
 def compare(answer: Detections, detected: Detections, resolution_m: float) -> Comparison:
-    """Compare the detections of n pulses with the answer; ranges more than half a resolution apart belong to different echoes."""
+    """Compare the detections of n pulses with the answer.
+
+    Ranges more than half a resolution apart belong to different echoes.
+    """
     seen = answer.distance_m[:, _STRONGEST] > 0
     got = detected.distance_m[:, _STRONGEST] > 0
     off_m = detected.distance_m.astype(np.float64) - answer.distance_m
@@ -183,7 +192,9 @@ class Tally:
 
     @property
     def range_rmse_interval_m(self) -> tuple[float, float] | None:
-        """95 % confidence interval of this RMSE over all pulses, with the clusters as a sample; None if there are too few.
+        """95 % confidence interval of this RMSE over all pulses, with the clusters as a sample.
+
+        It is None if there are too few.
 
         The mean square is a ratio of sums over clusters; its variance is the variance of the clusters about
         the ratio
@@ -220,7 +231,10 @@ _SAMPLED = ("fixed", "adaptive")
 
 @dataclass(frozen=True, slots=True)
 class AuditFinding:
-    """Error of a run, estimated from pulses that are cast again; shares are relative to returns, None if not known."""
+    """Error of a run, estimated from pulses that are cast again.
+
+    Shares are relative to returns, None if not known.
+    """
 
     exact: bool  # a pulse is one ray, by the scene's own choice
     pulses: int  # pulses cast again
@@ -233,7 +247,10 @@ class AuditFinding:
 
 
 class Audit:
-    """Audit of a run, called from any number of threads; without effect if the scene itself has one ray per pulse."""
+    """Audit of a run, called from any number of threads.
+
+    It has no effect if the scene itself has one ray per pulse.
+    """
 
     def __init__(self, scenario: Scenario) -> None:
         self._apart_m = apart_m(scenario.detector)
@@ -265,7 +282,10 @@ class Audit:
     def _audit(
         self, unit: Unit, firings: Firings, hits: Hits, geometry: Geometry, begin: int, sequences: int
     ) -> None:
-        """Audit the drawn pulses of the block that begins with sequence `begin`, if they are among those that were cast."""
+        """Audit the drawn pulses of the block that begins with sequence `begin`.
+
+        Pulses that were not cast are left out.
+        """
         lasers = firings.t_ns.shape[1]
         draw = generator(unit.seed, Purpose.AUDIT, unit.number, begin)
         first = begin + _SEQUENCES * int(draw.integers(sequences // _SEQUENCES)) - firings.index

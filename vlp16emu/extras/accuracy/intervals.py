@@ -67,7 +67,7 @@ def _is_enough(wholes: F8) -> bool:
 
 
 def _positive(parts: F8, wholes: F8) -> Interval:
-    """Return the interval of the ratio of the sums of values (g,) that are never negative, on their logarithm."""
+    """Return the interval of the ratio of sums of non-negative values (g,), on their logarithm."""
     if not _is_enough(wholes) or parts.sum() == 0:
         return None
     ratio = float(parts.sum() / wholes.sum())

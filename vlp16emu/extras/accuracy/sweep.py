@@ -94,7 +94,10 @@ class Accuracy:
 
 
 def choices(rows: Sequence[Row]) -> dict[str, float]:
-    """Return the fastest settings for some mean errors: by name, the least error in m for which each is the fastest."""
+    """Return the fastest settings for some mean errors.
+
+    By name, the result has the least error in metres for which each is the fastest.
+    """
     found = dict[str, float]()
     for wanted_m in _WANTED_M:
         if good := [row for row in rows if row.errors.mean_error_m <= wanted_m and row.model not in _ERRANT]:
@@ -118,7 +121,9 @@ def joined(parts: Sequence[Detections]) -> Detections:
 def draw_groups(
     batching: Batching, blocks: int, pulses: int, seed: int, *, moves: bool
 ) -> Iterator[tuple[int, list[range]]]:
-    """Draw groups of firing sequences from the first blocks of a run, with at least `pulses` pulses, by segments that share a window.
+    """Draw groups of firing sequences from the first blocks of a run, with at least `pulses` pulses.
+
+    A group belongs to a segment that shares a window.
 
     Yields the number of a segment, only 0 if nothing moves, and its groups in order of time.
     """
@@ -210,7 +215,10 @@ class BeamSetting(NamedTuple):
 
 
 def beam_settings(scenario: Scenario, seed: int) -> list[BeamSetting]:
-    """List one ray, the beam errors of LiDAR-Forest, fixed counts and adaptive targets, the scene's own among them."""
+    """List the settings to be compared, the scene's own among them.
+
+    They are one ray, the beam errors of LiDAR-Forest, fixed counts and adaptive targets.
+    """
     section = scenario.beam
     counts = sorted({*_COUNTS, section.rays} if section.model == "fixed" else _COUNTS)
     targets_m = sorted({min(times * section.target_m, 1.0) for times in _TIMES_TARGET}, reverse=True)
@@ -267,7 +275,10 @@ class _SettingsBench:
                     self._rays[name].append(rays)
 
     def summed(self, scene: str, seed: int) -> Accuracy:
-        """Return all errors and run times; the difference of two answers is the error of one times the root of two."""
+        """Return all errors and run times.
+
+        The difference of two answers is the error of one times the root of two.
+        """
         answer = self._errors("another answer", "answer of some")
         return Accuracy(
             scene=scene,
@@ -335,7 +346,9 @@ _SECOND = 2
 def measure_foliage(
     scenario: Scenario, *, pulses: int, done: Callable[[float], None] = lambda _: None
 ) -> tuple[LevelOfDetail, ...]:
-    """Measure means and run time of a scene's world with single leaves up to several distances, the explicit world last; empty for a hall.
+    """Measure means and run time of a scene's world with single leaves up to several distances.
+
+    The explicit world is last. A hall has no rows.
 
     Parameters as in `measure_accuracy`; each world gets `pulses` pulses.
     """
@@ -362,7 +375,9 @@ def measure_foliage(
 
 
 def returns_of(scenario: Scenario, near_m: float, pulses: int) -> Iterator[tuple[Returns, float, float]]:
-    """Cast groups of pulses of the first unit against a scene's world with single leaves up to `near_m`, and detect them without noise.
+    """Cast pulses of the first unit against a scene's world, and detect them without noise.
+
+    The world has single leaves up to `near_m`.
 
     Yields returns of a group, microseconds per pulse in its window on one core, and the completed share of
     the run.

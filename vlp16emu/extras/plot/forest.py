@@ -195,7 +195,10 @@ def _draw_profile(axes: "Axes", report: Report, looks: Mapping[str, tuple[str, s
 
 
 def _exaggeration(axes: "Axes") -> float:
-    """Draw heights and lengths on one scale unless the path is too long; return the scale of heights over lengths."""
+    """Draw heights and lengths on one scale unless the path is too long.
+
+    Returns the scale of heights over lengths.
+    """
     length_m, tall_m = (float(np.ptp(ends)) for ends in (axes.get_xlim(), axes.get_ylim()))
     natural = 0.42 * length_m / tall_m  # the panel is 0.42 times as tall as wide
     if natural <= _MOST_EXAGGERATED / 3:

@@ -113,7 +113,10 @@ def check_matplotlib() -> None:
 
 
 def picture_of(report: Report, suffix: str) -> bytes:
-    """Return the picture of a report as a file with an ending of `_FORMATS`; raises InputError as `figure_of`."""
+    """Return the picture of a report as a file with an ending of `_FORMATS`.
+
+    Raises InputError as `figure_of`.
+    """
     import matplotlib.style
 
     file = io.BytesIO()

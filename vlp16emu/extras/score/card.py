@@ -74,7 +74,10 @@ class ScoreCard:
     reference: Table | None = None  # title and seed of the walk; None if the truth has no scenario
 
     def missed(self, limits: Sequence[Limit]) -> list[str]:
-        """Return the failed thresholds, with the values, as text; InputError if there is no score of that name."""
+        """Return the failed thresholds, with the values, as text.
+
+        Raises InputError if there is no score of that name.
+        """
         missed = []
         for name, sign, bound in limits:
             if name not in self.scores:
@@ -225,7 +228,10 @@ def _reference(truth: Path) -> Tree | None:
 
 
 def _range_from_path(inputs: ScoreInputs) -> Callable[[float, float], float]:
-    """Return the function that gives the distance of a place from the true path, NaN if the truth has none."""
+    """Return the function that gives the distance of a place from the true path.
+
+    The distance is NaN if the truth has no path.
+    """
     from scipy.spatial import KDTree
 
     if not (inputs.truth / "rig.json").is_file():

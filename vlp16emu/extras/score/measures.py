@@ -1,4 +1,7 @@
-"""Measures of point clouds and of trees: distances, density, stems on a map, labels of points, instances, boxes."""
+"""Measures of point clouds and of trees.
+
+They are distances, density, stems on a map, labels of points, instances and boxes.
+"""
 
 import math
 from collections.abc import Sequence
@@ -89,7 +92,10 @@ def match_stems(found: Sequence[Stem], true: Sequence[Stem], radius_m: float) ->
 def stem_scores(
     found: Sequence[Stem], true: Sequence[Stem], pairs: Sequence[tuple[int, int]]
 ) -> dict[str, float]:
-    """Return precision, recall and F1 of a stem map, and errors of position (RMSE, m) and of DBH (mean and RMSE, m)."""
+    """Return precision, recall and F1 of a stem map, and its errors.
+
+    Errors are those of position (RMSE, m) and of DBH (mean and RMSE, m).
+    """
     scores = _shares("stem", len(pairs), len(found) - len(pairs), len(true) - len(pairs))
     off_m = [math.hypot(found[i].x_m - true[j].x_m, found[i].y_m - true[j].y_m) for i, j in pairs]
     scores["stem_position_m"] = _rms(off_m)
@@ -100,7 +106,10 @@ def stem_scores(
 
 
 def leaf_wood_scores(found: I8, true: I8) -> dict[str, float]:
-    """Return accuracy and intersection over union of labels (n,), 1 wood and 2 leaf, over points whose true label is 1 or 2."""
+    """Return accuracy and intersection over union of labels (n,), 1 wood and 2 leaf.
+
+    Only points whose true label is 1 or 2 count.
+    """
     known = true > 0
     found = found[known]
     true = true[known]
@@ -133,7 +142,10 @@ def instance_scores(found: I8, true: I8) -> dict[str, float]:
 
 
 def boxes_of(xyz_m: F8, instance: I8, least_points: int) -> tuple[F8, I8]:
-    """Return axis-aligned boxes (k, 2, 3) around each instance with enough points, and the numbers of points (k,)."""
+    """Return axis-aligned boxes (k, 2, 3) around instances, and their numbers of points (k,).
+
+    Instances with too few points have none.
+    """
     names, counts = np.unique(instance[instance > 0], return_counts=True)
     names = names[counts >= least_points]
     counts = counts[counts >= least_points]

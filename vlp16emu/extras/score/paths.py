@@ -29,7 +29,10 @@ _FLAT_M = 1e-4
 
 @dataclass(frozen=True, slots=True)
 class PathErrors:
-    """Errors along a path, at most `_MOST_SHOWN` values spread evenly over all poses; times from the first pose."""
+    """Errors along a path, at most `_MOST_SHOWN` values spread evenly over all poses.
+
+    Times count from the first pose.
+    """
 
     time_s: list[float]
     distance_m: list[float]  # along the true path
@@ -102,7 +105,10 @@ def score_path(file: Path, times: Path | None, truth: Path, unit: int, alignment
 
 
 def _path_errors(pair: Any, error_m: F8, drift: Any) -> PathErrors:
-    """Return the errors along the path of a pair of evo's trajectories; `drift` is a processed RPE over `DRIFT_M[0]`."""
+    """Return the errors along the path of a pair of evo's trajectories.
+
+    A processed RPE over `DRIFT_M[0]` is `drift`.
+    """
     reference, estimate = pair
     true_m = reference.positions_xyz
     found_m = estimate.positions_xyz
@@ -144,7 +150,9 @@ def _errors(metric: Any, pair: Any) -> tuple[float, F8]:
 
 
 def stamp_offset_s(found: RecordedPoses, true: Trajectory) -> float:
-    """Return the offset to add to the estimate's stamps that best fits its steps between poses to the true steps.
+    """Return the offset to add to the estimate's stamps.
+
+    It best fits the estimate's steps between poses to the true steps.
 
     Steps need no alignment, and the swing of each pace marks its time. NaN for too few poses or too uniform a
     motion.

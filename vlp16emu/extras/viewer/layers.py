@@ -53,7 +53,10 @@ def layers_of_scan(scan: Scan) -> tuple[str, ...]:
 
 
 def coloured(scan: Scan, layer: str, species: Mapping[int, str]) -> tuple[U1, Entries]:
-    """Return the colours (n, 3) of the points of a sweep in one of its layers, and the legend; `species` are names by number."""
+    """Return the colours (n, 3) of the points of a sweep in one of its layers, and the legend.
+
+    Names of species by number are `species`.
+    """
     if scan.labels is None or layer not in _LABELLED:
         values, scale = _measured(scan, layer)
         return colours_of_scale(values, *scale[:2]), scale
@@ -83,7 +86,7 @@ def _title(name: str) -> str:
 
 
 def _natural_legend(labels: Labels, species: Mapping[int, str]) -> dict[str, tuple[Rgb, ...]]:
-    """Return the colours of leaves and of stems by species of trees, then those of the other classes that are seen."""
+    """Return the colours of leaves and stems by species, then those of other classes in sight."""
     is_tree = labels.semantic == Semantic.TREE
     names = [species.get(n, "") for n in np.unique(labels.species[is_tree]).tolist()]
     kinds = [kind for kind in _KINDS if (labels.semantic == kind).any()]

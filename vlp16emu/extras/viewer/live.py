@@ -1,4 +1,6 @@
-"""The stream's side of its page in the browser: copies of sent packets for a process that no packet waits for.
+"""The stream's side of its page in the browser.
+
+It copies sent packets for a process that no packet waits for.
 
     sending thread --deque of bounded length--> copying thread --socket that drops--> page, at a lower
     priority
@@ -67,12 +69,18 @@ class Batch:
 
 
 def instant_ns(packet: Packet) -> int:
-    """Return the UTC of a packet's first pulse in ns, or its due time if it has none or is from a prepared run."""
+    """Return the UTC of a packet's first pulse in ns.
+
+    A packet without pulses, or of a prepared run, has its due time.
+    """
     return packet.due_ns if packet.fired_ns is None else packet.fired_ns
 
 
 def offer(channel: socket.socket, message: object) -> bool:
-    """Send a message without waiting; return False if the other end is gone. It is lost if there is no room now."""
+    """Send a message without waiting.
+
+    It is lost if there is no room now. Returns False if the other end is gone.
+    """
     try:
         channel.send(pickle.dumps(message), socket.MSG_DONTWAIT)
     except ConnectionError:

@@ -1,4 +1,7 @@
-"""The process of the page beside a stream: the last sweeps, decoded from the packets that were sent, and their state."""
+"""The process of the page beside a stream.
+
+It shows the last sweeps, decoded from the packets that were sent, and the state of the stream.
+"""
 
 import os
 import pickle
@@ -42,7 +45,9 @@ _CAMERA_M = (-11.0, -6.0, 6.0)  # first place of the camera, seen from the senso
 
 
 class LiveView:
-    """What a stream sends: a reading thread cuts packets into sweeps, and a drawing thread draws the last ones.
+    """What a stream sends, as sweeps.
+
+    A reading thread cuts packets into sweeps, and a drawing thread draws the last ones.
 
     Parameters
     ----------
@@ -122,7 +127,10 @@ class LiveView:
         return int(text) - 1 if text in self._unit.options else 0
 
     def _chunks(self, channel: socket.socket, unit: int) -> Iterator[Chunk]:
-        """Yield the points of a sensor as its packets come, until another sensor is selected or the stream ends."""
+        """Yield the points of a sensor as its packets come.
+
+        They end when another sensor is selected or the stream ends.
+        """
         while unit == self._number:
             try:
                 batch: Batch = receive(channel)

@@ -1,4 +1,7 @@
-"""Controls for the settings of a streaming sensor, on its page: one more client of the sensor's web interface."""
+"""Controls for the settings of a streaming sensor, on its page.
+
+They are one more client of the sensor's web interface.
+"""
 
 import json
 import time
@@ -25,7 +28,10 @@ _MODES = ("Strongest", "Last", "Dual")
 
 
 class _Control(NamedTuple):
-    """A control, and its key in the forms and the document of the web interface (63-9243 Rev D, section 10.2)."""
+    """A control, and its key in the forms and the document of the web interface.
+
+    The keys are those of 63-9243 Rev D, section 10.2.
+    """
 
     handle: Any  # of viser, with `value`
     table: str  # table of the key in the document, and end of the form's path; empty for the outermost

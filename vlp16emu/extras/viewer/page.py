@@ -45,7 +45,9 @@ _PATH = (220, 60, 40)
 
 @contextmanager
 def guarded_server(host: str, port: int) -> Iterator[viser.ViserServer]:
-    """Serve the page until the end of the context; OutputError if the address does not belong to this machine, or the port is in use.
+    """Serve the page until the end of the context.
+
+    Raises OutputError if the address does not belong to this machine, or the port is in use.
 
     Parameters
     ----------
@@ -147,7 +149,10 @@ def _stand_of(emulator: Emulator, radius_m: float) -> Survey:
 
 
 def capture_page(server: viser.ViserServer, capture: Path, truth: Path | None, unit: int) -> "Page":
-    """Show the sweeps of a capture, and the faults of its packets; parameters and errors as in `CaptureSweeps`."""
+    """Show the sweeps of a capture, and the faults of its packets.
+
+    Parameters and errors as in `CaptureSweeps`.
+    """
     text = server.gui.add_markdown("reading the capture")
     sweeps = CaptureSweeps(capture, truth, unit)
     text.content = "  \n".join(sweeps.health or ["packets as a sensor sends them"])

@@ -60,7 +60,9 @@ _LINES = 38
 
 
 class Canvas:
-    """Image of the points within a box with corners (2, 3), which fills it; the projection is parallel, with one scale.
+    """Image of the points within a box with corners (2, 3), which fills it.
+
+    The projection is parallel, with one scale.
 
     Points outside the box are left out: they would hide points near the path.
 
@@ -88,13 +90,16 @@ class Canvas:
         self._rgb = np.zeros((height * width, 3), np.uint8)
 
     def pixels(self, places_m: F8) -> tuple[I8, I8, F8]:
-        """Return columns, rows and nearness in metres (n,) of places (n, 3); at one pixel the nearest hides the others."""
+        """Return columns, rows and nearness in metres (n,) of places (n, 3).
+
+        At one pixel the nearest hides the others.
+        """
         right, up, near = ((places_m @ self._axes.T) - self._centre_m).T
         column = np.floor(self.size[0] / 2 + right * self.px_per_m).astype(np.int64)
         return column, np.floor(self.size[1] / 2 - up * self.px_per_m).astype(np.int64), near
 
     def add(self, places_m: F8, rgb: U1) -> int:
-        """Draw places (n, 3) in colours (n, 3), and return the number of places whose x and y are within the box."""
+        """Draw places (n, 3) in colours (n, 3), and count those whose x and y are within the box."""
         width, height = self.size
         shown = ((places_m >= self._box_m[0]) & (places_m <= self._box_m[1]))[:, :2].all(axis=1)
         pixels = self.pixels(places_m[shown])
@@ -297,7 +302,9 @@ class _Drawing:
 
 
 def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> Tree:
-    """Draw the points of all revolutions, or of the first one, as PNG, or each revolution as a frame of a film.
+    """Draw the points of a run as PNG.
+
+    It has all revolutions, the first one, or each revolution as a frame of a film.
 
     Returns the contents of the picture. InputError if there is no revolution, or none with such a layer;
     OutputError if the file cannot be written.
@@ -393,7 +400,10 @@ def _annotated(
     labels: list[tuple[int, int, str]],
     bar_px: float | None,
 ) -> "Image":
-    """Return a picture with its two lines of captions, labels, legend or scale of colours, and a bar of ten metres `bar_px` long."""
+    """Return a picture with its captions, labels, legend or scale of colours, and a bar of 10 m.
+
+    The bar is `bar_px` long.
+    """
     from PIL import Image, ImageDraw, ImageFont
 
     image, height, width = Image.fromarray(drawn), *drawn.shape[:2]
@@ -438,7 +448,10 @@ def _annotated(
 
 
 def _small(image: "Image") -> "Image":
-    """Return a picture with a palette, a third of the size, if it has little more colours: letters alone lose some."""
+    """Return a picture with a palette, a third of the size, if it has few colours.
+
+    Letters alone lose some.
+    """
     return image if image.getcolors(2 * _PALETTE) is None else _palette(image)
 
 

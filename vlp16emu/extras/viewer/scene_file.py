@@ -73,7 +73,10 @@ def write_scene(
 
 
 def _formatted(value: object) -> Any:
-    """Return a list as a TOML array, with inline tables and one row to a line if long; other values as they are."""
+    """Return a list as a TOML array; other values as they are.
+
+    The array has inline tables, and one row to a line if it is long.
+    """
     import tomlkit
 
     if not isinstance(value, list):

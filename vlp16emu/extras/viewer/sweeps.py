@@ -77,7 +77,10 @@ def sweeps_of_scene(
 
 
 def by_trajectory(scan: Scan, way: Trajectory | None) -> Sweep:
-    """Transform a scan to the world by a trajectory that covers it; without one its points stay in the sensor's frame."""
+    """Transform a scan to the world by a trajectory that covers it.
+
+    Without one its points stay in the sensor's frame.
+    """
     if way is None:
         return Sweep(scan, scan.xyz_m.astype(np.float64))
     world_T_sensor = np.tile(np.eye(4), (len(scan.t_ns) + 1, 1, 1))
@@ -103,7 +106,10 @@ class SceneSweeps:
         self.last_s = end_s - self._span_s
 
     def at(self, time_s: float) -> Sweep:
-        """Return the first sweep that begins after a time; InputError if the run is shorter than a revolution."""
+        """Return the first sweep that begins after a time.
+
+        Raises InputError if the run is shorter than a revolution.
+        """
         begin_s = float(np.clip(time_s, 0.0, self.last_s))
         sweep = next(sweeps_of_scene(self._emulator, begin_s, self._span_s, self._unit), None)
         if sweep is None:
