@@ -367,6 +367,7 @@ class Window:
         return {}
 
 
+AnyArray = NDArray[Any]  # an array whose type depends on what it holds
 HeightField = Callable[[F8, F8], F8]  # Ground height in metres over arrays of x and y in metres
 
 

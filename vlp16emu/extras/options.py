@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from vlp16emu.run.options import Option, Options, Span, TruthPlace, WhichUnit
 
@@ -48,7 +48,7 @@ class TrajectoryErrors(Options):
         ),
     ] = 0.0
     mount: Annotated[
-        Any,
+        tuple[float, ...] | None,
         Option(
             "For a capture: extrinsics of the sensor on the body of the trajectory, in m and degrees as in "
             "[motion.mount]; with the true trajectory, errors of boresight and lever arm.",
@@ -58,7 +58,7 @@ class TrajectoryErrors(Options):
         ),
     ] = None
     drift: Annotated[
-        Any,
+        tuple[float, ...] | None,
         Option(
             "For a capture: drift of the trajectory from its first pose on, in m and degrees per minute.",
             _DRIFT,
@@ -116,7 +116,7 @@ class PictureLook(Options):
         ),
     ] = None
     size: Annotated[
-        Any,
+        tuple[int, int],
         Option(
             "Width and height in pixels.",
             "WxH",

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +10,7 @@ from scipy.spatial import KDTree
 
 from vlp16emu.cores import usable_cores
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M
-from vlp16emu.raycast.caster import caster
+from vlp16emu.raycast.caster import Geometry, caster
 from vlp16emu.trees import Tree
 from vlp16emu.types import F8, I8, Firings, HeightField, PlantPart, Semantic, Window, World
 from vlp16emu.world.vectors import places_m
@@ -136,7 +135,7 @@ def bark_seen(
     return np.asarray(seen.reshape(-1, _SECTORS).mean(axis=1))
 
 
-def _cast(geometry: Any, t_ns: int, place_m: F8, ray_m: F8, reach_m: float) -> tuple[F8, I8]:
+def _cast(geometry: Geometry, t_ns: int, place_m: F8, ray_m: F8, reach_m: float) -> tuple[F8, I8]:
     """Cast rays (n, 3) from a place; return their ranges and surfaces (n,)."""
     padded = np.resize(ray_m, (-(-len(ray_m) // 8) * 8, 1, 3))  # casters take eight together
     direction = padded / np.linalg.norm(padded, axis=-1, keepdims=True)

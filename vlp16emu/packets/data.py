@@ -4,16 +4,15 @@ Every step is elementwise in float64 and correctly rounded, so the bytes of a pa
 the other packets.
 """
 
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError
 from vlp16emu.packets import layout
 from vlp16emu.packets.layout import SEQUENCES_PER_BLOCK, SEQUENCES_PER_PACKET
 from vlp16emu.sensor.beams import SEQUENCE_NS
-from vlp16emu.types import F4, F8, I8, U1, U2, Packet, PacketKind, ReturnMode, Returns, SensorModel
+from vlp16emu.types import F4, F8, I8, U1, U2, AnyArray, Packet, PacketKind, ReturnMode, Returns, SensorModel
 from vlp16emu.units import HOUR_NS, US_NS
 
 _Time = TypeVar("_Time", int, I8)
@@ -125,7 +124,7 @@ def odd_column(returns: Returns) -> I8:
     return np.where(strongest_is_last & has_second, _SECOND_STRONGEST, _STRONGEST)
 
 
-def _write(records: NDArray[Any], distance_m: F4, reflectivity: U1) -> None:
+def _write(records: AnyArray, distance_m: F4, reflectivity: U1) -> None:
     """Fill records (n, blocks, 2, 16) from metres and reflectivity (k, 16).
 
     Reflectivity is written without a distance too, as real units do.

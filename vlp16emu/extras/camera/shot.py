@@ -7,7 +7,7 @@ sensor's pulses.
 from collections.abc import Callable
 from concurrent.futures import CancelledError
 from dataclasses import replace
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,20 @@ from vlp16emu.raycast.beam import Footprint
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.raycast.settings import Beam
 from vlp16emu.raycast.texture import add_texture
-from vlp16emu.types import F4, F8, I8, NO_SURFACE, SURFACE, U1, U4, Firings, Hits, PlantPart, Semantic
+from vlp16emu.types import (
+    F4,
+    F8,
+    I8,
+    NO_SURFACE,
+    SURFACE,
+    U1,
+    U4,
+    AnyArray,
+    Firings,
+    Hits,
+    PlantPart,
+    Semantic,
+)
 from vlp16emu.units import S_NS
 
 _RAYS = 8  # rays that are cast together
@@ -160,7 +173,7 @@ class Photographer:
         pose_of = np.repeat(np.minimum(np.arange(len(row_ns)), len(poses.t_ns) - 1), width)
         t = np.repeat(row_ns, width)
 
-        def part(n: slice) -> tuple[Any, ...]:
+        def part(n: slice) -> tuple[AnyArray, ...]:
             direction = matvec(optical(poses.world_R_body)[pose_of[n]], rays[n])
             origin_m = poses.world_p_body_m[pose_of[n]]
             firings, hits = self._cast(geometry, t[n], origin_m, direction)

@@ -76,16 +76,17 @@ class Trajectory:
         turn = poses.world_R_body
         place_m = poses.world_p_body_m
         if self._drift is not None:
-            turn, place_m = self._with_drift(turn, place_m, (at_ns - self._first_ns) / _MINUTE_NS)
+            minutes = (at_ns - self._first_ns) / _MINUTE_NS
+            turn, place_m = self._with_drift(turn, place_m, minutes, self._drift)
         if self._mount is not None:
             *lever_arm_m, roll_deg, pitch_deg, yaw_deg = self._mount
             place_m = place_m + matvec(turn, np.array(lever_arm_m))
             turn = matmul(turn, rotation(yaw_deg, pitch_deg, roll_deg))
         return turn, place_m
 
-    def _with_drift(self, turn: F8, place_m: F8, minutes: F8) -> tuple[F8, F8]:
+    def _with_drift(self, turn: F8, place_m: F8, minutes: F8, drift: tuple[float, ...]) -> tuple[F8, F8]:
         """Return poses with drift after `minutes` (n,): rotation about the first pose, then translation."""
-        *per_minute_m, yaw_deg = self._drift
+        *per_minute_m, yaw_deg = drift
         yaw = rotations(np.radians(yaw_deg * minutes), 0.0, 0.0)
         from_first_m = matvec(yaw, place_m - self.first_m)
         return matmul(yaw, turn), self.first_m + from_first_m + minutes[:, None] * np.array(per_minute_m)

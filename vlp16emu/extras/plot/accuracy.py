@@ -1,7 +1,7 @@
 """Error against run time by setting of the beam, and differences between worlds by `near_m`."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from vlp16emu.extras.plot.sheet import (
     SKY,
     SOFT,
     VERMILION,
+    Look,
     Report,
     plain_logarithm,
 )
@@ -77,13 +78,7 @@ def _draw_errors(axes: "Axes", rows: Sequence[Report], name: str) -> None:
         error_mm = 1e3 * np.array([row["errors"][name] for row in own])
         ends_mm = 1e3 * np.array([row["intervals"][name] or (np.nan, np.nan) for row in own], float)
         reach_mm = np.abs(ends_mm.T - error_mm)
-        look: dict[str, Any] = {
-            "color": colour,
-            "marker": marker,
-            "linestyle": line,
-            "capsize": 3,
-            "elinewidth": 1,
-        }
+        look: Look = {"color": colour, "marker": marker, "linestyle": line, "capsize": 3, "elinewidth": 1}
         bars = axes.errorbar(us, error_mm, yerr=reach_mm, xerr=np.minimum(half_us, 0.9 * us), **look)
         bars.set_label(label or "_")
         bars.lines[0].set_gid(f"{name}-{model}")
@@ -104,13 +99,13 @@ def _draw_suggestions(axes: "Axes", rows: Sequence[Report], suggestions: Sequenc
     of = {row["name"]: row for row in rows}
     label = "suggested for a mean error of at most"
     for one in suggestions:
-        look: dict[str, Any] = {"ms": 13, "mfc": "none", "mec": GREEN, "mew": 2.2, "ls": "none"}
+        look: Look = {"ms": 13, "mfc": "none", "mec": GREEN, "mew": 2.2, "ls": "none"}
         row = of[one["take"]]
         wanted_mm = 1e3 * one["wanted_m"]
         place = row["us_per_pulse"], 1e3 * row["errors"]["mean_error_m"]
         axes.plot(*place, "s", label=label, gid=f"suggested-{wanted_mm:g}", **look)
         label = "_"
-        style: dict[str, Any] = {"color": GREEN, "fontsize": 10, "fontweight": "bold", "rotation": 90}
+        style: Look = {"color": GREEN, "fontsize": 10, "fontweight": "bold", "rotation": 90}
         style |= {"ha": "center", "va": "bottom", "textcoords": axes.get_xaxis_transform()}
         style["arrowprops"] = {"arrowstyle": "-", "color": GREEN, "lw": 0.8, "ls": ":"}
         axes.annotate(f"{wanted_mm:g} mm", place, (place[0], 0.02), **style)
@@ -120,7 +115,7 @@ def _write(axes: "Axes", text: str, place: tuple[float, float], *, beneath: bool
     from matplotlib.patheffects import withStroke
 
     offset, sides = ((-9, -8), ("right", "top")) if beneath else ((9, 6), ("left", "bottom"))
-    look: dict[str, Any] = {
+    look: Look = {
         "textcoords": "offset points",
         "fontsize": 10,
         "color": colour,
@@ -140,11 +135,7 @@ def _draw_worlds(axes: "Axes", worlds: Sequence[Report]) -> None:
         off = [scale * world["means"][name]["off"] for world in worlds]
         half = [scale * (world["means"][name]["half"] or 0.0) for world in worlds]
         at = np.arange(len(worlds)) + _DODGE * (number - (len(explicit) - 1) / 2)
-        look: dict[str, Any] = {
-            "fmt": _WORLD_MARKERS[number % 6],
-            "color": _WORLD_COLOURS[number % 6],
-            "capsize": 3,
-        }
+        look: Look = {"fmt": _WORLD_MARKERS[number % 6], "color": _WORLD_COLOURS[number % 6], "capsize": 3}
         bars = axes.errorbar(at, off, yerr=half, label=name.removesuffix(", %").removesuffix(", m"), **look)
         bars.lines[0].set_gid(f"world-{number}")
     axes.axhline(0.0, color=INK, lw=1)

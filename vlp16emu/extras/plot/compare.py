@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vlp16emu.extras.plot.sheet import BLUE, INK, SOFT, VERMILION, Report, plain_logarithm
+from vlp16emu.extras.plot.sheet import BLUE, INK, SOFT, VERMILION, Look, Report, plain_logarithm
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -15,7 +15,7 @@ _COLUMNS = 3
 _MOST_DISTANCES = 14  # statistics with a bar, the most different first
 _LOGARITHMIC = 5.0  # distance from which they are drawn on a logarithmic axis
 _PAPER = {"boxstyle": "square,pad=0.1", "fc": "white", "ec": "none"}
-_LOOKS: dict[str, dict[str, Any]] = {
+_LOOKS: dict[str, Look] = {
     "first": {"color": BLUE, "alpha": 0.35, "fill": True, "lw": 0},
     "second": {"color": VERMILION, "lw": 2.0},
 }

@@ -3,19 +3,19 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.extras.colours import Rgb, colour_of_kind, colour_of_species
-from vlp16emu.extras.plot.sheet import BLUE, INK, SOFT, VERMILION, Report
+from vlp16emu.extras.plot.sheet import BLUE, INK, SOFT, VERMILION, Look, Report
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_PATH: dict[str, Any] = {"color": VERMILION, "lw": 2.4}
+_PATH: Look = {"color": VERMILION, "lw": 2.4}
 _GROUND = "#cdbfa3"
 _CONTOUR = "#a08a5f"
 _MARKERS = "osD^vPX*hp"
@@ -76,12 +76,8 @@ def _draw_plan(axes: "Axes", report: Report, looks: Mapping[str, tuple[str, str]
     width_m = np.array(stems["crown_width_m"])
     dbh_m = np.array(stems["dbh_m"])
     names = np.array(stems["species"])
-    look: dict[str, Any] = {
-        "facecolors": "none",
-        "edgecolors": [looks[name][0] for name in names],
-        "linewidths": 0.9,
-    }
-    at: dict[str, Any] = {"units": "xy", "offsets": place_m, "offset_transform": axes.transData, "alpha": 0.6}
+    look: Look = {"facecolors": "none", "edgecolors": [looks[name][0] for name in names], "linewidths": 0.9}
+    at: Look = {"units": "xy", "offsets": place_m, "offset_transform": axes.transData, "alpha": 0.6}
     crowns = EllipseCollection(width_m, width_m, np.zeros(len(names)), zorder=2, **at, **look)
     crowns.set_gid("crowns")
     axes.add_collection(crowns, autolim=False)
@@ -89,7 +85,7 @@ def _draw_plan(axes: "Axes", report: Report, looks: Mapping[str, tuple[str, str]
     for name, (colour, marker) in looks.items():
         own = names == name
         label = f"{name.replace('_', ' ').capitalize()}, {own.sum()}"
-        style: dict[str, Any] = {"marker": marker, "edgecolors": INK, "linewidths": 0.7, "zorder": 4}
+        style: Look = {"marker": marker, "edgecolors": INK, "linewidths": 0.7, "zorder": 4}
         faces = (
             colour if seen is None else [colour if share >= _SEEN_SHARE else "white" for share in seen[own]]
         )

@@ -1,17 +1,17 @@
 """Trajectory from above, its errors over time and distance, and stems found and missed."""
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vlp16emu.extras.plot.sheet import BLUE, GREEN, INK, SOFT, VERMILION, Report
+from vlp16emu.extras.plot.sheet import BLUE, GREEN, INK, SOFT, VERMILION, Look, Report
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_LOOKS: dict[str, dict[str, Any]] = {
+_LOOKS: dict[str, Look] = {
     "found": {"marker": "o", "c": GREEN, "edgecolors": INK, "linewidths": 0.6},
     "missed": {"marker": "X", "c": VERMILION, "edgecolors": "white", "linewidths": 0.6},
     "false": {"marker": "+", "c": INK, "linewidths": 1.6},
@@ -60,7 +60,7 @@ def _title(report: Report) -> str:
 def _draw_plan(axes: "Axes", path: Report | None, trees: Sequence[Report]) -> None:
     if path:
         axes.plot(path["true_x_m"], path["true_y_m"], color=INK, lw=2.6, label="true path", gid="true-path")
-        look: dict[str, Any] = {"color": BLUE, "lw": 1.6, "ls": (0, (4, 1.5)), "label": "estimate, aligned"}
+        look: Look = {"color": BLUE, "lw": 1.6, "ls": (0, (4, 1.5)), "label": "estimate, aligned"}
         axes.plot(path["found_x_m"], path["found_y_m"], gid="found-path", **look)
         axes.plot(path["true_x_m"][0], path["true_y_m"][0], "^", color=INK, ms=10, label="start")
     for kind, look in _LOOKS.items():
@@ -117,7 +117,7 @@ def _draw_shares(axes: "Axes", trees: Sequence[Report], name: str, unit: float, 
     at = edges[:-1]
     width = np.diff(edges) * 0.9
     axes.bar(at, found, width, align="edge", color=GREEN, label="found", gid=f"found-by-{name}")
-    look: dict[str, Any] = {"color": VERMILION, "hatch": "//", "edgecolor": "white", "lw": 0}
+    look: Look = {"color": VERMILION, "hatch": "//", "edgecolor": "white", "lw": 0}
     axes.bar(at, missed, width, found, align="edge", label="missed", gid=f"missed-by-{name}", **look)
     for x, own, lost, wide in zip(at, found, missed, width, strict=True):
         if own + lost:

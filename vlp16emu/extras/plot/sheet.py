@@ -12,12 +12,14 @@ from typing import IO, TYPE_CHECKING, Any
 
 from vlp16emu.errors import InputError, MissingExtraError, OutputError, readable
 from vlp16emu.output import OutputFile
+from vlp16emu.trees import Table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Report = Mapping[str, Any]
+Report = Table
+Look = dict[str, Any]  # keyword arguments of matplotlib
 """Tree of JSON types, as `--json` prints it; its member `report` names the verb."""
 
 INK = "#222222"
@@ -34,7 +36,7 @@ SKY = "#56b4e9"
 2008)."""
 
 _DRAWN = ("accuracy", "compare", "forest", "plan", "score")  # reports, each drawn by a module of this room
-_FORMATS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
+_FORMATS: Mapping[str, Look] = MappingProxyType(
     {
         ".png": {"format": "png", "metadata": {"Software": "vlp16emu"}},
         ".svg": {"format": "svg", "metadata": {"Date": None, "Creator": "vlp16emu"}},
@@ -45,7 +47,7 @@ _FORMATS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     }
 )
 """Arguments of `savefig` by ending: without dates, the same figure has the same bytes."""
-_STYLE: Mapping[str, Any] = MappingProxyType(
+_STYLE: Mapping[str, object] = MappingProxyType(
     {
         "axes.axisbelow": True,
         "axes.edgecolor": SOFT,

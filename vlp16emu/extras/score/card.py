@@ -7,10 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError
 from vlp16emu.extras.clouds.deskew import Trajectory
@@ -21,10 +19,10 @@ from vlp16emu.extras.score.paths import RPE_DELTA_M, PathErrors, score_path
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M
 from vlp16emu.scenario import load
 from vlp16emu.trees import Table, Tree
-from vlp16emu.types import PlantPart, Semantic
+from vlp16emu.types import AnyArray, PlantPart, Semantic
 from vlp16emu.units import MS_NS, S_NS
 
-Cloud = Mapping[str, NDArray[Any]]
+Cloud = Mapping[str, AnyArray]
 
 WITHIN_M = (0.05, 0.1, 0.2)  # distances for precision and completeness of a map
 SAME_POINT_M = 0.02

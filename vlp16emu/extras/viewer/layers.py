@@ -3,10 +3,8 @@
 import colorsys
 from collections.abc import Iterable, Mapping
 from html import escape
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.extras.colours import (
     PART_RGB,
@@ -16,7 +14,7 @@ from vlp16emu.extras.colours import (
     colours_of_plant,
     surface_colours,
 )
-from vlp16emu.types import F8, SURFACE, U1, Labels, PlantPart, Scan, Semantic
+from vlp16emu.types import F8, SURFACE, U1, AnyArray, Labels, PlantPart, Scan, Semantic
 from vlp16emu.units import S_NS
 
 Entries = Mapping[str, tuple[Rgb, ...]] | tuple[float, float, str] | None
@@ -60,9 +58,7 @@ def coloured(scan: Scan, layer: str, species: Mapping[int, str]) -> tuple[U1, En
     if scan.labels is None or layer not in _LABELLED:
         values, scale = _measured(scan, layer)
         return colours_of_scale(values, *scale[:2]), scale
-    labels: NDArray[Any] = getattr(
-        scan.labels, {"class": "semantic", "natural": "semantic"}.get(layer, layer)
-    )
+    labels: AnyArray = getattr(scan.labels, {"class": "semantic", "natural": "semantic"}.get(layer, layer))
     different, which = np.unique(labels, return_inverse=True)
     if layer == "instance":
         return np.array([_instance_rgb(n) for n in different.tolist()], np.uint8).reshape(-1, 3)[
@@ -125,7 +121,7 @@ def _measured(scan: Scan, layer: str) -> tuple[F8, tuple[float, float, str]]:
         return error_cm, (-_ERROR_CM, _ERROR_CM, "range error, cm")
     since_s = (scan.t_ns - scan.start_ns) / S_NS
     # Few ranges exceed 40 m in a forest; reflectivities above 100 come from retroreflectors.
-    values: dict[str, tuple[NDArray[Any], float, str]] = {
+    values: dict[str, tuple[AnyArray, float, str]] = {
         "range": (scan.distance_m, 40.0, "range, m"),
         "reflectivity": (scan.reflectivity, 100.0, "reflectivity, code"),
         "ring": (scan.ring, float(scan.ring.max(initial=1)), "ring, 0 lowest"),

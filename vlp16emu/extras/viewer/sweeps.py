@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from vlp16emu.extras.verify.run import verify_units
 from vlp16emu.forest.plants.species import flora
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.scenario import Scenario, load
-from vlp16emu.types import F8, I8, Labels, Scan
+from vlp16emu.types import F8, I8, AnyArray, Labels, Scan
 
 _TURNS = 2.2  # span in revolutions: it always contains a whole one, also with an error of the motor's speed
 # sweeps of a capture in memory, some 300 MB; an earlier one is read again from the beginning of the file
@@ -144,7 +144,7 @@ class CaptureSweeps:
         packets = list[I8]()
         self._starts_ns = list[int]()
 
-        def note(chunk: PacketChunk) -> Mapping[str, NDArray[Any]]:
+        def note(chunk: PacketChunk) -> Mapping[str, AnyArray]:
             """Keep frame and time of the packets; return no labels."""
             packets.append(np.stack([chunk.number, chunk.utc_ns]))
             return {}
@@ -191,7 +191,7 @@ class CaptureSweeps:
             self._reading.close()
             self._reading = None
 
-    def _scans(self, labels_of: Callable[[PacketChunk], Mapping[str, NDArray[Any]]]) -> Generator[Scan]:
+    def _scans(self, labels_of: Callable[[PacketChunk], Mapping[str, AnyArray]]) -> Generator[Scan]:
         clock = packet_clock(self._path, self._unit)
         reader = CaptureReader(self._path, self._unit, clock=clock, passes_over=True)
         for scan in cut_scans(chunk_of(chunk, labels_of(chunk)) for chunk in reader.points()):
@@ -199,7 +199,7 @@ class CaptureSweeps:
                 yield scan
 
 
-def _labels(truth: CaptureTruth | None, chunk: PacketChunk) -> Mapping[str, NDArray[Any]]:
+def _labels(truth: CaptureTruth | None, chunk: PacketChunk) -> Mapping[str, AnyArray]:
     """Return the labels (n,) of the points of a chunk by field of `Labels`; none without ground truth."""
     if truth is None:
         return {}
