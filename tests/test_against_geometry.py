@@ -6,7 +6,7 @@ from raycast.reference import ReferenceScene
 
 from vlp16emu.engine import Engine, assemble
 from vlp16emu.extras.accuracy.audit import apart_m, compare, errors_of
-from vlp16emu.extras.accuracy.sweep import Bench, beam_settings, joined
+from vlp16emu.extras.accuracy.sweep import Bench, beam_settings, join_detections
 from vlp16emu.scenario import load
 
 
@@ -146,13 +146,13 @@ def test_errors_that_accuracy_reports_are_the_true_ones():
     exact, opened = ExactHall(scenario), []
     look = lambda *seen: opened.append(seen[3])  # noqa: E731  # the emulator's own scene
     list(Engine.of(scenario, taps=[look]).returns(0, 0.01))
-    aimed = [bench.aimed(range(first, first + 8)) for first in range(0, 1808, 192)]
+    aimed = [bench.aim(range(first, first + 8)) for first in range(0, 1808, 192)]
     answers = {
-        scene: joined([bench.answer(scene, firings, settings[-1].beam) for firings in aimed])
+        scene: join_detections([bench.answer(scene, firings, settings[-1].beam) for firings in aimed])
         for scene in (opened[0], exact)
     }
     for light in settings:
-        returns = joined([bench.detections(opened[0], firings, light.beam) for firings in aimed])
+        returns = join_detections([bench.detections(opened[0], firings, light.beam) for firings in aimed])
         reported, true = (errors_of(compare(answer, returns, apart), apart) for answer in answers.values())
         assert reported.returns == true.returns > 1000
         assert reported.mean_error_m == pytest.approx(true.mean_error_m, rel=0.05, abs=1e-4), light.name

@@ -159,7 +159,7 @@ LINES = """
 import sys, vlp16emu
 from vlp16emu.cli.app import run
 vlp16emu.load("static_bench")
-print(vlp16emu.doors._added.cache_info().currsize, flush=True)
+print(vlp16emu.doors._entry_points.cache_info().currsize, flush=True)
 sys.exit(max(run(line.split()) for line in sys.argv[1:]))
 """
 """A program that reads a scene of ours, says how many entry points have been looked up, and carries out command lines."""

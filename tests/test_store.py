@@ -12,7 +12,7 @@ from vlp16emu import store as module
 from vlp16emu.engine import assemble
 from vlp16emu.foliage.tiles import STEM
 from vlp16emu.scenario import load
-from vlp16emu.store import Store, digest_of, recalled, user_store
+from vlp16emu.store import Store, digest_of, recall, user_store
 
 ABROAD = 4711  # a user that is not us
 
@@ -161,15 +161,15 @@ def test_a_thing_is_kept_as_it_was(use, tmp_path):
         "rows": np.zeros(3, STEM),
     }
     store = use(tmp_path / "cache" / "world")
-    recalled("trees of tile 1", lambda: thing)
+    recall("trees of tile 1", lambda: thing)
     store.flush()
-    again = recalled("trees of tile 1", lambda: None)
+    again = recall("trees of tile 1", lambda: None)
     for key, array in thing.items():
         np.testing.assert_array_equal(again[key], array, strict=True)
-    assert recalled("trees of tile 2", lambda: 2) == 2
+    assert recall("trees of tile 2", lambda: 2) == 2
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "_state", lambda: "other")
-        assert recalled("trees of tile 1", lambda: 1) == 1
+        assert recall("trees of tile 1", lambda: 1) == 1
 
 
 def test_the_user_chooses_the_folder(monkeypatch, tmp_path):

@@ -149,23 +149,23 @@ def door(name: str, group: str = "parts") -> Any:
     loaded; KeyError if the group has no such name.
     """
     if name not in DOORS[group]:
-        return _load(_added(group)[name])
+        return _load(_entry_points(group)[name])
     return _imported(DOORS[group][name])
 
 
 def has_door(name: str, group: str = "parts") -> bool:
     """Return whether a group has a name whose module is installed."""
     if name not in DOORS[group]:
-        return name in _added(group)
+        return name in _entry_points(group)
     return _is_installed(DOORS[group][name])
 
 
-def added(group: str) -> Iterator[tuple[str, Any]]:
+def plug_ins(group: str) -> Iterator[tuple[str, Any]]:
     """Yield name and object of each entry point of other packages in a group.
 
     Those that fail to load are skipped.
     """
-    for name, entry in _added(group).items():
+    for name, entry in _entry_points(group).items():
         try:
             yield name, _load(entry)
         except InputError as error:
@@ -191,7 +191,7 @@ def _imported(place: str) -> Any:
 
 
 @cache
-def _added(group: str) -> dict[str, "EntryPoint"]:
+def _entry_points(group: str) -> dict[str, "EntryPoint"]:
     from importlib.metadata import entry_points  # here: see above
 
     return {

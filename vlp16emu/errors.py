@@ -46,9 +46,9 @@ class InputError(Vlp16emuError):
         self, where: str, found: str, expected: str | None = None, *, at_m: tuple[float, float] | None = None
     ) -> None:
         self.at_m = at_m
-        self.where = _shown(where, _LONGEST)
-        self.found = _shown(found, _LONGEST_FOUND)
-        self.expected = None if expected is None else _shown(expected, _LONGEST)
+        self.where = _one_line(where, _LONGEST)
+        self.found = _one_line(found, _LONGEST_FOUND)
+        self.expected = None if expected is None else _one_line(expected, _LONGEST)
         super().__init__(where, found, expected)
 
     def __str__(self) -> str:
@@ -134,6 +134,6 @@ def readable(
         raise kind(str(path), f"no UTF-8 text at byte {error.start}", expected) from None
 
 
-def _shown(text: str, most: int) -> str:
+def _one_line(text: str, most: int) -> str:
     line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text[: most + 1])
     return line if len(line) <= most else f"{line[: most - 3]}..."

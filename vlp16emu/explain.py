@@ -39,17 +39,17 @@ def _in_words(finding: ErrorDetails, schema: Node) -> tuple[str, str, str]:
     keys, parent, node = _walk(finding["loc"], schema)
     kind = finding["type"]
     if kind in _UNKNOWN:
-        return _path(keys), "unknown key", _known(keys, parent, schema)
+        return _path(keys), "unknown key", _valid_places(keys, parent, schema)
     if kind.startswith("union_tag"):
         tag = node["discriminator"]["propertyName"]
         choice = {"enum": list(node["discriminator"]["mapping"])}
-        found = f"found {_shown(finding['input'][tag])}" if tag in finding["input"] else _MISSING
+        found = f"found {_as_text(finding['input'][tag])}" if tag in finding["input"] else _MISSING
         return _path([*keys, tag]), found, expected(choice)
     if kind == "missing":
         return _path(keys), _MISSING, expected(node)
-    found = f"found {_shown(finding['input'])}"
+    found = f"found {_as_text(finding['input'])}"
     if (key := _key_of(finding["input"], node, schema)) is not None:
-        return _path(keys), found, f"a table, as by {_path([*keys, key])} = {_shown(finding['input'])}"
+        return _path(keys), found, f"a table, as by {_path([*keys, key])} = {_as_text(finding['input'])}"
     if kind == "value_error":
         return _path(keys), found, finding["msg"].removeprefix("Value error, ")
     words = expected(node)
@@ -63,7 +63,7 @@ def _in_words(finding: ErrorDetails, schema: Node) -> tuple[str, str, str]:
 def expected(node: Node) -> str:
     """Return in words the values that a node of the schema admits."""
     if "enum" in node or "const" in node:
-        *others, last = [_shown(value) for value in node.get("enum", [node.get("const")])]
+        *others, last = [_as_text(value) for value in node.get("enum", [node.get("const")])]
         return f"{', '.join(others)} or {last}" if others else last
     if "discriminator" in node:
         tags = expected({"enum": list(node["discriminator"]["mapping"])})
@@ -109,7 +109,7 @@ def _path(keys: list[int | str]) -> str:
     return "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys).lstrip(".") or "scene"
 
 
-def _known(keys: list[int | str], parent: Node, schema: Node) -> str:
+def _valid_places(keys: list[int | str], parent: Node, schema: Node) -> str:
     """Return where an unknown key would be valid, or the nearest known key.
 
     A key is valid in a table of another kind, or in other tables.
@@ -160,7 +160,7 @@ def _key_of(value: object, node: Node, schema: Node) -> str | None:
     return None
 
 
-def _shown(value: object) -> str:
+def _as_text(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, dict):

@@ -11,6 +11,7 @@ import pytest
 
 if TYPE_CHECKING:
     from vlp16emu.extras.handle import Live
+    from vlp16emu.run.emulator import Emulator
 
 _LOOK_AHEAD = 128
 """Packets that are computed before the first one is sent, 0.17 s: a hall is computed several times faster

@@ -24,7 +24,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticKnownError
 from pydantic_core.core_schema import tagged_union_schema, union_schema, with_info_plain_validator_function
 
-from vlp16emu.doors import DOORS, Part, added, door, has_door
+from vlp16emu.doors import DOORS, Part, door, has_door, plug_ins
 from vlp16emu.trees import Table, Tree
 
 DEEPEST = 100  # greatest nesting of tables and lists, and number of names in a dotted key
@@ -116,22 +116,22 @@ class OneOf:
         ours: dict[object, type[Section]] = {
             word: door(word, self.group) for word in DOORS[self.group] if has_door(word, self.group)
         }
-        return {**ours, **dict(added(self.group)), **dict(self._defined(self.base)), **ours}
+        return {**ours, **dict(plug_ins(self.group)), **dict(self._subclasses(self.base)), **ours}
 
     def _section(self, word: object) -> type[Section] | None:
         if not isinstance(word, str):
             return None
-        defined = {} if word in DOORS[self.group] else dict(self._defined(self.base))
+        defined = {} if word in DOORS[self.group] else dict(self._subclasses(self.base))
         if word not in defined and has_door(word, self.group):
             section: type[Section] = door(word, self.group)
             return section
         return defined.get(word)
 
-    def _defined(self, base: type[Section]) -> Iterator[tuple[object, type[Section]]]:
+    def _subclasses(self, base: type[Section]) -> Iterator[tuple[object, type[Section]]]:
         for section in base.__subclasses__():
             if (field := section.model_fields.get(self.tag)) is not None:
                 yield from ((word, section) for word in get_args(field.annotation))
-            yield from self._defined(section)
+            yield from self._subclasses(section)
 
     def _validate(self, value: object, info: ValidationInfo) -> Section:
         if isinstance(value, self.base):

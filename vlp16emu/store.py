@@ -199,7 +199,7 @@ def user_store() -> Store:
     return Store(None if chosen in ("", "off") or not most_bytes else folder, ".world", most_bytes)
 
 
-def recalled(
+def recall(
     name: str,
     make: Callable[[], T],
     pack: Callable[[T], Any] = lambda thing: thing,

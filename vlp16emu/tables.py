@@ -105,7 +105,7 @@ class Table:
         times_ns = []
         for row, cell in enumerate(self.cells[column]):
             try:  # `Decimal` alone would allow underscores
-                t_ns = Decimal(self._pointed(row, column, cell).replace("_", "?")).scaleb(9)
+                t_ns = Decimal(self._with_point(row, column, cell).replace("_", "?")).scaleb(9)
             except ArithmeticError:
                 raise self.error(self.where(row, column), f"found {cell!r}", "a time in seconds") from None
             if not t_ns.is_finite() or abs(t_ns) > _LARGEST_NS:
@@ -123,7 +123,7 @@ class Table:
             if self.columns[column].is_filled:
                 raise self.error(self.where(row, column), f"found {cell}" if cell else "nothing", expected)
             return math.nan
-        number = _float(self._pointed(row, column, cell))
+        number = _float(self._with_point(row, column, cell))
         if math.isnan(number):
             has_unit = not math.isnan(_float(cell.partition(" ")[0].replace(",", ".")))
             raise self.error(
@@ -135,7 +135,7 @@ class Table:
             raise self.error(self.where(row, column), f"found {cell}", expected + limit + meant)
         return number * factor
 
-    def _pointed(self, row: int, column: str, cell: str) -> str:
+    def _with_point(self, row: int, column: str, cell: str) -> str:
         """Return a number with a decimal point.
 
         A table has one decimal mark, as the other one may group thousands.
@@ -174,7 +174,7 @@ def read_table(
     """
     with readable(path, expected, error):
         content = path.read_bytes()
-    lines = _decoded(path, content, error).replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    lines = _decode(path, content, error).replace("\r\n", "\n").replace("\r", "\n").split("\n")
     records = partial(_records, path, lines, expected, error)
     known = {name for column in columns.values() for name in column.units}
     if has_header:
@@ -262,7 +262,7 @@ def _columns_of(
     return called
 
 
-def _decoded(path: Path, content: bytes, error: type[InputError]) -> str:
+def _decode(path: Path, content: bytes, error: type[InputError]) -> str:
     if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise error(str(path), "is UTF-16 text", "UTF-8 (in Excel: save as CSV UTF-8)")
     try:

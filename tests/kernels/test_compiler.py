@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from vlp16emu.kernels import compiler, numba_private
-from vlp16emu.kernels.compiler import _signature, decoded, table
+from vlp16emu.kernels.compiler import _signature, decode_type, table
 
 PROGRAM = """
 from pathlib import Path
@@ -52,7 +52,7 @@ class Pair(NamedTuple):
 def test_types_are_those_of_values(monkeypatch, text, value):
     """A type that is read is what numba says of a value of that type."""
     monkeypatch.setitem(sys.modules, __name__, sys.modules[Pair.__module__])
-    assert repr(decoded(text)) == repr(numba.typeof(value))
+    assert repr(decode_type(text)) == repr(numba.typeof(value))
 
 
 @pytest.mark.parametrize("group", ["hall", "forest"])

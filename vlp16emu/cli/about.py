@@ -359,7 +359,7 @@ def _print_accuracy(measured: "Accuracy") -> None:
         for name, (_, unit) in _COLUMNS.items():
             value = unit * getattr(row.errors, name)
             cells.append(f"{value:.{max(_digits(value), 1)}f}")
-        lines.append([_starred(row.name, in_use=row.in_use), *cells])
+        lines.append([_with_star(row.name, in_use=row.in_use), *cells])
         ends = [_interval(name, row.intervals[name]) for name in _COLUMNS]
         lines.append(["  95 %", f"+-{row.us_spread / 2:.2f}", "", *ends])
     print_table(lines)
@@ -411,10 +411,10 @@ def _print_foliage(levels: "Sequence[LevelOfDetail]") -> None:
             f"{mean.value:.2f} +-{mean.half:.2f}{'!' if mean.departs else ' '}"
             for mean in level.means.values()
         )
-        lines.append([_starred(level.name, in_use=level.in_use), f"{level.us_per_pulse:.2f}", *cells])
+        lines.append([_with_star(level.name, in_use=level.in_use), f"{level.us_per_pulse:.2f}", *cells])
     print_table(lines)
 
 
-def _starred(name: str, *, in_use: bool) -> str:
+def _with_star(name: str, *, in_use: bool) -> str:
     short = name.removeprefix("beam.model=").removeprefix("world.").replace("beam.", "")
     return f"{short} *" if in_use else short

@@ -225,7 +225,7 @@ def score(
         raise InputError(f"--plot {plot}", "found nothing to draw", "--trajectory or --stems")
     with plotting(plot, files) as draw, page_writing(out, files) as write:
         card = make_card(inputs)
-        missed = card.missed(limits)
+        missed = card.failed_limits(limits)
         report = report_of("score", dict(members(card)) | {"missed": missed})
         draw(report)
         write(report)

@@ -29,7 +29,7 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
         for leaf in leaves:
             if leaf.kind is bool and leaf.default is True:  # its name negates it
                 values[leaf.name] = not values[leaf.name]
-        function(**{one.name: _made(one.name, one.annotation, values) for one in parameters})
+        function(**{one.name: _value_of(one.name, one.annotation, values) for one in parameters})
 
     signature = inspect.Signature([_parameter(leaf) for leaf in leaves])
     run.__name__ = function.__name__
@@ -59,7 +59,7 @@ def _leaves(name: str, annotation: object, default: object) -> Iterator[Declared
             yield from _leaves(field.name, field.type, field.default)
 
 
-def _made(name: str, annotation: object, values: Mapping[str, object]) -> object:
+def _value_of(name: str, annotation: object, values: Mapping[str, object]) -> object:
     """Return a value, or a dataclass with its values.
 
     It is None for an optional dataclass if none of its options is given.
@@ -82,7 +82,7 @@ def _made(name: str, annotation: object, values: Mapping[str, object]) -> object
             raise InputError(given[0].name, f"found no {missing[0].name}", wanted)
     named = [(field.name, field.type) for field in fields(owner)]  # type: ignore[arg-type]
     return owner(
-        **{key: _made(key, kind, values) for key, kind in named if list(_leaves(key, kind, MISSING))}
+        **{key: _value_of(key, kind, values) for key, kind in named if list(_leaves(key, kind, MISSING))}
     )
 
 

@@ -229,10 +229,10 @@ def _print_estimate(estimate: "DatasetEstimate") -> None:
         "simulated": _duration(estimate.simulated_s),
         "size": f"{_gigabytes(estimate.bytes)}, {_gigabytes(estimate.free_bytes)} are free",
         "CPU time": _duration(3600 * estimate.cpu_hours),
-        "run time": f"{_duration(3600 * estimate.hours)} at least, on {_counted(estimate.cores, 'core')}",
-        "measured": f"{len(estimate.probes)} of {_counted(estimate.kinds, 'pair')} of stand and sensor, on this machine",
+        "run time": f"{_duration(3600 * estimate.hours)} at least, on {_quantity(estimate.cores, 'core')}",
+        "measured": f"{len(estimate.probes)} of {_quantity(estimate.kinds, 'pair')} of stand and sensor, on this machine",
     }
-    print_rows(f"{count(estimate.missing)} of {_counted(estimate.walks, 'walk')} to be made", rows)
+    print_rows(f"{count(estimate.missing)} of {_quantity(estimate.walks, 'walk')} to be made", rows)
     if estimate.probes:
         print()
         head = ["stand and sensor", "measured", "growth, CPU", "CPU per s", "MB per s"]
@@ -244,7 +244,7 @@ def _probe_cells(probe: "Probe") -> list[str]:
     return [f"{probe.stand}, {probe.sensor}", *times, f"{probe.bytes_per_s / 1e6:.3f}"]
 
 
-def _counted(number: int, thing: str) -> str:
+def _quantity(number: int, thing: str) -> str:
     return f"{count(number)} {thing}{'' if number == 1 else 's'}"
 
 

@@ -80,13 +80,13 @@ def all_checks() -> Iterator[Check]:
     yield _kernels()
     yield _embree()
     for name, port in (("data port", DATA_PORT), ("position port", POSITION_PORT)):
-        reason = _bound("", port)
+        reason = _binding_fault("", port)
         taken = (
             f"right for a receiver here; --as-sensor needs it: ss -ulpn 'sport = :{port}' shows its program"
         )
         yield _check(name, f"{port}: {reason}" if reason else f"{port} is free", taken if reason else "")
     address = FACTORY_LINK.source
-    is_ours = not _bound(address, 0)
+    is_ours = not _binding_fault(address, 0)
     add = f"for --as-sensor: sudo ip addr add {address}/24 dev IFACE"
     found = f"{address} is {'' if is_ours else 'not '}this machine's"
     yield _check("sensor address", found, "" if is_ours else add, bad=Condition.OK)
@@ -107,7 +107,7 @@ def _check(name: str, found: str, mend: str = "", *, bad: Condition = Condition.
     return Check(name, bad if mend else Condition.OK, found, mend)
 
 
-def _bound(address: str, port: int) -> str:
+def _binding_fault(address: str, port: int) -> str:
     """Return the reason why an address cannot be a source; empty if it can."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:

@@ -25,7 +25,7 @@ from vlp16emu.foliage.voxel import BRICK, COLUMNS, FINER, KNOTS, QUANTILES, VOXE
 from vlp16emu.raycast.build import Placed
 from vlp16emu.raycast.near import EmbreeCaster, EmbreeGeometry, Stages, target_of
 from vlp16emu.raycast.packet import LEVEL, Target
-from vlp16emu.store import recalled
+from vlp16emu.store import recall
 from vlp16emu.types import F8, U1, Mesh, ShapeKey, Window
 
 STRAY_M = 1.0  # greatest distance of a sensor from the positions of its window
@@ -250,7 +250,7 @@ class FarCaster(EmbreeCaster):
         place = self._place
         names = self._names
         world = self._tiled.name
-        return recalled(
+        return recall(
             world and f"{world} block {ix} {iy}",
             lambda: block_of(library, place, tiles, ix, iy),
             lambda block: packed_block(block, library, names),
@@ -269,7 +269,7 @@ class FarCaster(EmbreeCaster):
         def measured(of: tuple[ShapeKey, U1]) -> Cloud:
             (key, parts) = of
             name = self._tiled.shape_name(of[0])
-            return recalled(
+            return recall(
                 name and f"cloud {name} {parts.tolist()}", lambda: cloud_of(self._tiled.shape(key), parts)
             )
 

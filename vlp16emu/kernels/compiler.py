@@ -192,7 +192,7 @@ def compile_kernels(group: str | None = None) -> Iterator[tuple[int, int]]:
                 yield done, len(missing)
 
 
-def decoded(text: object) -> NumbaObject:
+def decode_type(text: object) -> NumbaObject:
     """Read a numba type from JSON; fails if the program no longer has the type."""
     if isinstance(text, str):
         return getattr(types, text)
@@ -202,16 +202,16 @@ def decoded(text: object) -> NumbaObject:
         dtype, ndim, layout, readonly = rest
         return types.Array(getattr(types, dtype), ndim, layout, readonly=readonly)
     if first == "tuple":
-        return types.Tuple([*map(decoded, rest)])
+        return types.Tuple([*map(decode_type, rest)])
     if first == "omitted":
         return types.Omitted(*rest)
     module, _, name = first.partition(":")
-    return types.BaseTuple.from_types([*map(decoded, rest)], getattr(import_module(module), name))
+    return types.BaseTuple.from_types([*map(decode_type, rest)], getattr(import_module(module), name))
 
 
 def _signature(row: Row) -> tuple[NumbaObject, tuple[NumbaObject, ...]]:
     module, _, name = row["kernel"].partition(":")
-    return getattr(import_module(f"vlp16emu.{module}"), name), tuple(map(decoded, row["types"]))
+    return getattr(import_module(f"vlp16emu.{module}"), name), tuple(map(decode_type, row["types"]))
 
 
 def _is_kept(row: Row) -> bool:

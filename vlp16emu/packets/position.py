@@ -47,7 +47,7 @@ class _Schedule:
     jitter_ns: int
 
 
-def _measured() -> _Schedule:
+def _two_timers() -> _Schedule:
     """Merge the two timers of the real unit over one cycle."""
     cycle_ns = 33 * 16 * _DATA_PERIOD_NS
     timer_ns = np.arange(70) * cycle_ns // 70
@@ -60,7 +60,7 @@ def _measured() -> _Schedule:
 
 
 _SCHEDULES: dict[PositionRate, _Schedule] = {
-    "measured": _measured(),
+    "measured": _two_timers(),
     # One per 14 data packets of single return: 63-9243 Rev D, section 8.2.2, p. 50.
     "manual": _Schedule(np.zeros(1, np.int64), 14 * _DATA_PERIOD_NS, 0),
 }

@@ -15,7 +15,7 @@ from vlp16emu.raycast.beam import FARTHEST, LINE, ROUND, Footprint, beam_axis_of
 from vlp16emu.raycast.build import EmbreeMesh, Placed, inverses, relative_to_window, shape_of
 from vlp16emu.raycast.kernel import Cast, PulseBatch, batch_of, cast_lines, cast_pulses, join_rounds
 from vlp16emu.raycast.packet import PACKET, Target, ray_packet
-from vlp16emu.store import recalled
+from vlp16emu.store import recall
 from vlp16emu.types import F8, I8, Firings, Hits, ShapeKey, Window, World
 from vlp16emu.units import INCLUSIVE
 
@@ -177,4 +177,4 @@ class EmbreeCaster:
     def _solid(self, key: ShapeKey) -> EmbreeMesh:
         name = self._world.shape_name(key)
         world = self._world
-        return EmbreeMesh(recalled(name and f"faces {name}", lambda: shape_of(world.shape(key))))
+        return EmbreeMesh(recall(name and f"faces {name}", lambda: shape_of(world.shape(key))))

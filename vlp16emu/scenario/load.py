@@ -16,7 +16,7 @@ from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hint
 
 from pydantic import ValidationError
 
-from vlp16emu.doors import added, door
+from vlp16emu.doors import door, plug_ins
 from vlp16emu.errors import ScenarioError, readable
 from vlp16emu.explain import explain
 from vlp16emu.scenario.model import Scenario, schema
@@ -74,7 +74,7 @@ def load(
     if ideal:
         _without_errors(source.tree)
     try:
-        return _checked(_changed(source, changes))
+        return _validate(_with_settings(source, changes))
     except ValidationError as error:
         fault = explain(error, schema())
         raise ScenarioError(_origin(source, changes, fault), *fault[1:]) from None
@@ -113,12 +113,12 @@ def _move_files(tree: Any, kinds: Sequence[Any], before: Path, after: str) -> No
 def _settings(settings: Mapping[str, object] | Sequence[str]) -> list[_Setting]:
     given = settings.items() if isinstance(settings, Mapping) else ()
     read = [_Setting(key, value, f"setting {key} = {value!r}") for key, value in given] or [
-        *map(_parsed, settings)
+        *map(_parse_setting, settings)
     ]
-    return [_converted(one) for one in read]
+    return [_convert(one) for one in read]
 
 
-def _changed(source: _Source, changes: Iterable[_Setting]) -> _Source:
+def _with_settings(source: _Source, changes: Iterable[_Setting]) -> _Source:
     source = source._replace(tree=deepcopy(source.tree))
     for change in changes:
         _apply(source.tree, change)
@@ -143,7 +143,7 @@ def _source(scene: str | Path | Table | Scenario, folder: Path | None) -> _Sourc
     return _Source(str(path), tree, path.parent.absolute(), is_json=path.suffix == ".json")
 
 
-def _checked(source: _Source) -> Scenario:
+def _validate(source: _Source) -> Scenario:
     context = {"folder": source.folder}  # so that relative paths stay valid
     if source.is_json:
         source.tree.pop("written_by", None)
@@ -188,7 +188,7 @@ def _without_errors(tree: Tree) -> None:
             unit.update({"preset": "steady"} | _UNIT_ERRORS)
 
 
-def _converted(setting: _Setting) -> _Setting:
+def _convert(setting: _Setting) -> _Setting:
     """Return a setting with its value converted for its key.
 
     Keys that it excludes are those of the tables on its path.
@@ -252,7 +252,7 @@ def _converted_value(value: object, kinds: Sequence[Any]) -> object:
     return value
 
 
-def _parsed(text: str) -> _Setting:
+def _parse_setting(text: str) -> _Setting:
     """Parse `key.path=value`; a value that is not TOML is taken as a bare word."""
     key, _, value = (part.strip() for part in text.partition("="))
     try:
@@ -288,7 +288,7 @@ def _origin(source: _Source, settings: Sequence[_Setting], fault: tuple[str, str
             return setting.where if key == setting.key else f"{setting.where}: {key}"
     for count in reversed(range(len(settings))):
         try:
-            _checked(_changed(source, settings[:count]))
+            _validate(_with_settings(source, settings[:count]))
         except ValidationError as error:
             if explain(error, schema()) == fault:
                 continue
@@ -312,7 +312,7 @@ def scene_files() -> dict[str, Path]:
     Scenes of other packages, in the folders of their entry points `vlp16emu.scenes`, come last.
     """
     found = _scenes_in(_folders())
-    return dict(sorted((_scenes_in(Path(folder) for _, folder in added("scenes")) | found).items()))
+    return dict(sorted((_scenes_in(Path(folder) for _, folder in plug_ins("scenes")) | found).items()))
 
 
 def _scenes_in(folders: Iterable[Path]) -> dict[str, Path]:

@@ -93,7 +93,7 @@ class RigUnit(Sensor):
     """Seed of its random errors; by default derived from the seed of `[sensor]`."""
 
 
-def completed(table: object, first: Sensor, place: int) -> object:
+def complete_unit(table: object, first: Sensor, place: int) -> object:
     """Return the table of a unit completed with keys from the first unit.
 
     Parameters
@@ -147,7 +147,7 @@ class _Events:
 
     @classmethod
     def __get_pydantic_core_schema__(cls, _source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.with_info_before_validator_function(cls._checked, handler(list[Any]))
+        return core_schema.with_info_before_validator_function(cls._check, handler(list[Any]))
 
     @classmethod
     def __get_pydantic_json_schema__(
@@ -156,7 +156,7 @@ class _Events:
         return handler(EVENT_TABLES.load()().core_schema if EVENT_TABLES.is_installed else schema)
 
     @staticmethod
-    def _checked(tables: object, info: ValidationInfo) -> object:
+    def _check(tables: object, info: ValidationInfo) -> object:
         return tables if tables == [] else CHECKED_EVENTS.load()(tables, info.data)
 
 
@@ -225,7 +225,7 @@ class Scenario(Section):
             if first is not None and tables and not isinstance(first, Sensor):
                 raise ValueError(f'none beside sensor.model = "{first.model}", which has no packets')
             return tables
-        return [completed(table, first, place) for place, table in enumerate(tables, start=1)]
+        return [complete_unit(table, first, place) for place, table in enumerate(tables, start=1)]
 
     @field_validator("rig")
     @classmethod

@@ -12,7 +12,7 @@ from vlp16emu.errors import GeometryError
 from vlp16emu.settings import Section
 from vlp16emu.types import F8, SURFACE, Mesh, Semantic, ShapeKey, Window, World
 from vlp16emu.world.settings import Hall, HallBox, HallPole, HallSphere
-from vlp16emu.world.vectors import closed
+from vlp16emu.world.vectors import closed_body
 
 _log = logging.getLogger(__name__)
 Thing = HallBox | HallPole | HallSphere
@@ -174,7 +174,7 @@ def _pole(pole: HallPole) -> Mesh:
     angle = 2 * half * np.arange(sides)
     ring = np.column_stack([corner_m * cos(angle), corner_m * sin(angle), np.zeros(sides)])
     ends = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, pole.height_m]])
-    return closed(ring + ends[:, None], ends)
+    return closed_body(ring + ends[:, None], ends)
 
 
 def _sphere(radius_m: float) -> Mesh:
@@ -191,4 +191,4 @@ def _sphere(radius_m: float) -> Mesh:
     flat = cos(latitude)[:, None]
     z = np.broadcast_to(sin(latitude)[:, None], (len(latitude), sides))
     rings = np.stack([flat * cos(longitude), flat * sin(longitude), z], axis=-1)
-    return closed(corner_m * rings, corner_m * np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]))
+    return closed_body(corner_m * rings, corner_m * np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]))

@@ -26,7 +26,7 @@ def determinant(matrices: F8) -> F8:
     return (a * np.cross(b, c)).sum(axis=-1)
 
 
-def closed(rings: F8, ends: F8) -> Mesh:
+def closed_body(rings: F8, ends: F8) -> Mesh:
     """Make a closed body from rings (r, sides, 3) and the centres (2, 3) of its ends.
 
     Rings are counter-clockwise seen from the last.

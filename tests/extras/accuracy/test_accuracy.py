@@ -20,7 +20,7 @@ from vlp16emu.extras.accuracy.sweep import (
     departures,
     draw_groups,
     is_two,
-    joined,
+    join_detections,
     measure_accuracy,
     measure_foliage,
 )
@@ -176,9 +176,9 @@ def test_audits_estimate_the_error_that_accuracy_measures(hall):
     unit = emulator.parts.units[0]
     bench = Bench(unit, 128)
     ((_, groups),) = draw_groups(Batching(16, 55_296), 20, 8_192, 1, moves=False)
-    aimed = [bench.aimed(group) for group in groups]
-    answer = joined([bench.answer(scenes[0], pulses, unit.beam) for pulses in aimed])
-    returns = joined([bench.detections(scenes[0], pulses, unit.beam) for pulses in aimed])
+    aimed = [bench.aim(group) for group in groups]
+    answer = join_detections([bench.answer(scenes[0], pulses, unit.beam) for pulses in aimed])
+    returns = join_detections([bench.detections(scenes[0], pulses, unit.beam) for pulses in aimed])
     measured_m = errors_of(
         compare(answer, returns, apart_m(hall.detector)), apart_m(hall.detector)
     ).range_rmse_m
@@ -270,7 +270,7 @@ def test_a_tally_says_what_errors_of_all_pulses_say():
         tally.add(one)
         turned.add(other)
     assert tally == turned
-    found = errors(joined(answers), joined(tolds))
+    found = errors(join_detections(answers), join_detections(tolds))
     assert tally.range_rmse_m == pytest.approx(found.range_rmse_m, rel=1e-4)
     counts = tally.lost, tally.invented, tally.wrong_strongest
     assert np.allclose(np.divide(counts, tally.returns), (found.lost, found.invented, found.wrong_strongest))

@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from vlp16emu.extras.camera.light import developed, linear, sky, sun_direction
+from vlp16emu.extras.camera.light import linear, sky, sun_direction, tone_map
 
 
 def spencer(when: datetime, latitude_deg: float, longitude_deg: float) -> np.ndarray:
@@ -61,7 +61,7 @@ def test_the_sky_is_bluest_above_and_bright_about_the_sun():
 
 def test_brighter_light_is_a_brighter_colour():
     """Colours rise with light, from black to white, and the palette's light is its square."""
-    shown = developed(np.linspace(0.0, 5.0, 200)[:, None].repeat(3, axis=1))[:, 0].astype(int)
+    shown = tone_map(np.linspace(0.0, 5.0, 200)[:, None].repeat(3, axis=1))[:, 0].astype(int)
     assert (np.diff(shown) >= 0).all()
     assert (shown[0], shown[-1]) == (0, 255)
     np.testing.assert_allclose(linear(np.array([0, 51, 255], np.uint8)), [0.0, 0.04, 1.0])

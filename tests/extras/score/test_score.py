@@ -186,7 +186,7 @@ def test_a_missed_threshold_is_exit_code_1(truth, capsys):
     assert "missed: stem_recall is 1, required > 1" in capsys.readouterr().out
     assert app.run([*arguments, "--require", "ate_m<1"]) == 2
     assert "found ate_m; expected stem_precision" in capsys.readouterr().err
-    assert ScoreCard(None, {"ate_m": math.nan}).missed(limits_of(["ate_m<0.3"]))
+    assert ScoreCard(None, {"ate_m": math.nan}).failed_limits(limits_of(["ate_m<0.3"]))
 
 
 def test_own_numbers_of_trees_are_kept(truth, capsys):

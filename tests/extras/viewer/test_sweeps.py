@@ -16,7 +16,7 @@ from vlp16emu.types import Mesh
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
 
-from vlp16emu.extras.viewer.layers import LAYERS, coloured, layers_of_scan
+from vlp16emu.extras.viewer.layers import LAYERS, colours_of, layers_of_scan
 from vlp16emu.extras.viewer.stand import fewer_faces, pieces_of, slim_stem
 from vlp16emu.extras.viewer.sweeps import CaptureSweeps, SceneSweeps
 
@@ -53,7 +53,7 @@ def test_points_of_a_capture_are_where_the_scene_has_them(run):
     error_m = sweep.scan.distance_m - sweep.scan.labels.range_m
     assert 0.003 < np.median(np.abs(error_m)) < 0.02
     assert not sweep.faults
-    red, _, blue = coloured(sweep.scan, "range error", {})[0].T.astype(int)
+    red, _, blue = colours_of(sweep.scan, "range error", {})[0].T.astype(int)
     assert (blue > red)[error_m < -0.01].all()
     assert (red > blue)[error_m > 0.01].all()
 
@@ -99,7 +99,7 @@ def test_every_layer_shows_a_difference(emulator):
     assert (np.abs(world_m) <= [15.1, 9.1, 6.1]).all()
     assert layers_of_scan(scan) == LAYERS
     for layer in LAYERS:
-        colours = coloured(scan, layer, {})[0]
+        colours = colours_of(scan, layer, {})[0]
         assert colours.shape == world_m.shape
         if layer not in ("natural", "part", "species", "class"):  # nothing grows in a hall
             assert len(np.unique(colours, axis=0)) > 3, layer

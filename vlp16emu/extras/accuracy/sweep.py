@@ -113,7 +113,7 @@ TIMED_SEQUENCES = 96
 _MOST_SEGMENTS = 8  # greatest number of segments of a long walk: each needs a window of the world
 
 
-def joined(parts: Sequence[Detections]) -> Detections:
+def join_detections(parts: Sequence[Detections]) -> Detections:
     """Join the detections of several batches."""
     return Detections(*map(np.concatenate, zip(*parts, strict=True)))
 
@@ -169,7 +169,7 @@ class Bench:
     unit: Unit
     rays: int  # sub-rays of an answer
 
-    def aimed(self, group: range) -> Firings:
+    def aim(self, group: range) -> Firings:
         """Aim the sequences of a group."""
         return self.unit.head.aim(group.start, len(group), self.unit.motion.poses_at, beam_axis=True)
 
@@ -186,7 +186,7 @@ class Bench:
         """Return the answer for some pulses; `number` distinguishes answers with different sub-rays."""
         return self.detections(geometry, firings, answer_beam(beam, self.rays, self.unit.seed, number))
 
-    def timed(self, geometry: Geometry, firings: Firings, beam: Footprint) -> tuple[float, float]:
+    def time_casting(self, geometry: Geometry, firings: Firings, beam: Footprint) -> tuple[float, float]:
         """Cast and detect as a run does; return microseconds per pulse on one core, and rays per pulse."""
         began_s = time.thread_time()
         hits = self.cast(geometry, firings, beam)
@@ -252,29 +252,33 @@ class _SettingsBench:
     def detect_groups(self, geometry: Geometry, groups: Sequence[range], pool: ThreadPoolExecutor) -> None:
         """Detect the groups of one window with all settings."""
         bench = self._bench
-        aimed = [self._bench.aimed(group) for group in groups]
+        pulses = [self._bench.aim(group) for group in groups]
 
-        def answers(aimed: Sequence[Firings], number: int) -> list[Detections]:
-            return list(pool.map(lambda firings: bench.answer(geometry, firings, self._wide, number), aimed))
+        def answers(pulses: Sequence[Firings], number: int) -> list[Detections]:
+            return list(pool.map(lambda firings: bench.answer(geometry, firings, self._wide, number), pulses))
 
-        self._detections["answer"] += (found := answers(aimed, 0))
+        self._detections["answer"] += (found := answers(pulses, 0))
         self._detections["answer of some"] += found[::_ANSWERED_TWICE]
-        self._detections["another answer"] += answers(aimed[::_ANSWERED_TWICE], 1)
+        self._detections["another answer"] += answers(pulses[::_ANSWERED_TWICE], 1)
         for setting in self._beams:
-            self._detections[setting.name] += [bench.detections(geometry, one, setting.beam) for one in aimed]
+            self._detections[setting.name] += [
+                bench.detections(geometry, one, setting.beam) for one in pulses
+            ]
 
     def time(self, geometry: Geometry, block: range) -> None:
         """Measure the run time of all settings in turn, so that other load affects all of them."""
         bench = self._bench
-        firings = bench.aimed(block[:TIMED_SEQUENCES])
+        firings = bench.aim(block[:TIMED_SEQUENCES])
         for repeat in range(_REPEATS + 1):
-            timed = {setting.name: bench.timed(geometry, firings, setting.beam) for setting in self._beams}
+            times = {
+                setting.name: bench.time_casting(geometry, firings, setting.beam) for setting in self._beams
+            }
             if repeat:  # the first repetition compiles and warms up
-                for name, (us, rays) in timed.items():
+                for name, (us, rays) in times.items():
                     self._us[name].append(us)
                     self._rays[name].append(rays)
 
-    def summed(self, scene: str, seed: int) -> Accuracy:
+    def summary(self, scene: str, seed: int) -> Accuracy:
         """Return all errors and run times.
 
         The difference of two answers is the error of one times the root of two.
@@ -305,7 +309,9 @@ class _SettingsBench:
         )
 
     def _errors(self, name: str, answer: str) -> Errors:
-        compared = compare(joined(self._detections[answer]), joined(self._detections[name]), self._apart_m)
+        compared = compare(
+            join_detections(self._detections[answer]), join_detections(self._detections[name]), self._apart_m
+        )
         return errors_of(compared, self._apart_m)
 
 
@@ -330,10 +336,10 @@ def measure_accuracy(
             settings.detect_groups(geometry, groups, pool)
             settings.time(geometry, range(begin := groups[0].start // block * block, begin + block))
             done(share)
-    summed = settings.summed(scene, scenario.seed)
-    if not (seen := summed.rows[0].errors).returns:
+    accuracy = settings.summary(scene, scenario.seed)
+    if not (seen := accuracy.rows[0].errors).returns:
         raise RunError(f"{scene}: none of {seen.pulses} pulses has a return; nothing can be wrong")
-    return summed
+    return accuracy
 
 
 _NEAR_M = (10.0, 15.0, 20.0, 30.0, math.inf)
@@ -389,15 +395,15 @@ def returns_of(scenario: Scenario, near_m: float, pulses: int) -> Iterator[tuple
     detector = unit.detector.without_chance()
 
     def returns(geometry: Geometry, group: range) -> Returns:
-        firings = bench.aimed(group)
+        firings = bench.aim(group)
         hits = bench.cast(geometry, firings, unit.beam)
         return detect(firings, hits, geometry.surfaces, detector, truth=True)
 
     with workers(os.cpu_count() or 1, "foliage") as pool:
         for geometry, groups, share in opened_windows(scenario, parts, pulses, pool):
             found = list(pool.map(partial(returns, geometry), groups))
-            timed = bench.aimed(range(start := groups[0].start, start + TIMED_SEQUENCES))
-            us = min(bench.timed(geometry, timed, unit.beam)[0] for _ in range(_REPEATS))
+            firings = bench.aim(range(start := groups[0].start, start + TIMED_SEQUENCES))
+            us = min(bench.time_casting(geometry, firings, unit.beam)[0] for _ in range(_REPEATS))
             yield from ((one, us, share) for one in found)
 
 

@@ -72,7 +72,7 @@ def linear(rgb: U1) -> F8:
     return share * share
 
 
-def developed(light: F8) -> U1:
+def tone_map(light: F8) -> U1:
     """Return light as colours of a file; bright parts approach white slowly.
 
     Reinhard et al., "Photographic tone reproduction for digital images", SIGGRAPH 2002, equation 4.

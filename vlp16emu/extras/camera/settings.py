@@ -48,7 +48,7 @@ class Camera(Section):
 
     @field_validator("mount")
     @classmethod
-    def _fixed(cls, mount: Mount) -> Mount:
+    def _check_is_fixed(cls, mount: Mount) -> Mount:
         if mount.spin_hz:
             raise ValueError("spin_hz = 0 in it, as a camera is fixed to its carrier")
         return mount

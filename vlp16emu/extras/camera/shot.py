@@ -137,7 +137,7 @@ class Photographer:
         return Shot(
             t_ns,
             pose,
-            light.developed(seen).reshape(*shape, 3),
+            light.tone_map(seen).reshape(*shape, 3),
             depth_m.astype(np.float32).reshape(shape),
             surfaces["semantic"][row].reshape(shape),
             surfaces["part"][row].reshape(shape),

@@ -33,7 +33,7 @@ def draw(figure: "Figure", report: Report) -> None:
     """Draw a forest from above and along the path, or a hall from above."""
     if "stems" not in report:
         figure.set_size_inches(11, 9)
-        figure.suptitle(_wrapped(f"{report['scene']}: {report['title']}", 70))
+        figure.suptitle(_wrap(f"{report['scene']}: {report['title']}", 70))
         _draw_hall(figure.add_subplot(), report)
         return
     stems = report["stems"]
@@ -42,7 +42,7 @@ def draw(figure: "Figure", report: Report) -> None:
     tall = min(max(10.5 * rows / columns, 5.0), 11.0)
     figure.set_size_inches(14, tall + 5.2)
     density = f"{len(stems['id'])} stems within {report['radius_m']:g} m of {report['path']['length_m']:.0f} m of path"
-    title = _wrapped(f"{report['scene']}, seed {report['seed']}: {report['title']}", 100)
+    title = _wrap(f"{report['scene']}, seed {report['seed']}: {report['title']}", 100)
     figure.suptitle(f"{title}\n{density}", fontsize=15)
     looks = _looks(stems["species"])
     plan, side = figure.subplots(2, 1, height_ratios=(tall, 4.2))
@@ -50,7 +50,7 @@ def draw(figure: "Figure", report: Report) -> None:
     _draw_profile(side, report, looks)
 
 
-def _wrapped(text: str, columns: int) -> str:
+def _wrap(text: str, columns: int) -> str:
     return "\n".join(wrap(text, columns))
 
 

@@ -71,18 +71,18 @@ class ScoreCard:
     path: PathErrors | None = None
     reference: Table | None = None  # title and seed of the walk; None if the truth has no scenario
 
-    def missed(self, limits: Sequence[Limit]) -> list[str]:
+    def failed_limits(self, limits: Sequence[Limit]) -> list[str]:
         """Return the failed thresholds, with the values, as text.
 
         Raises InputError if there is no score of that name.
         """
-        missed = []
+        failed = []
         for name, sign, bound in limits:
             if name not in self.scores:
                 raise InputError("--require", f"found {name}", ", ".join(self.scores))
             if not _SIGNS[sign](self.scores[name], bound):
-                missed.append(f"{name} is {self.scores[name]:.6g}, required {sign} {bound:g}")
-        return missed
+                failed.append(f"{name} is {self.scores[name]:.6g}, required {sign} {bound:g}")
+        return failed
 
 
 def limits_of(texts: Sequence[str]) -> list[Limit]:

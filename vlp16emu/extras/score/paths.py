@@ -84,7 +84,7 @@ def score_path(file: Path, times: Path | None, truth: Path, unit: int, alignment
         raise InputError(
             str(file), f"found poses from {spans[0]}", f"at least three within the truth, {spans[1]}"
         )
-    pair = _aligned(found, inside, true, alignment)
+    pair = _align(found, inside, true, alignment)
     places = metrics.PoseRelation.translation_part
     turns = metrics.PoseRelation.rotation_angle_deg
     over = {"delta": RPE_DELTA_M, "delta_unit": metrics.Unit.meters, "all_pairs": True}
@@ -183,7 +183,7 @@ def stamp_offset_s(found: RecordedPoses, true: Trajectory) -> float:
     return float(offsets_ns[best] + 0.5 * _OFFSET_STEP_NS * (before - after) / bend) / S_NS
 
 
-def _aligned(found: RecordedPoses, inside: NDArray[np.bool_], true: Trajectory, alignment: str):  # type: ignore[no-untyped-def]  # noqa: ANN202 - of evo, which has no types
+def _align(found: RecordedPoses, inside: NDArray[np.bool_], true: Trajectory, alignment: str):  # type: ignore[no-untyped-def]  # noqa: ANN202 - of evo, which has no types
     """Return the true and the found trajectory, as evo's classes, at the same instants."""
     from evo.core.geometry import GeometryException, umeyama_alignment
     from evo.core.trajectory import PoseTrajectory3D

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from vlp16emu.errors import InputError, Vlp16emuError
 from vlp16emu.extras.survey import Survey
 from vlp16emu.extras.viewer.draft import Draft, Versions, walk_of
-from vlp16emu.extras.viewer.layers import boxed
+from vlp16emu.extras.viewer.layers import html_box
 from vlp16emu.extras.viewer.outlook import PER_S, Kind, Outlook, Surroundings
 from vlp16emu.extras.viewer.scene_file import write_scene
 from vlp16emu.extras.walk.settings import Walk
@@ -159,7 +159,7 @@ class Editor:
         checkboxes = self._loop, self._return, self._whole
         for control in (self._pause, self._laps, self._speed, self._time, *checkboxes):
             self._on_user(control, self._take_panel)
-        self._on_user(self._number, lambda: self._choose(int(_limited(self._number.value, 1, 1e6)) - 1))
+        self._on_user(self._number, lambda: self._choose(int(_clip(self._number.value, 1, 1e6)) - 1))
 
     def _add_buttons(self, requests: dict[str, Callable[[], None]], hint: str | None = None) -> None:
         """Add a row of buttons, each with its request."""
@@ -216,21 +216,21 @@ class Editor:
         self._versions.change(self._versions.draft.removed(self._chosen))
 
     def _simplify(self) -> None:
-        tolerance_m = _limited(self._tolerance.value, 0.05, 20.0)
+        tolerance_m = _clip(self._tolerance.value, 0.05, 20.0)
         self._versions.change(self._versions.draft.simplified(tolerance_m))
 
     def _take_panel(self) -> None:
         """Change the draft to the values of the panel."""
         draft = self._versions.draft
-        speed_m_s = _limited(self._speed.value, 0.1, 10.0)
-        run_time_s: float | None = _limited(self._time.value, 0.0, 7 * 86_400)
+        speed_m_s = _clip(self._speed.value, 0.1, 10.0)
+        run_time_s: float | None = _clip(self._time.value, 0.0, 7 * 86_400)
         if not run_time_s or speed_m_s != draft.speed_m_s:  # a new speed replaces the run time
             run_time_s = None
         draft = replace(
-            draft.stopped(self._chosen, _limited(self._pause.value, 0.0, 86_400)),
+            draft.stopped(self._chosen, _clip(self._pause.value, 0.0, 86_400)),
             speed_m_s=speed_m_s,
             run_time_s=run_time_s,
-            laps=int(_limited(self._laps.value, 1, 1000)),
+            laps=int(_clip(self._laps.value, 1, 1000)),
             back_and_forth=self._return.value is True,
             is_whole=self._whole.value is True,
         )
@@ -309,9 +309,9 @@ class Editor:
         else:
             is_whole = outlook.run_time_s - outlook.recorded_s < 1 / PER_S
             part = "all of it" if is_whole else f"the first {outlook.recorded_s:.1f} s"
-            data = _grouped(outlook.data_packets)
-            position = _grouped(outlook.position_packets)
-            lines.append(f"recorded: {part}, {_grouped(outlook.revolutions)} revolutions,")
+            data = _in_thousands(outlook.data_packets)
+            position = _in_thousands(outlook.position_packets)
+            lines.append(f"recorded: {part}, {_in_thousands(outlook.revolutions)} revolutions,")
             lines.append(f"{data} data and {position} position packets")
         if self._is_growing:
             lines.append("growing the stand along the path ...")
@@ -323,7 +323,7 @@ class Editor:
             lines.append("not saved")
         if self._note:
             lines.append(f"<b>{escape(self._note)}</b>")
-        return boxed(lines) + _list_of_marks(outlook)
+        return html_box(lines) + _list_of_marks(outlook)
 
     def _show_path(self, outlook: Outlook) -> None:
         line_m = outlook.path_m + np.array([0.0, 0.0, _RAISED_M])
@@ -432,16 +432,16 @@ def _list_of_marks(outlook: Outlook) -> str:
         words = [escape(mark.words) for mark in outlook.marks if mark.kind == kind]
         if words:
             style = f"color:rgb{_RGB[kind]};font-weight:bold"
-            parts.append(boxed([f'<span style="{style}">{len(words)} {_MEANING[kind]}</span>', *words]))
+            parts.append(html_box([f'<span style="{style}">{len(words)} {_MEANING[kind]}</span>', *words]))
     return f'<div style="max-height:{_LISTED_EM}em;overflow-y:auto">{"".join(parts)}</div>' if parts else ""
 
 
-def _grouped(number: float) -> str:
+def _in_thousands(number: float) -> str:
     """Return a whole number in groups of three digits."""
     return f"{number:,.0f}".replace(",", " ")
 
 
-def _limited(value: object, least: float, most: float) -> float:
+def _clip(value: object, least: float, most: float) -> float:
     """Return a number of a client within limits; the least for NaN."""
     assert isinstance(value, int | float)
     return float(min(max(least, value), most)) if math.isfinite(value) else least

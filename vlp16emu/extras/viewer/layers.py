@@ -50,13 +50,13 @@ def layers_of_scan(scan: Scan) -> tuple[str, ...]:
     return MEASURED if scan.labels is None else LAYERS
 
 
-def coloured(scan: Scan, layer: str, species: Mapping[int, str]) -> tuple[U1, Entries]:
+def colours_of(scan: Scan, layer: str, species: Mapping[int, str]) -> tuple[U1, Entries]:
     """Return the colours (n, 3) of the points of a sweep in one of its layers, and the legend.
 
     Names of species by number are `species`.
     """
     if scan.labels is None or layer not in _LABELLED:
-        values, scale = _measured(scan, layer)
+        values, scale = _values(scan, layer)
         return colours_of_scale(values, *scale[:2]), scale
     labels: AnyArray = getattr(scan.labels, {"class": "semantic", "natural": "semantic"}.get(layer, layer))
     different, which = np.unique(labels, return_inverse=True)
@@ -69,7 +69,7 @@ def coloured(scan: Scan, layer: str, species: Mapping[int, str]) -> tuple[U1, En
         for name in ("semantic", "part", "species"):
             surfaces[name] = getattr(scan.labels, name)
         return surface_colours(surfaces, species), _natural_legend(scan.labels, species)
-    named = _named(layer, species)
+    named = _names_and_colours(layer, species)
     other = ("", colour_of_kind("ground"))
     shown = (named[n] for n in different.tolist() if n in named)
     colours = [named.get(n, other)[1] for n in different.tolist()]
@@ -105,7 +105,7 @@ def colours_of_scale(values: F8, least: float, most: float) -> U1:
     return np.column_stack([np.interp(place, range(len(scale)), band) for band in scale.T]).astype(np.uint8)
 
 
-def _named(layer: str, species: Mapping[int, str]) -> dict[int, tuple[str, Rgb]]:
+def _names_and_colours(layer: str, species: Mapping[int, str]) -> dict[int, tuple[str, Rgb]]:
     if layer == "class":
         named = {kind.value: (name := kind.name.lower(), colour_of_kind(name)) for kind in Semantic}
         return named | {Semantic.TREE.value: ("tree", colour_of_species("european_beech"))}
@@ -114,7 +114,7 @@ def _named(layer: str, species: Mapping[int, str]) -> dict[int, tuple[str, Rgb]]
     return {number: (name, colour_of_species(name)) for number, name in species.items()}
 
 
-def _measured(scan: Scan, layer: str) -> tuple[F8, tuple[float, float, str]]:
+def _values(scan: Scan, layer: str) -> tuple[F8, tuple[float, float, str]]:
     """Return values (n,) of a layer, and the limits of its scale with its name and unit."""
     if layer == "range error" and scan.labels is not None:
         error_cm = 100.0 * (scan.distance_m.astype(np.float64) - scan.labels.range_m)
@@ -134,21 +134,21 @@ def _measured(scan: Scan, layer: str) -> tuple[F8, tuple[float, float, str]]:
 def legend_of(entries: Entries) -> str:
     """Return the legend of a layer as HTML."""
     if entries is None:
-        return boxed(["each plant or thing in its own colour, the rest in grey"])
+        return html_box(["each plant or thing in its own colour, the rest in grey"])
     if isinstance(entries, Mapping):
         dots = {
             name: "".join(f'<span style="{_DOT};background:rgb{rgb}"></span>' for rgb in colours)
             for name, colours in entries.items()
         }
-        return boxed(f"{dot}{escape(name)}" for name, dot in dots.items())
+        return html_box(f"{dot}{escape(name)}" for name, dot in dots.items())
     least, most, label = entries
     colours = colours_of_scale(np.linspace(least, most, _STOPS), least, most).tolist()
     stops = ",".join(f"rgb{tuple(rgb)}" for rgb in colours)
     bar = f'<div style="height:0.8em;border-radius:2px;background:linear-gradient(to right,{stops})"></div>'
     ends = f"<span>{least:g}</span><span>{escape(label)}</span><span>{most:.3g}</span>"
-    return boxed([f'{bar}<div style="display:flex;justify-content:space-between">{ends}</div>'])
+    return html_box([f'{bar}<div style="display:flex;justify-content:space-between">{ends}</div>'])
 
 
-def boxed(lines: Iterable[str]) -> str:
+def html_box(lines: Iterable[str]) -> str:
     """Return lines of HTML in a box of the panel."""
     return f'<div style="margin:0.3em 1em;font-size:0.85em;line-height:1.5">{"<br>".join(lines)}</div>'

@@ -20,11 +20,11 @@ from scipy.spatial.transform import Rotation
 
 from vlp16emu.errors import OutputError, PacketError
 from vlp16emu.extras.clouds.scan import Chunk, chunk_of_packets, cut_scans
-from vlp16emu.extras.viewer.layers import boxed, coloured, layers_of_scan, legend_of
+from vlp16emu.extras.viewer.layers import colours_of, html_box, layers_of_scan, legend_of
 from vlp16emu.extras.viewer.live import Batch, PageSetup, instant_ns, receive
 from vlp16emu.extras.viewer.live_settings import SettingsPanel
 from vlp16emu.extras.viewer.page import guarded_server
-from vlp16emu.extras.viewer.sweeps import Sweep, placed
+from vlp16emu.extras.viewer.sweeps import Sweep, to_world
 from vlp16emu.packets import DATA_BYTES, DATA_PAYLOAD, RETURN_MODE_BYTE, decode_position
 from vlp16emu.sinks import LOOPBACK, TOLERANCE_NS
 from vlp16emu.types import F8, I8, Packet, PacketKind, Scan
@@ -81,7 +81,7 @@ class LiveView:
         scene = self._server.scene
         units = [str(number) for number in range(1, self._setup.units + 1)]
         with gui.add_folder(self._setup.scene):
-            self._text = gui.add_html(boxed(["no packet has been sent yet"]))
+            self._text = gui.add_html(html_box(["no packet has been sent yet"]))
             self._unit = gui.add_dropdown("sensor", units, visible=self._setup.units > 1)
         with gui.add_folder("Points"):
             self._layer = gui.add_dropdown("colour by", ("reflectivity", "ring", "range", "time"))
@@ -172,7 +172,7 @@ class LiveView:
         rows = np.searchsorted(t_ns[order], np.append(scan.t_ns, scan.start_ns), side="right") - 1
         world_T_sensor = poses[order[np.maximum(rows, 0)]]
         scan = replace(scan, world_T_sensor=world_T_sensor[-1])
-        return Sweep(scan, placed(scan.xyz_m, world_T_sensor[:-1]))
+        return Sweep(scan, to_world(scan.xyz_m, world_T_sensor[:-1]))
 
     def _draw_on(self) -> None:
         while not self._over.wait(_DRAW_S):
@@ -212,7 +212,7 @@ class LiveView:
             self._sensor.wxyz = Rotation.from_matrix(world_T_sensor[:3, :3]).as_quat(scalar_first=True)
 
     def _draw_points(self, place: int, sweep: Sweep, layer: str, size_m: float) -> viser.PointCloudHandle:
-        colours, entries = coloured(sweep.scan, layer, self._setup.species)
+        colours, entries = colours_of(sweep.scan, layer, self._setup.species)
         middle_m = sweep.world_m.mean(axis=0) if len(sweep.world_m) else np.zeros(3)
         self._legend.content = legend_of(entries)
         return self._server.scene.add_point_cloud(
@@ -251,7 +251,7 @@ class LiveView:
             f'<tr><td style="{_NAME}">{escape(name)}</td><td>{escape(text)}</td></tr>'
             for name, text in rows.items()
         )
-        return boxed([f"<table>{''.join(cells)}</table>"])
+        return html_box([f"<table>{''.join(cells)}</table>"])
 
 
 def gps_text(payload: bytes) -> str:

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import viser
 
-from vlp16emu.extras.viewer.layers import boxed
+from vlp16emu.extras.viewer.layers import html_box
 from vlp16emu.trees import Tree
 
 _POLL_S = 1.0  # time between two looks at the settings, which events and other clients change too
@@ -159,4 +159,4 @@ class SettingsPanel:
             control.handle.value = control.to_control(table[control.key])
 
     def _say(self, line: str) -> None:
-        self._text.content = boxed([escape(line)])
+        self._text.content = html_box([escape(line)])

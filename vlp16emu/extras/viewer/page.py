@@ -30,7 +30,7 @@ from websockets.http11 import Request, Response
 from vlp16emu.errors import OutputError
 from vlp16emu.extras.survey import Survey, survey
 from vlp16emu.extras.viewer.editor import Editor, Opened
-from vlp16emu.extras.viewer.layers import boxed, coloured, layers_of_scan, legend_of
+from vlp16emu.extras.viewer.layers import colours_of, html_box, layers_of_scan, legend_of
 from vlp16emu.extras.viewer.stand import pieces_of
 from vlp16emu.extras.viewer.sweeps import CaptureSweeps, SceneSweeps, Sweep
 from vlp16emu.extras.walk.settings import Walk
@@ -85,7 +85,7 @@ def _check_requests(server: viser.ViserServer, names: frozenset[str]) -> None:
     answer = web.process_request
     assert answer is not None
 
-    def checked(connection: ServerConnection, request: Request) -> Response | None:
+    def check_origin(connection: ServerConnection, request: Request) -> Response | None:
         if not is_ours(request.headers, names):
             return Response(HTTPStatus.FORBIDDEN, "Forbidden", Headers({"Content-Length": "0"}))
         return answer(connection, request)  # type: ignore[return-value]  # viser's function is no coroutine
@@ -94,7 +94,7 @@ def _check_requests(server: viser.ViserServer, names: frozenset[str]) -> None:
         for connection in web.handlers:
             connection.transport.abort()
 
-    web.process_request = checked
+    web.process_request = check_origin
     loop.call_soon_threadsafe(drop_unchecked)  # clients that connected before the check was installed
 
 
@@ -262,7 +262,7 @@ class Page:
         shown = list(self._kept)[-max(self._together.value, 1) :]
         points_m = np.concatenate([sweep.world_m for sweep in shown])
         middle_m = points_m.mean(axis=0) if len(points_m) else np.zeros(3)
-        made = [coloured(sweep.scan, layer, self._species) for sweep in shown]
+        made = [colours_of(sweep.scan, layer, self._species) for sweep in shown]
         look: dict[str, Any] = {"precision": "float32", "point_shape": "circle", "point_shading": "flat"}
         look |= {"point_size": size_m, "position": middle_m}
         rgb = np.concatenate([colours for colours, _ in made])
@@ -277,7 +277,7 @@ class Page:
         self._legend.content = legend_of(made[-1][1])
         points = f"{len(points_m):,}".replace(",", " ")
         self._text.content = f"{points} points by {layer}, sweep at {time_s:.1f} s"
-        self._faults.content = boxed(map(escape, shown[-1].faults[:_LISTED]))
+        self._faults.content = html_box(map(escape, shown[-1].faults[:_LISTED]))
 
     def _advance(self, began_s: float) -> None:
         """Move the cursor to the next sweep, no faster than in real time."""

@@ -15,7 +15,7 @@ from vlp16emu.errors import InputError, MissingExtraError, OutputError
 from vlp16emu.extras.clouds.deskew import Trajectory
 from vlp16emu.extras.clouds.scan import decode
 from vlp16emu.extras.options import PictureLook
-from vlp16emu.extras.viewer.layers import Entries, coloured, colours_of_scale, layers_of_scan
+from vlp16emu.extras.viewer.layers import Entries, colours_of, colours_of_scale, layers_of_scan
 from vlp16emu.extras.viewer.sweeps import Sweep, by_trajectory, species_of, sweeps_of_scene
 from vlp16emu.output import OutputFile, spare
 from vlp16emu.run.emulator import Emulator
@@ -261,7 +261,7 @@ class _Drawing:
             self._canvas = self._empty()
             self.points = 0
         scan = sweep.scan
-        rgb, more = coloured(scan, self.colour, self._source.species)
+        rgb, more = colours_of(scan, self.colour, self._source.species)
         if isinstance(self._canvas, LaserRows):
             azimuth_deg = scan.azimuth_deg.astype(np.float64)
             self.points += self._canvas.add(azimuth_deg, scan.ring.astype(np.int64), rgb)
@@ -288,7 +288,7 @@ class _Drawing:
             labels = _circles(self._canvas)
         else:
             bar_px = 10 * self._canvas.px_per_m
-        return _annotated(self._canvas.image(), captions, self._entries, labels, bar_px)
+        return _annotate(self._canvas.image(), captions, self._entries, labels, bar_px)
 
     def _time(self, *, so_far: bool) -> str:
         span_s = self._source.span_s
@@ -393,7 +393,7 @@ def _circles(canvas: Canvas) -> list[tuple[int, int, str]]:
     return [(x, y, f"{one:g} m") for x, y, one in places if 30 < y < height - 30 and 0 < x < width]
 
 
-def _annotated(
+def _annotate(
     drawn: U1,
     captions: tuple[str, str],
     entries: Entries,

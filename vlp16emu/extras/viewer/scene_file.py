@@ -65,14 +65,14 @@ def write_scene(
     rewrite(document, dict.fromkeys(changed, 0), folder=to.parent, to=to.parent)
     for key, value in changed.items():
         *tables, name = key.split(".")
-        reduce(getitem, tables, document)[name] = _formatted(value)
+        reduce(getitem, tables, document)[name] = _toml_value(value)
     written = tomlkit.dumps(document)
     load(toml(written), folder=to.parent)  # what is written can be read
     with OutputFile(to, inputs=inputs) as output, output.writing() as file:
         file.write(written.encode())
 
 
-def _formatted(value: object) -> Any:
+def _toml_value(value: object) -> Any:
     """Return a list as a TOML array; other values as they are.
 
     The array has inline tables, and one row to a line if it is long.

@@ -61,7 +61,7 @@ def species_of(scenario: Scenario) -> dict[int, str]:
     return dict(flora(getattr(scenario.world, "species_file", None)).names)
 
 
-def placed(xyz_m: NDArray[np.floating], world_T_sensor: F8) -> F8:
+def to_world(xyz_m: NDArray[np.floating], world_T_sensor: F8) -> F8:
     """Return points (n, 3) in the world, each transformed by its own pose (n, 4, 4)."""
     world_m: F8 = np.einsum("nij,nj->ni", world_T_sensor[:, :3, :3], xyz_m)
     return world_m + world_T_sensor[:, :3, 3]
@@ -73,7 +73,7 @@ def sweeps_of_scene(
     """Yield the revolutions of a scene's sensor with labels, until its windows are stopped."""
     with suppress(CancelledError):
         for scan in emulator.scans(start_s=start_s, duration_s=duration_s, unit=unit, truth=True):
-            yield Sweep(scan, placed(scan.xyz_m, emulator.world_T_sensor(scan.t_ns, unit=unit)))
+            yield Sweep(scan, to_world(scan.xyz_m, emulator.world_T_sensor(scan.t_ns, unit=unit)))
 
 
 def by_trajectory(scan: Scan, way: Trajectory | None) -> Sweep:
@@ -87,7 +87,7 @@ def by_trajectory(scan: Scan, way: Trajectory | None) -> Sweep:
     world_T_sensor[:, :3, :3], world_T_sensor[:, :3, 3] = way.poses_at(np.append(scan.t_ns, scan.start_ns))
     pose = world_T_sensor[-1]
     poses = world_T_sensor[:-1]
-    return Sweep(replace(scan, world_T_sensor=pose), placed(scan.xyz_m, poses))
+    return Sweep(replace(scan, world_T_sensor=pose), to_world(scan.xyz_m, poses))
 
 
 class SceneSweeps:

@@ -9,7 +9,7 @@ from vlp16emu.elementary import atan2, hypot, norm
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.extras.splines import Spline, interpolant, polynomial
 from vlp16emu.kernels.compiler import array_kernel
-from vlp16emu.store import recalled
+from vlp16emu.store import recall
 from vlp16emu.types import F8, I8, HeightField
 
 _APART_M = 0.01  # waypoints nearer to each other than this are one waypoint
@@ -123,7 +123,7 @@ class Path:
 def path_over(way_points_m: F8, height_m: HeightField, ground: str) -> Path:
     """Return the path over the ground named `ground`, computed once and then read from the user's store; an empty name stores nothing."""
     name = ground and f"path {ground} {hashlib.sha256(way_points_m.tobytes()).hexdigest()}"
-    return recalled(name, lambda: Path(way_points_m, height_m))
+    return recall(name, lambda: Path(way_points_m, height_m))
 
 
 @array_kernel

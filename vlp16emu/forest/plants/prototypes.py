@@ -27,7 +27,7 @@ from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import Season
 from vlp16emu.random import generator
 from vlp16emu.types import F8, Mesh, PlantPart
-from vlp16emu.world.vectors import closed, places_m
+from vlp16emu.world.vectors import closed_body, places_m
 
 VARIANTS = 3  # crowns of the same species and diameter class, from short to long
 CROWN_PARTS = (
@@ -241,7 +241,7 @@ def _cone(foot_m: float, height_m: float) -> Mesh:
     angle = step * np.arange(_STEM_SIDES)
     x_m, y_m, z_m = np.outer(corner_m, cos(angle)), np.outer(corner_m, sin(angle)), z[:, None]
     rings_m = np.stack([x_m, y_m, np.broadcast_to(z_m, x_m.shape)], axis=-1)
-    return closed(rings_m, np.array([[0, 0, z[0]], [0, 0, height_m]]))
+    return closed_body(rings_m, np.array([[0, 0, z[0]], [0, 0, height_m]]))
 
 
 SHRUB_PARTS = (PlantPart.STEM, PlantPart.BRANCH_FIRST_ORDER, PlantPart.LEAF)

@@ -21,7 +21,7 @@ from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.placed import PlacedThings
 from vlp16emu.random import generator
 from vlp16emu.types import F8, I8, SURFACE, Mesh, PlantPart, Semantic
-from vlp16emu.world.vectors import closed, unit
+from vlp16emu.world.vectors import closed_body, unit
 
 Generator = np.random.Generator
 _UP = np.array([0.0, 0.0, 1.0])
@@ -288,7 +288,7 @@ def _log(rng: Generator, taper: float = LOG_TAPER, bow: float = _LOG_BOW, *, spl
     if splinters:
         for end in (0, -1):
             rings[end, :, 2] += splinters * rng.uniform(-1, 1, _ROUND_SIDES)
-    mesh = closed(rings, ends)
+    mesh = closed_body(rings, ends)
     vertices = np.ascontiguousarray(mesh.vertices_m[:, [2, 0, 1]])
     (aside, sway) = rng.normal(0.0, bow, 2) * [1.0, 0.4]
     x = vertices[:, 0]
@@ -303,7 +303,7 @@ def _stump(rng: Generator, *, splinters: float = 0.0) -> Mesh:
     if splinters:
         rings[-1, :, 2] += splinters * rng.uniform(-1, 1, _ROUND_SIDES)
         ends[-1, 2] -= splinters
-    return closed(rings, ends)
+    return closed_body(rings, ends)
 
 
 def _root_plate(rng: Generator) -> Mesh:
@@ -315,14 +315,16 @@ def _root_plate(rng: Generator) -> Mesh:
     radius = 0.5 * away[:, None] * rim
     z = along[:, None] + _PLATE_BUMPS * rng.uniform(-1, 1, (len(along), sides))
     soil = np.stack([radius * cos(angle), radius * sin(angle), z], axis=-1)
-    pieces = [closed(soil, np.array([[0.0, 0.0, -0.95], [0.0, 0.0, 0.2]]))]
+    pieces = [closed_body(soil, np.array([[0.0, 0.0, -0.95], [0.0, 0.0, 0.2]]))]
     for towards in rng.uniform(0, 2 * np.pi, _PLATE_ROOTS).tolist():
         foot = rng.uniform(0.2, 0.4)
         tip = rng.uniform(0.35, 0.65)
         ends = np.array([[foot, -0.45], [tip, rng.uniform(-1.4, -0.6)]])
         ends = np.column_stack([ends[:, 0] * cos(towards), ends[:, 0] * sin(towards), ends[:, 1]])
         corners = np.stack([cos(angle[::4]), sin(angle[::4]), 0 * angle[::4]], axis=-1)
-        pieces.append(closed(ends[::-1, None] + np.array([0.01, 0.03])[:, None, None] * corners, ends[::-1]))
+        pieces.append(
+            closed_body(ends[::-1, None] + np.array([0.01, 0.03])[:, None, None] * corners, ends[::-1])
+        )
     plate = merged(*pieces)
     return Mesh(np.ascontiguousarray(plate.vertices_m[:, [2, 0, 1]]), plate.faces)
 

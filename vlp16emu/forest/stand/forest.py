@@ -23,7 +23,7 @@ from vlp16emu.forest.stand.scatter import layers_of
 from vlp16emu.forest.stand.stand import TREE, Stand, foot_discs
 from vlp16emu.forest.stand.tree_models import ModelKey, TreeModels
 from vlp16emu.forest.tiles import TILE_M, TileKey, around, ground_mesh, tile_origin_m, tiles_within
-from vlp16emu.store import recalled
+from vlp16emu.store import recall
 from vlp16emu.types import F8, FIRST_FREE_INSTANCE, I8, Mesh, PlantPart, ShapeKey
 
 _NUMBERS_PER_TILE = 8192  # numbers reserved for the trees and things of a tile
@@ -43,7 +43,7 @@ T = TypeVar("T")
 
 def _by_tile(kind: str, name: str, make: Callable[[int, int], T]) -> Callable[[int, int], T]:
     """Cache the result for each tile (ix, iy); `name` is the digest of all other inputs, empty for no cache."""
-    return lambda ix, iy: recalled(name and f"{name} {kind} {ix} {iy}", lambda: make(ix, iy))
+    return lambda ix, iy: recall(name and f"{name} {kind} {ix} {iy}", lambda: make(ix, iy))
 
 
 class ForestWorld:
