@@ -17,7 +17,7 @@ _LOOK_AHEAD = 128
 """Packets that are computed before the first one is sent, 0.17 s: a hall is computed several times faster
 than sent."""
 _LONGEST_S = 7 * 86_400.0  # longest run of a scene
-_LAST = pytest.StashKey["Emulator"]()  # emulator of the previous test, whose world is reused
+_LAST: "pytest.StashKey[Emulator]" = pytest.StashKey()  # emulator of the previous test, whose world is reused
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
