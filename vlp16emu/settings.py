@@ -52,6 +52,10 @@ def toml(text: str) -> Tree:
     return tomllib.loads(text)
 
 
+class ExpectationError(ValueError):
+    """What a section expects of its keys: raised by validators, its text ends the error line after "expected"."""
+
+
 class Section(BaseModel):
     """A frozen table of the scenario file; an unknown key or a wrong type is an error."""
 

@@ -91,7 +91,7 @@ def test_what_no_two_have_in_common_is_not_taken_over():
         ("{name='unit_1'}", "name of its own for each unit"),
         ("{address='192.168.1.201'}", "address of its own for each unit"),
         ("{mount={pitch_deg=500}}", "rig[0].mount.pitch_deg: found 500"),
-        ("{phase_lock_deg=0.0}", "without the pulse of gps.connected = true"),
+        ("{phase_lock_deg=0.0}", "gps.connected = true, whose pulse phase_lock_deg needs"),
         ("3", "rig[0]: found 3"),
     ],
 )

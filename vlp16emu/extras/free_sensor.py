@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from pydantic import Field, ValidationInfo, field_validator
 
 from vlp16emu.sensor.settings import Lidar
+from vlp16emu.settings import ExpectationError
 from vlp16emu.units import S_NS
 
 if TYPE_CHECKING:  # scenes are read without numpy
@@ -37,14 +38,14 @@ class FreeSensor(Lidar):
     @classmethod
     def _said_once(cls, value: object, info: ValidationInfo) -> object:
         if info.data.get("elevations_deg"):
-            raise ValueError("nothing, as elevations_deg names every beam")
+            raise ExpectationError("nothing, as elevations_deg names every beam")
         return value
 
     @field_validator("vertical_fov_deg")
     @classmethod
     def _rising(cls, vertical_fov_deg: tuple[float, float]) -> tuple[float, float]:
         if vertical_fov_deg[0] >= vertical_fov_deg[1]:
-            raise ValueError("the lower elevation first")
+            raise ExpectationError("the lower elevation first")
         return vertical_fov_deg
 
     @property

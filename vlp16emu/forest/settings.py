@@ -11,6 +11,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, fi
 
 from vlp16emu.doors import Part
 from vlp16emu.settings import (
+    ExpectationError,
     Fraction,
     MapPoint,
     NonNegative,
@@ -44,7 +45,7 @@ MOST_STEMS_PER_HA = 5000  # greatest density of a storey, from either key
 
 def _in_order(limits: tuple[float, float]) -> tuple[float, float]:
     if limits[0] > limits[1]:
-        raise ValueError("the smaller number first")
+        raise ExpectationError("the smaller number first")
     return limits
 
 
@@ -95,7 +96,7 @@ class Terrain(Preset):
     @classmethod
     def _check_trail_spacing(cls, spacing_m: float) -> float:
         if 0 < spacing_m < 10:
-            raise ValueError("0 for none, or 10 or more")
+            raise ExpectationError("0 for none, or 10 or more")
         return spacing_m
 
 
@@ -126,7 +127,7 @@ class SpeciesShare(Section):
     def _check_slenderness(self) -> Self:
         if self.height_m < LEAST_SLENDERNESS * self.dbh_cm / 100:
             expected = f"a height of {LEAST_SLENDERNESS:g} diameters or more (is dbh_cm in mm?)"
-            raise ValueError(f"{expected} beside dbh_cm = {self.dbh_cm:g}")
+            raise ExpectationError(f"{expected} beside dbh_cm = {self.dbh_cm:g}")
         return self
 
 
@@ -181,14 +182,14 @@ class Storey(Section):
     @model_validator(mode="after")
     def _check_density(self) -> Self:
         if len(DENSITY_KEYS & self.model_fields_set) != 1:
-            raise ValueError(f"exactly one of {' and '.join(sorted(DENSITY_KEYS))} in it")
+            raise ExpectationError(f"exactly one of {' and '.join(sorted(DENSITY_KEYS))} in it")
         return self
 
     @field_validator("species")
     @classmethod
     def _check_shares(cls, species: list[SpeciesShare]) -> list[SpeciesShare]:
         if abs(sum(one.share for one in species) - 1.0) > _SHARE_ERROR:
-            raise ValueError("shares that sum to 1")
+            raise ExpectationError("shares that sum to 1")
         return species
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from vlp16emu.settings import Angle, Place, Section, Size
+from vlp16emu.settings import Angle, ExpectationError, Place, Section, Size
 
 if TYPE_CHECKING:  # scenes load without numpy
     from vlp16emu.motion.pose import Motion
@@ -42,7 +42,7 @@ class Mount(Section):
     @model_validator(mode="after")
     def _check_spin_axis(self) -> Self:
         if not 1e-6 <= math.sqrt(sum(x * x for x in self.spin_axis)) <= 1e6:
-            raise ValueError("a spin_axis of a length from 1e-6 to 1e6 in it")
+            raise ExpectationError("a spin_axis of a length from 1e-6 to 1e6 in it")
         return self
 
     @property
@@ -161,5 +161,5 @@ class Gps(Section):
     @model_validator(mode="after")
     def _check_requires_valid(self) -> Self:
         if self.requires_valid and self.canopy_loss:
-            raise ValueError("canopy_loss = false beside requires_valid = true")
+            raise ExpectationError("canopy_loss = false beside requires_valid = true")
         return self

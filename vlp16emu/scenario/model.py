@@ -32,7 +32,7 @@ from vlp16emu.motion.settings import Gps, MotionSection, Mount
 from vlp16emu.raycast.settings import Beam
 from vlp16emu.returns import Detector, Noise, Weather
 from vlp16emu.sensor.settings import AnySensor, Lidar, Sensor
-from vlp16emu.settings import LazySection, OneOf, Preset, Section, Seed, merged
+from vlp16emu.settings import ExpectationError, LazySection, OneOf, Preset, Section, Seed, merged
 from vlp16emu.trees import Tree
 from vlp16emu.units import S_NS, US_NS
 from vlp16emu.world.settings import People, WorldSection
@@ -207,14 +207,14 @@ class Scenario(Section):
     @classmethod
     def _check_start_utc(cls, start_utc: datetime) -> datetime:
         if not _FIRST_START <= start_utc < _NO_START:
-            raise ValueError("a time from 1970 to 2105, as captures can be stamped with")
+            raise ExpectationError("a time from 1970 to 2105, as captures can be stamped with")
         return start_utc
 
     @field_validator("gps")
     @classmethod
     def _check_phase_lock(cls, gps: Gps, info: ValidationInfo) -> Gps:
         if _is_locked(info.data.get("sensor")) and not gps.connected:
-            raise ValueError("connected = true, whose pulse sensor.phase_lock_deg needs")
+            raise ExpectationError("connected = true, whose pulse sensor.phase_lock_deg needs")
         return gps
 
     @field_validator("rig", mode="before")
@@ -223,7 +223,7 @@ class Scenario(Section):
         first = info.data.get("sensor")  # absent if it is itself in error
         if not isinstance(first, Sensor) or not isinstance(tables, list):
             if first is not None and tables and not isinstance(first, Sensor):
-                raise ValueError(f'none beside sensor.model = "{first.model}", which has no packets')
+                raise ExpectationError(f'none beside sensor.model = "{first.model}", which has no packets')
             return tables
         return [complete_unit(table, first, place) for place, table in enumerate(tables, start=1)]
 
@@ -234,12 +234,12 @@ class Scenario(Section):
         units = [first, *rig] if isinstance(first, Sensor) else rig
         for key in ("name", "serial_number", "address"):
             if len({getattr(unit, key) for unit in units}) < len(units):
-                raise ValueError(f"{key} of its own for each unit, [sensor] included")
+                raise ExpectationError(f"{key} of its own for each unit, [sensor] included")
         if {unit.data_port for unit in units} & {unit.position_port for unit in units}:
-            raise ValueError("a data_port that is no unit's position_port, [sensor] included")
+            raise ExpectationError("a data_port that is no unit's position_port, [sensor] included")
         gps = info.data.get("gps")
         if gps is not None and not gps.connected and any(map(_is_locked, rig)):
-            raise ValueError("no phase_lock_deg in it without the pulse of gps.connected = true")
+            raise ExpectationError("gps.connected = true, whose pulse phase_lock_deg needs")
         return rig
 
     @field_validator("wind")
@@ -247,7 +247,7 @@ class Scenario(Section):
     def _check_wind(cls, wind: Section | None, info: ValidationInfo) -> Section | None:
         world = info.data.get("world")
         if wind is not None and world is not None and not world.has_trees:
-            raise ValueError("none in a hall, which has no trees")
+            raise ExpectationError("none in a hall, which has no trees")
         return wind
 
     @field_validator("people")
@@ -255,7 +255,7 @@ class Scenario(Section):
     def _check_people(cls, people: People | None, info: ValidationInfo) -> People | None:
         motion = info.data.get("motion")
         if people is not None and motion is not None and motion.kind != "walk":
-            raise ValueError("none beside a motion that is no walk")
+            raise ExpectationError("none beside a motion that is no walk")
         return people
 
     @property

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from vlp16emu.errors import ScenarioError
-from vlp16emu.settings import OneOf, Preset, Seed
+from vlp16emu.settings import ExpectationError, OneOf, Preset, Seed
 
 if TYPE_CHECKING:  # reading a scene does not import numpy
     from vlp16emu.sensor.beams import BeamTable
@@ -41,7 +41,7 @@ def _of_a_host(address: str) -> str:
     except ValueError:
         known = IPv4Address(0)
     if known.is_unspecified or known.is_multicast or known.is_reserved:
-        raise ValueError("the IPv4 address of a host, such as 192.168.1.201")
+        raise ExpectationError("the IPv4 address of a host, such as 192.168.1.201")
     return str(known)
 
 
@@ -112,7 +112,7 @@ class Lidar(Preset):
     def _beyond_the_nearest(cls, max_range_m: float, info: ValidationInfo) -> float:
         nearest = info.data.get("min_range_m")  # absent if it is itself invalid
         if nearest is not None and max_range_m <= nearest:
-            raise ValueError(f"more than min_range_m = {nearest}")
+            raise ExpectationError(f"more than min_range_m = {nearest}")
         return max_range_m
 
     def beam_table(self) -> "BeamTable":
@@ -156,14 +156,14 @@ class Sensor(Lidar):
     @model_validator(mode="after")
     def _starts_once(self) -> Self:
         if self.either_or <= self.model_fields_set:
-            raise ValueError("start_azimuth_deg or phase_lock_deg in it, not both")
+            raise ExpectationError("start_azimuth_deg or phase_lock_deg in it, not both")
         return self
 
     @model_validator(mode="after")
     def _has_two_ports(self) -> Self:
         """Raise ValueError for equal ports: receivers separate data from position packets by port."""
         if self.data_port == self.position_port:
-            raise ValueError("a data_port and a position_port that differ")
+            raise ExpectationError("a data_port and a position_port that differ")
         return self
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Protocol, Self
 from pydantic import Field, model_validator
 
 from vlp16emu.doors import Part
-from vlp16emu.settings import Fraction, LazySection, SceneFile, Section, Size
+from vlp16emu.settings import ExpectationError, Fraction, LazySection, SceneFile, Section, Size
 
 if TYPE_CHECKING:  # scenes load without numpy
     from vlp16emu.types import F8, MovingTrees, World
@@ -39,7 +39,7 @@ class PartFinish(Section):
     @model_validator(mode="after")
     def _check_reflectance(self) -> Self:
         if self.retroreflection_cd_lx_m2 is not None and "reflectance" in self.model_fields_set:
-            raise ValueError("reflectance or retroreflection_cd_lx_m2 in it, not both")
+            raise ExpectationError("reflectance or retroreflection_cd_lx_m2 in it, not both")
         return self
 
     @property

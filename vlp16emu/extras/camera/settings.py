@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 from pydantic import Field, field_validator
 
 from vlp16emu.motion.settings import Mount
-from vlp16emu.settings import Section
+from vlp16emu.settings import ExpectationError, Section
 
 _Pixels = Annotated[int, Field(ge=8, le=8192)]
 _Focal = Annotated[float, Field(ge=1, le=1e6)]
@@ -50,5 +50,5 @@ class Camera(Section):
     @classmethod
     def _check_is_fixed(cls, mount: Mount) -> Mount:
         if mount.spin_hz:
-            raise ValueError("spin_hz = 0 in it, as a camera is fixed to its carrier")
+            raise ExpectationError("spin_hz = 0 in it, as a camera is fixed to its carrier")
         return mount

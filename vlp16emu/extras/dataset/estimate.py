@@ -44,7 +44,7 @@ class Probe:
 
 @dataclass(frozen=True, slots=True)
 class DatasetEstimate:
-    """Expected size and run time of the walks of a dataset that are not complete."""
+    """ExpectationError size and run time of the walks of a dataset that are not complete."""
 
     walks: int
     complete: int  # walks that the folder has; their files are not checked

@@ -12,7 +12,7 @@ from vlp16emu.explain import explain
 from vlp16emu.random import Purpose, generator
 from vlp16emu.scenario import Scenario, find, load
 from vlp16emu.sensor.settings import require_packets
-from vlp16emu.settings import Fraction, Section, toml
+from vlp16emu.settings import ExpectationError, Fraction, Section, toml
 
 _SPLITS = ("train", "val", "test")
 _ONE = 1e-9
@@ -20,7 +20,7 @@ _ONE = 1e-9
 
 def _each_once(values: list[Any]) -> list[Any]:
     if len({getattr(value, "name", value) for value in values}) < len(values):
-        raise ValueError("each name and each number once")
+        raise ExpectationError("each name and each number once")
     return values
 
 
@@ -53,7 +53,7 @@ class _Splits(Section):
     @model_validator(mode="after")
     def _check_shares(self) -> Self:
         if abs(self.train + self.val + self.test - 1) > _ONE:
-            raise ValueError("train, val and test that sum to 1")
+            raise ExpectationError("train, val and test that sum to 1")
         return self
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from vlp16emu.motion.settings import Mount
-from vlp16emu.settings import NonNegative, Preset
+from vlp16emu.settings import ExpectationError, NonNegative, Preset
 
 _CONSUMER = {
     "gyro_bias_rad_s": 1.7e-3,
@@ -92,7 +92,7 @@ class Imu(Preset):
     @model_validator(mode="after")
     def _in_order(self) -> Self:
         if self.jitter_s * self.rate_hz >= 1:
-            raise ValueError("a jitter_s below 1 / rate_hz in it, so that time stamps rise")
+            raise ExpectationError("a jitter_s below 1 / rate_hz in it, so that time stamps rise")
         if not self.delay_s[0] <= self.delay_s[1] <= 1:
-            raise ValueError("a delay_s of two rising times of at most 1 s in it")
+            raise ExpectationError("a delay_s of two rising times of at most 1 s in it")
         return self

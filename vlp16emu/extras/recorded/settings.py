@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from vlp16emu.motion.settings import MotionSection
-from vlp16emu.settings import Angle, Place, Positive, SceneFile
+from vlp16emu.settings import Angle, ExpectationError, Place, Positive, SceneFile
 
 if TYPE_CHECKING:  # scenes are read without numpy
     from vlp16emu.motion.pose import Motion
@@ -45,7 +45,7 @@ class Recorded(MotionSection):
     @model_validator(mode="after")
     def _times_of_kitti(self) -> Self:
         if sum(times is not None for times in (self.times_file, self.rate_hz)) != (self.format == "kitti"):
-            raise ValueError(
+            raise ExpectationError(
                 "exactly one of times_file and rate_hz with format kitti, and neither with others"
             )
         return self

@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from vlp16emu.motion.settings import Gps, MotionSection
-from vlp16emu.settings import Angle, Fraction, NonNegative, Preset, SceneFile, Section, Seed, Size
+from vlp16emu.settings import (
+    Angle,
+    ExpectationError,
+    Fraction,
+    NonNegative,
+    Preset,
+    SceneFile,
+    Section,
+    Seed,
+    Size,
+)
 
 if TYPE_CHECKING:  # scenes are read without numpy
     from vlp16emu.extras.walk.motion import WalkMotion
@@ -54,7 +64,7 @@ class Stop(Section):
     @model_validator(mode="after")
     def _one_place(self) -> Self:
         if (self.way_point is None) == (self.at_m is None):
-            raise ValueError("exactly one of way_point and at_m in it")
+            raise ExpectationError("exactly one of way_point and at_m in it")
         return self
 
 
@@ -217,11 +227,11 @@ class Walk(MotionSection):
     @model_validator(mode="after")
     def _given_once(self) -> Self:
         if sum(getattr(self, source) is not None for source in self.one_of) != 1:
-            raise ValueError("exactly one of way_points_m, way_points_file and lawn_mower in it")
+            raise ExpectationError("exactly one of way_points_m, way_points_file and lawn_mower in it")
         if self.either_or <= self.model_fields_set:
-            raise ValueError("one of speed_m_s and run_time_s in it, not both")
+            raise ExpectationError("one of speed_m_s and run_time_s in it, not both")
         if self.lawn_mower is not None and any(stop.way_point is not None for stop in self.stops):
-            raise ValueError("stops given by at_m where lawn_mower makes the waypoints")
+            raise ExpectationError("stops given by at_m where lawn_mower makes the waypoints")
         return self
 
     def carrier(
