@@ -227,7 +227,7 @@ class _Row(NamedTuple):
     """A row of the table of rules."""
 
     rule: str
-    broken: Callable[[Any, Program], Any]  # true if values of `_of_clouds` and others break it
+    broken: Callable[[Any, Program], Any]  # true if values of `_cloud_values` and others break it
     found: str  # format string of the finding, with names of values
 
 
@@ -285,7 +285,7 @@ def fitness(path: Path, name: str) -> Fitness:
     """
     programs = chosen(name)
     facts = read_facts(path)
-    values = _of_clouds(facts) | _of_samples(facts) | _of_frames(facts)
+    values = _cloud_values(facts) | _imu_values(facts) | _frame_values(facts)
     keys = ("topic", "clouds", "points", "sweep_s", "imu", "samples", "hz_imu", "norm", "rest_s", "root")
     findings = tuple(
         Unfit(
@@ -298,7 +298,7 @@ def fitness(path: Path, name: str) -> Fitness:
     return Fitness({key: values[key] for key in keys}, tuple(one.name for one in programs), findings)
 
 
-def _of_clouds(facts: Facts) -> dict[str, Any]:
+def _cloud_values(facts: Facts) -> dict[str, Any]:
     stamp_s, earliest, latest, last, points, sparse = np.array(facts.clouds).T
     steps_s = np.diff(stamp_s)
     sweep_s = float(np.median(steps_s)) if len(steps_s) else _SWEEP_S
@@ -336,7 +336,7 @@ def _of_clouds(facts: Facts) -> dict[str, Any]:
     }
 
 
-def _of_samples(facts: Facts) -> dict[str, Any]:
+def _imu_values(facts: Facts) -> dict[str, Any]:
     imu = np.array(facts.samples).reshape(-1, 11)
     stamp_s = np.array([row[0] for row in facts.clouds])
     n = len(imu)
@@ -367,7 +367,7 @@ def _of_samples(facts: Facts) -> dict[str, Any]:
     }
 
 
-def _of_frames(facts: Facts) -> dict[str, Any]:
+def _frame_values(facts: Facts) -> dict[str, Any]:
     lidar = facts.frame
     unit = facts.imu_frame
     roots = [list(facts.up(frame))[-1][0] for frame in (lidar, unit) if frame]
