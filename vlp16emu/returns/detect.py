@@ -33,6 +33,7 @@ from vlp16emu.returns.noise import (
 )
 from vlp16emu.returns.settings import DetectorConstants
 from vlp16emu.returns.weather import clutter_echo
+from vlp16emu.sensor.laws import law
 from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, I8, U1, U4, Firings, Hits, PlantPart, Returns, Semantic
 
@@ -44,7 +45,7 @@ _CERTAIN_SIGMAS = 6.0  # noise does not exceed this: probability 2e-9
 _DETECTION = ZERO + Purpose.DETECTION
 _RANGE_NOISE = ZERO + Purpose.RANGE_NOISE
 _CODES_PER_M = 500.0  # distance codes of a packet per metre: 2 mm
-_MOST_NO_RETURN = 100.0  # largest wandering code of no-returns on einride
+_MOST_NO_RETURN = law("no_return.most")
 _UNSHIFTED_CODE = 40.0  # code at which reflectivity does not change the range
 _Pair = tuple[float, float]
 _Laser = tuple[float, float, float, U1]

@@ -18,6 +18,7 @@ from vlp16emu.returns.noise import (
 )
 from vlp16emu.returns.settings import Detector, DetectorConstants, LossRates, Noise, Weather
 from vlp16emu.returns.weather import air_reflectance, extinction_per_m
+from vlp16emu.sensor.laws import law, span
 from vlp16emu.types import F8, I8, U1, ReturnMode
 from vlp16emu.units import INCLUSIVE
 
@@ -26,15 +27,6 @@ _FWHM_SIGMAS = 2.3548200450309493  # 2 sqrt(2 ln 2)
 _CALIBRATION_REFLECTANCE = 0.1
 _MOST_PARITY = 0.4
 _BALANCED = 0.6
-_RANGE_WALK_MM = -0.06, 0.18
-"""Change of range per code of reflectivity, uniform over units: 0.08, 0.16 and -0.03 on three real units;
--0.16, but of few pulses, on that
-of 2014; the correlation of both noises is -0.01 to 0.14 (protocol/README.md, "The character of a unit", also
-for the next constant)."""
-_LASER_NOISE_SPREAD = 0.08
-"""Spread of the logarithm of the white range noise over lasers: 0.076, 0.121 and 0.079 on mrpt, einride and
-nebula, without the part due to chance; the noise of lasers correlates by 0.44, 0.37 and 0.37 between sectors
-of 45 deg."""
 _WARM_UP_S = 900.0  # time constant (assumption)
 
 
@@ -88,7 +80,7 @@ class UnitDetector:
         own = exp(
             noise.unit_spread * normal(seed, Purpose.UNIT_NOISE, 0, 2)
         ).tolist()  # log-normal: no error below 0
-        least_walk, most_walk = _RANGE_WALK_MM
+        least_walk, most_walk = span("range.walk_mm")
         walk_mm = least_walk + (most_walk - least_walk) * float(uniform(seed, Purpose.UNIT_NOISE, 2, 1)[0])
         air_per_m = extinction_per_m(weather.visibility_m, weather.rain_mm_h)
         constants = DetectorConstants(
@@ -124,7 +116,9 @@ class UnitDetector:
             constants=constants,
             range_bias_m=range_bias_m(seed, lasers, noise.range_bias_m),
             range_noise_share=exp(
-                _LASER_NOISE_SPREAD * noise.is_real * normal(seed, Purpose.UNIT_NOISE, 0, lasers, 1)
+                law("range.laser_noise_spread")
+                * noise.is_real
+                * normal(seed, Purpose.UNIT_NOISE, 0, lasers, 1)
             ),
             gain=gain(seed, noise.gain_spread, elevation_deg),
             range_beat_m=range_beat_m(seed, noise.range_beat_m, noise.range_beat_phase_deg),
