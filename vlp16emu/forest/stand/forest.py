@@ -84,7 +84,7 @@ class ForestWorld:
         self._loose_stems = loose_stems
         self._reach_m = reach_m
         self._layers = layers_of(section, land, stems.species)
-        per_ha = stems.per_ha + sum(one.pattern.per_ha for one in self._layers if not one.kind.is_ground)
+        per_ha = stems.per_ha + sum(one.pattern.per_ha for one in self._layers if not one.is_ground)
         if per_ha > _DENSEST_PER_HA:
             found = f"found {per_ha:.0f} trees and things per hectare"
             raise GeometryError("forest", found, f"at most {_DENSEST_PER_HA}")

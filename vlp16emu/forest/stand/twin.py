@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import norm
 from vlp16emu.foliage.polyline import Polyline
 from vlp16emu.forest.plants.prototypes import SaplingKey
-from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS, FloorKey
+from vlp16emu.forest.stand.floor_shapes import FloorKey, is_ground
 from vlp16emu.forest.tiles import TILE_M, TileKey
 from vlp16emu.types import F8, Mesh, PlantPart, Semantic, ShapeKey, Window
 
@@ -43,7 +43,7 @@ def things_near(
 ) -> list[Thing]:
     """Things within a radius of a path, in the order of the window, without the instances of `trees` (n,)."""
     grounds = (
-        isinstance(key, TileKey) or (isinstance(key, FloorKey) and key.kind in GROUND_KINDS)
+        isinstance(key, TileKey) or (isinstance(key, FloorKey) and is_ground(key.kind))
         for key in window.shapes
     )
     is_thing = ~np.fromiter(grounds, np.bool_)[window.shape]
