@@ -295,6 +295,7 @@ def _stump(rng: Generator, row: Row) -> Mesh:
 def _root_plate(rng: Generator, row: Row) -> Mesh:
     """Irregular disc of soil with protruding roots."""
     sides = row["sides"]
+    roots: int = row["roots"]
     along, away = np.array(row["profile"]).T
     angle = 2 * np.pi * np.arange(sides) / sides
     rim = 1 + sum(s * cos(n * angle + rng.uniform(0, 2 * np.pi)) for n, s in ((2, 0.1), (3, 0.08), (7, 0.05)))
@@ -302,7 +303,7 @@ def _root_plate(rng: Generator, row: Row) -> Mesh:
     z = along[:, None] + row["bumps"] * rng.uniform(-1, 1, (len(along), sides))
     soil = np.stack([radius * cos(angle), radius * sin(angle), z], axis=-1)
     pieces = [closed(soil, np.array([[0.0, 0.0, -0.95], [0.0, 0.0, 0.2]]))]
-    for towards in rng.uniform(0, 2 * np.pi, row["roots"]).tolist():
+    for towards in rng.uniform(0, 2 * np.pi, roots).tolist():
         foot = rng.uniform(0.2, 0.4)
         tip = rng.uniform(0.35, 0.65)
         ends = np.array([[foot, -0.45], [tip, rng.uniform(-1.4, -0.6)]])
@@ -331,7 +332,7 @@ def _drum(rng: Generator, at: F8, radius: F8, *, slant: float) -> tuple[F8, F8]:
 
 def _tuft(rng: Generator, row: Row) -> Mesh:
     """Blades that start together and bend outwards: a quad from the foot, and one to the tip."""
-    n = row["blades"]
+    n: int = row["blades"]
     towards = rng.uniform(0, 2 * np.pi, n)
     lean = rng.uniform(0.05, 0.45, n)
     length = rng.uniform(0.6, 1.0, n)

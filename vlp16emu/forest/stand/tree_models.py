@@ -39,17 +39,13 @@ class Cutter:
 
     def __init__(self, vertices_m: Sequence[F8], faces: Sequence[Faces]) -> None:
         first = np.cumsum([0, *map(len, vertices_m)])
-        self.vertices_m = np.concatenate(vertices_m)
-        corners = np.concatenate(
-            [own.astype(np.int64) + begin for own, begin in zip(faces, first, strict=False)]
-        )
-        # Numbers of vertices from 0, equal at equal positions.
-        order = np.lexsort(self.vertices_m.T)
-        apart = (self.vertices_m[order[1:]] != self.vertices_m[order[:-1]]).any(axis=1)
-        number = np.empty(len(order), np.int64)
-        number[order] = np.concatenate([[0], np.cumsum(apart)])
-        self.faces = number[corners]
-        self.vertices_m = self.vertices_m[np.unique(number, return_index=True)[1]]
+        pieces = zip(faces, first, strict=False)
+        corners = np.concatenate([part.astype(np.int64) + begin for part, begin in pieces])
+        every_m = np.concatenate(vertices_m)
+        # Vertices at equal positions are one, in the order of z, y and x.
+        _, kept, number = np.unique(every_m[:, ::-1], axis=0, return_index=True, return_inverse=True)
+        self.vertices_m = every_m[kept]
+        self.faces = number.ravel()[corners]
         z_m = self.vertices_m[self.faces, 2]
         self.faces = self.faces[np.argsort(z_m.min(axis=1), kind="stable")]
         self._low_m = np.sort(z_m.min(axis=1))
