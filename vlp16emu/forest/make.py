@@ -50,14 +50,20 @@ class ForestSite:
 
     @cached_property
     def obstacles(self) -> tuple[F8, F8] | None:
-        """Stems that the path must avoid, with the errors of `stems_in_the_way`; None if the path stays as it is."""
+        """Stems that the path must avoid, with the errors of `stems_in_the_way`.
+
+        None if the path stays as it is.
+        """
         section = self._section
         if isinstance(section, Plot) and section.on_conflict == "move_path":
             return stems_in_the_way(section, self._seed)
         return None
 
     def has_ground(self, xy_m: F8, reach_m: float) -> NDArray[np.bool_]:
-        """Return a mask of the points (n, 2) at which a path has ground: with a file of heights not everywhere."""
+        """Return a mask of the points (n, 2) at which a path has ground.
+
+        A file of heights may not have it everywhere.
+        """
         if isinstance(self._ground, DemHeights):
             return self._ground.has_heights(xy_m, reach_m)
         return np.ones(len(xy_m), np.bool_)

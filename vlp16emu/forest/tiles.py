@@ -71,7 +71,10 @@ class _Ground:
 
 
 def _cuts(ground: _Ground) -> Mask:
-    """Mask (side, side) of vertices at which the ground is off the side, and of vertices that such cuts depend on."""
+    """Mask (side, side) of vertices at which the ground is off the side.
+
+    It includes the vertices that such cuts depend on.
+    """
     cut = np.zeros(ground.z_m.shape, np.bool_)
     off_m = np.full((ground.side // (2 * _FINEST),) * 2, np.inf)
     for step in _LOOKED_AT:
@@ -118,7 +121,10 @@ def _around(squares: Mask, edge: int) -> Mask:
 
 
 def _is_anti(side: int, step: int) -> Mask:
-    """Return a mask of the squares of `step` that are cut from south-east to north-west: alternating within a larger square."""
+    """Return a mask of the squares of `step` that are cut from south-east to north-west.
+
+    They alternate within a larger square.
+    """
     n = np.arange(side // step)
     return (n[:, None] + n) % 2 == 1 if step < _FINEST else np.zeros((len(n), len(n)), np.bool_)
 
@@ -152,7 +158,10 @@ class TileKey:
 
 
 def tiles_within(line_xy_m: F8, reach_m: float) -> I8:
-    """Return tiles (n, 2), ix and iy in ascending order, that may be partly within `reach_m` of a polyline (m, 2)."""
+    """Return tiles (n, 2) that may be partly within `reach_m` of a polyline (m, 2).
+
+    Their ix and iy are in ascending order.
+    """
     reach = reach_m + _HALF_DIAGONAL_M
     low = np.floor((line_xy_m.min(axis=0) - reach) / TILE_M).astype(np.int64)
     high = np.floor((line_xy_m.max(axis=0) + reach) / TILE_M).astype(np.int64)

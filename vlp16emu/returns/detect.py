@@ -127,13 +127,19 @@ def detect(
 
 
 def _sheets(surfaces: NDArray[np.void]) -> U4:
-    """Return the sheet number of each surface (m,): all tiles of the ground are one sheet without gaps; 0 for plants."""
+    """Return the sheet number of each surface (m,): all tiles of the ground are one sheet without gaps.
+
+    Plants have 0.
+    """
     number = np.where(surfaces["semantic"] == Semantic.GROUND, 1, np.arange(2, len(surfaces) + 2))
     return np.where(surfaces["part"] == PlantPart.NONE, number, 0).astype(np.uint32)
 
 
 class _Errors(NamedTuple):
-    """Properties of a unit, as in `UnitDetector`; `drift_m` (k,) by firing sequence, `sheet` (m,) by surface."""
+    """Properties of a unit, as in `UnitDetector`.
+
+    `drift_m` (k,) by firing sequence, `sheet` (m,) by surface.
+    """
 
     bias_m: F8
     noise_share: F8
@@ -258,7 +264,7 @@ def _mark_silent(
 
 @kernel
 def _count_unevenly(parity: F8, distance_m: F4) -> None:
-    """Move distances at the edge of an odd code into or out of this code, by each laser's excess of odd codes."""
+    """Move distances at the edge of an odd code into or out of it, by each laser's excess."""
     for i in range(distance_m.shape[0]):
         for j in range(distance_m.shape[1]):
             for column in range(3):
@@ -274,7 +280,9 @@ def _count_unevenly(parity: F8, distance_m: F4) -> None:
 def _only_echo(
     constants: DetectorConstants, n: int, laser: int, nodes: F8, lit: int, peaks: F8
 ) -> tuple[float, float]:
-    """Return range and amplitude of the only echo needed: the single node, or the highest peak in strongest return mode.
+    """Return range and amplitude of the only echo needed.
+
+    It is the single node, or the highest peak in strongest return mode.
 
     Amplitude is 0 if there may be more echoes, or if the highest peak is not found this way; -1 if no echo is
     detected.
@@ -308,7 +316,9 @@ def _is_seen(constants: DetectorConstants, n: int, lane: int, range_m: float, am
 
 @inline_kernel
 def _falls_short(constants: DetectorConstants, a: float, excess: float) -> bool:
-    """Return True if noise from the uniform number a stays below the threshold for any second number; needs no logarithm.
+    """Return True if noise from the uniform number a stays below the threshold for any second number.
+
+    It needs no logarithm.
 
     The radius of a normal pair is below t if 1 - a > exp(-t**2 / 2); the test uses an upper bound of this
     exponential.
@@ -320,7 +330,10 @@ def _falls_short(constants: DetectorConstants, a: float, excess: float) -> bool:
 
 @inline_kernel
 def _none_is_seen(constants: DetectorConstants, n: int, laser: int, most: float, count: int) -> bool:
-    """Return True if none of up to `count` echoes with amplitudes up to `most` is detected, as for most faint pulses."""
+    """Return True if none of up to `count` echoes with amplitudes up to `most` is detected.
+
+    This is so for most faint pulses.
+    """
     excess = most - constants.threshold
     if excess >= 0.0:
         return False
@@ -336,7 +349,10 @@ def _none_is_seen(constants: DetectorConstants, n: int, laser: int, most: float,
 def _measure(
     constants: DetectorConstants, noise: _Pair, range_m: float, amplitude: float, own: _Laser
 ) -> tuple[np.float32, np.uint8]:
-    """Return measured distance and reflectivity; distance 0 below the least range, both 0 beyond the greatest range."""
+    """Return measured distance and reflectivity.
+
+    The distance is 0 below the least range, and both are 0 beyond the greatest.
+    """
     (range_noise, other_noise) = noise
     (error_m, share, gain, codes) = own
     reflectance = amplitude * range_m * range_m
@@ -409,7 +425,10 @@ def _write(
     distance_m: F4,
     reflectivity: U1,
 ) -> None:
-    """Fill the returns (3,) of a pulse; each chosen peak is measured once, and dropped if measured beyond `max_range_m`."""
+    """Fill the returns (3,) of a pulse.
+
+    Each chosen peak is measured once, and dropped if measured beyond `max_range_m`.
+    """
     share = own[1]
     for column in range(3):
         peak = chosen[column]

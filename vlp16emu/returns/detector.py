@@ -65,7 +65,7 @@ class UnitDetector:
         elevation_deg: F8,
         power_up_ns: int,
     ) -> Self:
-        """Draw the constant errors of a unit, and convert the settings of a run to the form that kernels take.
+        """Draw the constant errors of a unit, and convert the settings of a run for kernels.
 
         Parameters
         ----------
@@ -137,7 +137,10 @@ class UnitDetector:
         return replace(self, constants=constants, mode=mode)
 
     def without_chance(self) -> Self:
-        """Return a receiver with the same threshold in the same air that detects all echoes, without randomness and errors."""
+        """Return a receiver without randomness and errors that detects all echoes.
+
+        Its threshold and its air are the same.
+        """
         errors = "amplitude_noise", "clutter", "range_noise", "range_walk", "reflectivity_"
         nothing: dict[str, Any] = {name: 0.0 for name in DetectorConstants._fields if name.startswith(errors)}
         lost = LossRates(*[0.0] * len(LossRates._fields))
@@ -157,7 +160,10 @@ class UnitDetector:
         )
 
     def drift_m(self, t_ns: I8) -> F8:
-        """Return the warm-up error of ranges at instants, same shape; it decays exponentially after power-up."""
+        """Return the warm-up error of ranges at instants, same shape.
+
+        It decays exponentially after power-up.
+        """
         if not self.noise.warm_up_m:
             return np.zeros(t_ns.shape)
         return np.asarray(self.noise.warm_up_m * exp(-1e-9 * (t_ns - self.power_up_ns) / _WARM_UP_S))

@@ -1,8 +1,9 @@
 """Records that a real unit loses, and what it sends instead of a range.
 
-The receiver sets the laser power from previous pulses, so a record is lost at a step of brightness. A pulse that
-hits two surfaces gives the strongest or the last return as the manual says, and rarely nothing; and a dark record
-is lost occasionally. Rates and their sources are the laws `loss` and `raised` of `vlp16emu/sensor/laws.toml`.
+The receiver sets the laser power from previous pulses, so a record is lost at a step of brightness. A pulse
+that hits two surfaces gives the strongest or the last return as the manual says, and rarely nothing; a dark
+record is lost occasionally. Rates and their sources are the laws `loss` and `raised` of
+`vlp16emu/sensor/laws.toml`.
 """
 
 import numpy as np
@@ -70,7 +71,9 @@ def loss_rates(seed: int, share: float, *, raised: bool) -> LossRates:
 
 @inline_kernel
 def two_surfaces(rays: SubRays, sheet: U4, start: int, stop: int) -> float:
-    """Return the share of the light of sub-rays start .. stop - 1 that is a range step away from the brightest sub-ray.
+    """Return the share of the light of sub-rays that is a range step away from the brightest one.
+
+    Sub-rays are start .. stop - 1.
 
     A sheet without gaps, such as the ground (`sheet`, by surface; 0 for none), has no step at any slope.
     """

@@ -22,12 +22,17 @@ NO_RETURN_KNOTS = int(law("no_return.knots"))  # azimuth intervals over which no
 
 
 def range_bias_m(seed: int, lasers: int, sigma_m: float) -> F8:
-    """Return the constant range error of each laser, (lasers,) m: Gaussian, cut at the data sheet's accuracy."""
+    """Return the constant range error of each laser, (lasers,) m.
+
+    It is Gaussian, cut at the data sheet's accuracy.
+    """
     return np.clip(sigma_m * normal(seed, Purpose.RANGE_BIAS, 0, lasers), -BIAS_LIMIT_M, BIAS_LIMIT_M)
 
 
 def gain(seed: int, spread: float, elevation_deg: F8) -> F8:
-    """Return the factor on the reflectivity of each laser, (lasers,), above 0: log-normal, in much the same measure on every unit.
+    """Return the factor on the reflectivity of each laser, (lasers,), above 0.
+
+    It is log-normal, in much the same measure on every unit.
 
     What can be measured is a laser against its neighbours in elevation, `apart`.
     """
@@ -39,7 +44,7 @@ def gain(seed: int, spread: float, elevation_deg: F8) -> F8:
 
 
 def no_return_reflectivity(seed: int, lasers: int, middle: float | None) -> F8:
-    """Return the reflectivity of each laser's records without a return, (lasers,), before it is truncated to integers.
+    """Return the reflectivity (lasers,) of records without a return, before it is truncated.
 
     Real units send it in 50 to 98 % of such records, and multiples of it in the others.
 
@@ -57,9 +62,9 @@ def no_return_reflectivity(seed: int, lasers: int, middle: float | None) -> F8:
 def no_return_multiples(seed: int, no_return: F8, wander: float) -> F8:
     """Return the multiples of `no_return_reflectivity` that no-returns carry at each azimuth.
 
-    Values below 1 are sent as 1. An image of a sweep shows patches that all lasers share, at the same azimuths
-    in each revolution; on real units they depend on the scene, probably on faint light below the threshold; here
-    they are random.
+    Values below 1 are sent as 1. An image of a sweep shows patches that all lasers share, at the same
+    azimuths in each revolution; on real units they depend on the scene, probably on faint light below the
+    threshold; here they are random.
 
     Parameters
     ----------
@@ -86,12 +91,14 @@ def no_return_multiples(seed: int, no_return: F8, wander: float) -> F8:
 
 
 def sent_codes(seed: int, lasers: int, step: float) -> U1:
-    """Return the code that a laser sends for each reflectivity of a diffuse target, (lasers, 100 * CODE_PARTS + 1), in steps of 1 / CODE_PARTS.
+    """Return the code that a laser sends for each reflectivity of a diffuse target.
 
-    Bright codes of a real laser are more than 1 apart, with more spacing at brighter codes: a calibration table
-    of each laser from integers of the receiver to codes (laws `code.coarse_from` to `spacing`). All lasers have
-    one more quantization after it, by which codes that are 2 modulo 3 are rarer than their neighbours
-    (`code.narrow`).
+    The table is (lasers, 100 * CODE_PARTS + 1), in steps of 1 / CODE_PARTS.
+
+    Bright codes of a real laser are more than 1 apart, with more spacing at brighter codes: a calibration
+    table of each laser from integers of the receiver to codes (laws `code.coarse_from` to `spacing`). All
+    lasers have one more quantization after it, by which codes that are 2 modulo 3 are rarer than their
+    neighbours (`code.narrow`).
 
     Parameters
     ----------
@@ -179,7 +186,9 @@ REFLECTIVITY_TAIL = law("code.tail")
 
 @inline_kernel
 def heavier(z: float, tail: float) -> float:
-    """Return a number of the same variance with heavy tails, from a normal number: the share `tail` of its cube is added.
+    """Return a number of the same variance with heavy tails, from a normal number.
+
+    The share `tail` of its cube is added.
 
     The fourth moment of a normal number is 3, and the sixth is 15.
     """

@@ -22,7 +22,10 @@ _Section = TypeVar("_Section", bound=Lidar)
 
 
 def powered_up(section: _Section, seed: int) -> _Section:
-    """Return the section with the state of its unit at the start: keys that are not set are random with `unit`, fixed with `steady`."""
+    """Return the section with the state of its unit at the start.
+
+    Keys that are not set are random with `unit`, fixed with `steady`.
+    """
     own = uniform(seed, Purpose.POWER_UP, 0, 4).tolist()
     low_s, high_s = _POWERED_S
     if own[2] < law("clock.off_share"):
@@ -50,7 +53,10 @@ class Counters:
 
 
 def counters_of(section: Lidar, seed: int, number: int) -> Counters:
-    """Return the counters of unit `number` of a rig: random with `unit`; with `steady` 0, and consecutive MAC addresses."""
+    """Return the counters of unit `number` of a rig.
+
+    They are random with `unit`; with `steady` they are 0, and MAC addresses are consecutive.
+    """
     if section.preset == "steady":
         return Counters(bytes.fromhex(f"{_VENDOR}{_SERIES[1]}{number + 1:04x}"), 0, 0.0)
     series, own, identification, phase = uniform(seed, Purpose.POWER_UP, 0, 4, 2).tolist()

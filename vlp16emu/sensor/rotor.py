@@ -80,7 +80,9 @@ class Swing:
     def sample(
         cls, seed: int, error_rpm: float, wander_rpm: float, *, is_exact: bool = False
     ) -> "tuple[Swing, ...]":
-        """Sample the swings of one unit at 600 rpm: one of the mean speed over minutes, two within seconds, and one within a turn.
+        """Sample the swings of one unit at 600 rpm.
+
+        They are one of the mean speed over minutes, two within seconds, and one within a turn.
 
         Parameters
         ----------
@@ -209,7 +211,10 @@ class Encoder:
 
 
 def _speeds(rpm: F8) -> tuple[F8, F8, F8]:
-    """Return the two speeds of a reading between lines over the true speed, and the share of the slower; all in the shape of `rpm`."""
+    """Return the two speeds of a reading between lines over the true speed, and the share of the slower.
+
+    All have the shape of `rpm`.
+    """
     true_cdeg = _CDEG_PER_LASER * np.maximum(np.abs(rpm), 1.0)
     factor = np.where(np.abs(rpm) < law("encoder.leads_from_rpm"), law("encoder.lag"), law("encoder.lead"))
     mean_cdeg = true_cdeg * factor
@@ -240,7 +245,10 @@ class Rotor:
         return self.spins[0].rpm
 
     def angle_deg(self, elapsed_ns: I8) -> F8:
-        """Return true angles, [0, 360), at times since the start, any shape; exact after any number of hours."""
+        """Return true angles, [0, 360), at times since the start, any shape.
+
+        They are exact after any number of hours.
+        """
         flat_ns = elapsed_ns.reshape(-1)
         if self.drift and self.locks_ns:
             flat_ns = swung_ns(self.swings, flat_ns) + self._drift_ns(self.drift, flat_ns)
@@ -259,7 +267,10 @@ class Rotor:
         return out.reshape(elapsed_ns.shape)
 
     def _drift_ns(self, drift: Swing, elapsed_ns: I8) -> I8:
-        """Return by how much (n,) the error of the mean speed has put the motor ahead: a lock pulls it to 0, where it begins again."""
+        """Return by how much (n,) the error of the mean speed has put the motor ahead.
+
+        A lock pulls it to 0, where it begins again.
+        """
 
         def ahead_ns(times_ns: I8) -> I8:
             return swung_ns((drift,), times_ns) - times_ns
@@ -312,7 +323,10 @@ class Rotor:
 
 
 def swung_ns(swings: Sequence[Swing], elapsed_ns: I8) -> I8:
-    """Return times (n,) at which a motor of constant speed has the angle that a motor with swings has at times (n,)."""
+    """Return times at which a motor of constant speed has the angles of one with swings.
+
+    Times are (n,).
+    """
     if not swings:
         return elapsed_ns
     return _swung(elapsed_ns, *np.array([(s.amplitude_ns, s.period_ns, s.phase_rad) for s in swings]).T)
@@ -320,7 +334,10 @@ def swung_ns(swings: Sequence[Swing], elapsed_ns: I8) -> I8:
 
 @kernel
 def _turn(elapsed_ns: I8, span_ns: int, deg_per_ns: float, start_deg: float, out: F8) -> None:
-    """Fill angles (n,); the remainder is exact, as with `%`, because whole turns and their differences are exact."""
+    """Fill angles (n,).
+
+    The remainder is exact, as with `%`, because whole turns and their differences are exact.
+    """
     for i in range(out.shape[0]):
         angle_deg = start_deg + (elapsed_ns[i] % span_ns) * deg_per_ns
         angle_deg -= 360.0 * math.floor(angle_deg / 360.0)
@@ -372,7 +389,10 @@ class ClockSpan:
     )
 
     def reading(self, t_ns: I8) -> I8:
-        """Return nanoseconds past the counter's hour at UTC instants of any shape; the first reading before the span."""
+        """Return nanoseconds past the counter's hour at UTC instants of any shape.
+
+        Before the span it is the first reading.
+        """
         if self.reading_ns is None:
             if not self.error_ppm:
                 return np.asarray(t_ns % HOUR_NS)

@@ -32,7 +32,10 @@ _log = logging.getLogger(__name__)
 
 
 def surfaces_of(section: MeshFile, mesh: UserMesh) -> NDArray[np.void]:
-    """Return `SURFACE` (parts,) of a mesh, with material and instance 0; GeometryError for a part that it does not have."""
+    """Return `SURFACE` (parts,) of a mesh, with material and instance 0.
+
+    Raises GeometryError for a part that it does not have.
+    """
     names = [name for name, _ in mesh.parts]
     own = {part.name: part for part in section.parts}
     for name in own.keys() - set(names):
@@ -134,7 +137,8 @@ class Furnished:
             nearest_m = min(gap for gap, own in zip(gap_m.tolist(), self._keys, strict=True) if own == key)
             if nearest_m > self._reach_m:
                 _log.warning(
-                    "%s: not in sight, %.1f m from the path at the nearest; expected a place %g m from it at most"
+                    "%s: not in sight, %.1f m from the path at the nearest;"
+                    " expected a place %g m from it at most"
                     " (map coordinates must have origin_m taken off)",
                     *(key.path, nearest_m, self._reach_m),
                 )

@@ -1,4 +1,4 @@
-"""Configurations of SLAM programs for a rig, from the files in `templates/`, and what each program needs of a bag."""
+"""Configurations of SLAM programs for a rig, from `templates/`, and what each needs of a bag."""
 
 import json
 import re
@@ -106,13 +106,19 @@ class Rig:
 
 
 def _number(value: float) -> str:
-    """Write a number in the syntax that JSON, YAML and Lua share: YAML 1.1 does not read 1e-9 without a point."""
+    """Write a number in the syntax that JSON, YAML and Lua share.
+
+    YAML 1.1 does not read 1e-9 without a point.
+    """
     text = json.dumps(value)
     return text if "." in text else text.replace("e", ".0e")
 
 
 def pose_names(of: str, what: str, T: NDArray[Any]) -> dict[str, list[float]]:
-    """Return the pose (4, 4) of frame `what` in frame `of` by the names of the table, in the orders that programs use."""
+    """Return the pose (4, 4) of frame `what` in frame `of` by the names of templates.
+
+    The names stand for the orders of numbers that programs use.
+    """
     from scipy.spatial.transform import Rotation
 
     place = (T[:3, 3].round(9) + 0.0).tolist()

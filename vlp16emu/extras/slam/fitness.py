@@ -96,7 +96,7 @@ def read_facts(path: Path) -> Facts:
             ):
                 where = f"{path}, {connection.topic}"
                 read[connection.topic](facts, reader.deserialize(raw, connection.msgtype), start_s)
-    except Exception as error:  # noqa: BLE001  # rosbags raises errors of any type for damaged bags and messages
+    except Exception as error:  # noqa: BLE001  # rosbags raises errors of any type for damage
         reason = str(error) or type(error).__name__
         raise CaptureError(where, f"no bag: {reason}", "a bag: .mcap, .bag or a folder of ROS 2") from None
     if not facts.clouds:
@@ -238,24 +238,56 @@ ROWS = (
     _Row("no-time", lambda v, _: not v["name"], "points have no time field, only {fields}"),
     _Row("time-name", lambda v, _: v["name"] not in ("", "time"), "point times are in the field `{name}`"),
     _Row("time-type", lambda v, _: v["name"] and v["time_type"] != "float32", "point times are {time_type}"),
-    _Row("time-unit", lambda v, _: v["name"] and v["unit"] != "s", "point times are in {unit}: a sweep spans {span:g}"),
+    _Row(
+        "time-unit",
+        lambda v, _: v["name"] and v["unit"] != "s",
+        "point times are in {unit}: a sweep spans {span:g}",
+    ),
     _Row(
         "time-zero",
         lambda v, _: v["name"] and abs(v["early_s"]) > _EARLY_S,
         "point times begin {early_s:+.4g} s from the stamp instead of at 0",
     ),
-    _Row("time-last", lambda v, _: v["name"] and v["late_scans"], "in {late_scans} scans the last point is not the latest"),
+    _Row(
+        "time-last",
+        lambda v, _: v["name"] and v["late_scans"],
+        "in {late_scans} scans the last point is not the latest",
+    ),
     _Row("ring", lambda v, _: v["ring_type"] != "uint16", "`ring` is {ring_type} instead of uint16"),
     _Row("ring-order", lambda v, _: v["misordered"], "ring {misordered}"),
     _Row("beams", lambda v, _: v["rings"] not in (0, _BEAMS), "there are {rings} rings"),
     _Row("density", lambda v, _: v["sparse"], "{sparse} clouds hold NaN, or are not marked as dense"),
-    _Row("sweep", lambda v, _: abs(v["sweep_s"] / _SWEEP_S - 1) > 0.05, "a sweep takes {sweep_s:.4g} s instead of 0.1"),
+    _Row(
+        "sweep",
+        lambda v, _: abs(v["sweep_s"] / _SWEEP_S - 1) > 0.05,
+        "a sweep takes {sweep_s:.4g} s instead of 0.1",
+    ),
     _Row("cloud-gaps", lambda v, _: v["gaps"], "{gaps} gaps between scans, up to {gap_s:.3g} s"),
-    _Row("gravity-unit", lambda v, _: v["samples"] and not 8 < v["norm"] < 12, "accelerations have the median {norm:.3g} instead of 9.8"),
-    _Row("gyro-unit", lambda v, _: v["rate_95"] > 12, "angular rates reach {rate_95:.3g}, as in degrees per second"),
-    _Row("gravity-axis", lambda v, _: v["lean_deg"] > _TILT_DEG, "gravity is {lean_deg:.0f} deg off the body's vertical"),
-    _Row("imu-rate", lambda v, _: v["samples"] and abs(v["hz_imu"] / _IMU_HZ - 1) > 0.02, "the IMU has {hz_imu:.1f} samples a second"),
-    _Row("imu-slow", lambda v, _: v["samples"] and v["hz_imu"] < _SLOW_HZ * 0.98, "the IMU has {hz_imu:.1f} samples a second"),
+    _Row(
+        "gravity-unit",
+        lambda v, _: v["samples"] and not 8 < v["norm"] < 12,
+        "accelerations have the median {norm:.3g} instead of 9.8",
+    ),
+    _Row(
+        "gyro-unit",
+        lambda v, _: v["rate_95"] > 12,
+        "angular rates reach {rate_95:.3g}, as in degrees per second",
+    ),
+    _Row(
+        "gravity-axis",
+        lambda v, _: v["lean_deg"] > _TILT_DEG,
+        "gravity is {lean_deg:.0f} deg off the body's vertical",
+    ),
+    _Row(
+        "imu-rate",
+        lambda v, _: v["samples"] and abs(v["hz_imu"] / _IMU_HZ - 1) > 0.02,
+        "the IMU has {hz_imu:.1f} samples a second",
+    ),
+    _Row(
+        "imu-slow",
+        lambda v, _: v["samples"] and v["hz_imu"] < _SLOW_HZ * 0.98,
+        "the IMU has {hz_imu:.1f} samples a second",
+    ),
     _Row(
         "imu-gaps",
         lambda v, _: v["imu_gaps"] or v["imu_back"],
@@ -266,14 +298,27 @@ ROWS = (
     _Row(
         "clock",
         lambda v, _: v["samples"] and (v["inside"] < 0.5 or v["back"]),
-        "{inside:.0%} of the scans lie within the time of the IMU, which begins {offset_s:+.3f} s after them; {back} stamps go back",
+        "{inside:.0%} of the scans lie within the time of the IMU, which begins {offset_s:+.3f} s after them;"
+        " {back} stamps go back",
     ),
-    _Row("extrinsics", lambda v, _: v["apart_m"] > 1e-3 or v["turned_deg"] > 0.1, "lidar and IMU are {apart_m:.3f} m and {turned_deg:.1f} deg apart"),
+    _Row(
+        "extrinsics",
+        lambda v, _: v["apart_m"] > 1e-3 or v["turned_deg"] > 0.1,
+        "lidar and IMU are {apart_m:.3f} m and {turned_deg:.1f} deg apart",
+    ),
     _Row("frames", lambda v, _: v["tree"], "{tree}"),
-    _Row("frame-base", lambda v, _: v["root"] != "base_link", "the root of the frames is {root} instead of base_link"),
+    _Row(
+        "frame-base",
+        lambda v, _: v["root"] != "base_link",
+        "the root of the frames is {root} instead of base_link",
+    ),
     _Row("tf-map", lambda v, _: v["edge"], "/tf holds {edge}, which a SLAM program publishes too"),
-    _Row("rest", lambda v, p: v["samples"] and v["rest_s"] < p.rest_s - 0.2, "{rest_s:.1f} s of rest at the start"),
-)  # fmt: skip
+    _Row(
+        "rest",
+        lambda v, p: v["samples"] and v["rest_s"] < p.rest_s - 0.2,
+        "{rest_s:.1f} s of rest at the start",
+    ),
+)
 """Rules in the order of findings; a rule applies to the programs that have a text for it in
 `programs.toml`."""
 

@@ -38,7 +38,10 @@ def merged(*parts: Mesh) -> Mesh:
 
 @cache
 def pipe_faces(sides: int, rings: int, *, bottom: bool = True, top: bool = True) -> NDArray[np.uint32]:
-    """Triangles (read-only) of a pipe; its first vertex is the bottom's centre and its last the tip, if it has them."""
+    """Triangles (read-only) of a pipe.
+
+    Its first vertex is the bottom's centre and its last the tip, if it has them.
+    """
     here = np.arange(sides)
     after = np.roll(here, -1)
     low = int(bottom) + (np.arange(rings - 1) * sides)[:, None]
@@ -89,7 +92,10 @@ class Branches:
 
 
 def first_order(rng: np.random.Generator, habit: Habit, size_m: tuple[float, float], stem_m: F8) -> Branches:
-    """First-order branches of a crown of a length and width; stem radii (s,) are evenly spaced from base to top."""
+    """First-order branches of a crown of a length and width.
+
+    Stem radii (s,) are evenly spaced from base to top.
+    """
     length_m, _ = size_m
     whorls = max(1, round(length_m / habit.whorl_spacing_m))
     whorl = np.repeat(np.arange(whorls), habit.branches_per_whorl)
@@ -195,7 +201,9 @@ def points_along(nodes_m: F8, branch: I8, way: F8) -> tuple[F8, F8]:
 
 
 def tubes(branches: Branches, sides: int, *, every: int = 1) -> Mesh:
-    """Tapering tubes through every `every`-th node of the curves, open at the base inside the bearer, pointed at the tip.
+    """Tapering tubes through every `every`-th node of the curves.
+
+    They are open at the base, inside the bearer, and pointed at the tip.
 
     A section has the perimeter of the round branch, so that the width of its silhouette, averaged over all
     directions, equals the branch's diameter for any number of sides (Cauchy).

@@ -1,4 +1,7 @@
-"""Leaves and shoots as planar quads: along the twigs of a crown with a given total area, and of ivy on stems."""
+"""Leaves and shoots as planar quads.
+
+They stand along the twigs of a crown with a given total area, or are ivy on stems.
+"""
 
 from dataclasses import dataclass
 
@@ -27,7 +30,10 @@ _SHOOT_ANGLE = (
 
 
 def foliage_mesh(rng: np.random.Generator, foliage: Foliage, twigs: Branches, leaf_area_m2: float) -> Mesh:
-    """Quads spread evenly along the leafy part of twigs, with a total of one-sided leaf area over the species' clumping."""
+    """Quads spread evenly along the leafy part of twigs.
+
+    Their total is one-sided leaf area over the species' clumping.
+    """
     area_m2 = leaf_area_m2 / foliage.clumping
     per_item = foliage.length_m * foliage.width_m * (2.0 if foliage.kind == "shoot" else 0.5)
     n = max(1, round(min(area_m2 / per_item, _MOST_LEAVES)))
@@ -103,7 +109,9 @@ class IvyKey:
 
 
 def ivy_tops_m(trees: Trees, share: float, height_m: tuple[float, float], *, seed: int) -> F8:
-    """Height over the foot (n,) up to which ivy covers a stem, no higher than the crown base; 0 for stems without ivy.
+    """Height over the foot (n,) up to which ivy covers a stem, no higher than the crown base.
+
+    Stems without ivy have 0.
 
     A `share` of the stems has ivy; the height is within the range `height_m` and depends on the tree's
     position alone.
@@ -120,7 +128,10 @@ def ivy_tops_m(trees: Trees, share: float, height_m: tuple[float, float], *, see
 def ivy_meshes(
     trees: Trees, tops_m: F8, origin_m: F8, *, seed: int, tile: TileKey, table: Table | None = None
 ) -> list[Mesh]:
-    """Leaves (quads) of the ivy on stems (n,) up to heights (n,), relative to an origin (3,); none for height 0."""
+    """Leaves (quads) of the ivy on stems (n,) up to heights (n,), relative to an origin (3,).
+
+    Height 0 has none.
+    """
     stems = Stems(trees, table=table)
     small_m, large_m = _LEAF_M
     mean_m2 = _LEAF_WIDTH / 2 * (small_m * small_m + small_m * large_m + large_m * large_m) / 3

@@ -1,4 +1,6 @@
-"""Shapes and labels of things on the ground: stones, dead wood, tufts of grass and low plants, all of unit size.
+"""Shapes and labels of things on the ground.
+
+Stones, dead wood, tufts of grass and low plants, all of unit size.
 
 They are grown once per variant and scaled where they are placed. Numbers and labels of each kind are rows of
 `floor.toml`. Leaves are kites, two triangles each.
@@ -315,7 +317,10 @@ def _root_plate(rng: Generator, row: Row) -> Mesh:
 
 
 def _drum(rng: Generator, at: F8, radius: F8, *, slant: float) -> tuple[F8, F8]:
-    """Rings (r, sides, 3) about the z axis and centres (2, 3) of the ends, with weathered ribs and slanted ends."""
+    """Rings (r, sides, 3) about the z axis and centres (2, 3) of the ends.
+
+    They have weathered ribs and slanted ends.
+    """
     sides = _ROUND_SIDES
     angle = 2 * np.pi * np.arange(_ROUND_SIDES) / _ROUND_SIDES
     ribs = sum(0.04 * cos(n * angle + rng.uniform(0, 2 * np.pi)) for n in (2, 3, 5))

@@ -1,4 +1,7 @@
-"""A forest without edge: tiles of ground and stems, with instanced crowns and things, around any path; and its cache."""
+"""A forest without edge: tiles of ground and stems, with instanced crowns and things, around any path.
+
+Tiles and shapes are cached.
+"""
 
 import math
 from collections.abc import Callable
@@ -42,7 +45,10 @@ T = TypeVar("T")
 
 
 def _by_tile(kind: str, name: str, make: Callable[[int, int], T]) -> Callable[[int, int], T]:
-    """Cache the result for each tile (ix, iy); `name` is the digest of all other inputs, empty for no cache."""
+    """Cache the result for each tile (ix, iy).
+
+    `name` is the digest of all other inputs, empty for no cache.
+    """
     return lambda ix, iy: recalled(name and f"{name} {kind} {ix} {iy}", lambda: make(ix, iy))
 
 
@@ -114,7 +120,10 @@ class ForestWorld:
         )
 
     def window(self, track_m: F8) -> TiledWindow:
-        """Return the window within reach of sensor positions (n, 3); raises GeometryError if they are too far from the path."""
+        """Return the window within reach of sensor positions (n, 3).
+
+        Raises GeometryError if they are too far from the path.
+        """
         names = self._in_view(track_m)
         tiles = [self._tile(*name) for name in names]
         index_of = dict[ShapeKey, int]()
@@ -138,7 +147,10 @@ class ForestWorld:
         )
 
     def shape_name(self, key: ShapeKey) -> str:
-        """Return the cache name of a shape: for tiles it depends on the whole forest, for others on seed and plants alone."""
+        """Return the cache name of a shape.
+
+        For tiles it depends on the whole forest, for others on seed and plants alone.
+        """
         if not self.name:
             return ""
         own = isinstance(key, TileKey | StemKey | IvyKey)

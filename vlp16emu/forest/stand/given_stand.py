@@ -156,7 +156,8 @@ def _check(table: Table, trees: Trees) -> None:
     slenderness = trees["height_m"] / trees["dbh_m"]
     if (middle := float(np.median(slenderness))) < LEAST_SLENDERNESS:
         i = int(slenderness.argmin())
-        found = f"found {100 * trees['dbh_m'][i]:g} cm at a height of {trees['height_m'][i]:g} m; half of all trees are less than {middle:.0f} times as high as thick"
+        size = f"{100 * trees['dbh_m'][i]:g} cm at a height of {trees['height_m'][i]:g} m"
+        found = f"found {size}; half of all trees are less than {middle:.0f} times as high as thick"
         expected = f"{LEAST_SLENDERNESS:g} times or more (is the DBH in mm?)"
         raise GeometryError(table.where(i, "dbh_m"), found, expected)
     if (above := np.flatnonzero(trees["crown_base_m"] >= trees["height_m"])).size:
@@ -168,7 +169,8 @@ def _check(table: Table, trees: Trees) -> None:
     places = places_m(trees, "xy")
     if pairs := sorted(cKDTree(places).query_pairs(_APART_M)):
         first, second = pairs[0]
-        found = f"the place of line {table.lines[first]}, ({places[second, 0]:g}, {places[second, 1]:g}) m in the scene"
+        place = f"({places[second, 0]:g}, {places[second, 1]:g}) m in the scene"
+        found = f"the place of line {table.lines[first]}, {place}"
         raise GeometryError(table.where(second), found, f"trees at least {_APART_M:g} m apart")
 
 
@@ -184,7 +186,9 @@ _log = logging.getLogger(__name__)
 
 
 class GivenStand:
-    """Trees of a list, tile by tile; missing values, such as the azimuth of a crown about its stem, are drawn by the seed.
+    """Trees of a list, tile by tile.
+
+    Missing values, such as the azimuth of a crown about its stem, are drawn by the seed.
 
     A crown is a prototype for the list's trees of that species and diameter class, scaled to the tree. Each
     tree has the leaf area index of its species on its own crown projection, as the ground area of a tree does
@@ -218,7 +222,8 @@ class GivenStand:
         if (gap_m - self._all["crown_width_m"] / 2 > reach_m).all():
             i = int(gap_m.argmin())
             x_m, y_m = self._all["x_m"][i], self._all["y_m"][i]
-            found = f"no tree in sight, the nearest at ({x_m:.1f}, {y_m:.1f}) m in the scene, {gap_m[i]:.1f} m from the path"
+            nearest = f"the nearest at ({x_m:.1f}, {y_m:.1f}) m in the scene"
+            found = f"no tree in sight, {nearest}, {gap_m[i]:.1f} m from the path"
             expected = f"one {reach_m:g} m from it at most (a list in map coordinates needs an origin_m)"
             raise GeometryError(str(self._source), found, expected)
 
@@ -250,12 +255,17 @@ def _set_looks(trees: Trees, kinds: list[Species], seed: int) -> None:
 
 
 def listed_trees(section: Plot, seed: int) -> Trees:
-    """Return all trees (n,) `TREE` of a plot's list, also those on the path; errors as in `read_stem_list`."""
+    """Return all trees (n,) `TREE` of a plot's list, also those on the path.
+
+    Errors as in `read_stem_list`.
+    """
     return read_stem_list(Path(section.stem_list), flora(section.species_file).trees, section.origin_m, seed)
 
 
 def stems_in_the_way(section: Plot, seed: int) -> tuple[F8, F8]:
-    """Positions (n, 2) of stems at the foot and above head height, and the distances (n,) that the path must keep from them.
+    """Positions (n, 2) of stems at the foot and above head height, and distances (n,).
+
+    The path must keep these distances from them.
 
     Raises GeometryError for a faulty list.
     """

@@ -1,4 +1,7 @@
-"""Ground truth of standing trees: one row per tree, computed from the scanned meshes; circles along stems and branches."""
+"""Ground truth of standing trees: one row per tree, computed from the scanned meshes.
+
+Circles along stems and branches.
+"""
 
 import csv
 from collections.abc import Sequence
@@ -73,7 +76,10 @@ _DECIMALS = 4  # decimals of numbers in a file: a tenth of a millimetre, a tenth
 def inventory(
     trees: Trees, crowns: Sequence[CrownKey], *, seed: int, table: Table | None = None
 ) -> NDArray[np.void]:
-    """Return the inventory (n,) `INVENTORY` of trees (n,) `TREE`, in order; crowns are prototypes grown from the seed."""
+    """Return the inventory (n,) `INVENTORY` of trees (n,) `TREE`, in order.
+
+    Crowns are prototypes grown from the seed.
+    """
     table = table or flora().trees
     rows = np.zeros(len(trees), INVENTORY)
     for name in COPIED:
@@ -136,7 +142,10 @@ def volume_m3(mesh: Mesh) -> float:
 def _measure_crowns(
     rows: NDArray[np.void], span_m: F8, trees: Trees, crowns: Sequence[CrownKey], seed: int, table: Table
 ) -> None:
-    """Fill in wood and leaves, prototype by prototype, scaled for each tree; widen the boxes (n, 2, 3) to include them."""
+    """Fill in wood and leaves, prototype by prototype, scaled for each tree.
+
+    Widen the boxes (n, 2, 3) to include them.
+    """
     wide, long = crown_scale(trees, crowns)
     rows["wood_m3"] = rows["stem_m3"]
     foot_T_crown = crown_placements(trees, crowns)
@@ -179,7 +188,9 @@ def hull_m(points_m: F8) -> F8:
 def branch_circles(
     trees: Trees, crowns: Sequence[CrownKey], *, seed: int, table: Table | None = None
 ) -> NDArray[np.void]:
-    """Circles (k,) `STEM_CIRCLE` along the branches of the first order, tree by tree, each from the stem's axis to its tip.
+    """Circles (k,) `STEM_CIRCLE` along the branches of the first order, tree by tree.
+
+    Each goes from the stem's axis to its tip.
 
     The crowns of trees (n,) `TREE` are prototypes grown from the seed and scaled; a circle has the area of
     the scaled branch's section.
@@ -206,7 +217,10 @@ def branch_circles(
 
 
 def far_stems(trees: Trees, first_row: int, *, table: Table | None = None) -> NDArray[np.void]:
-    """Stems of n trees as `STEM`, with circles in place of polygons, then second leaders; rows start at `first_row`."""
+    """Stems of n trees as `STEM`, with circles in place of polygons, then second leaders.
+
+    Rows start at `first_row`.
+    """
     own = Stems(trees, table=table)
     foot_m = places_m(trees)
     above_m = np.column_stack([own.above_ground_m, trees["height_m"]])
@@ -221,7 +235,10 @@ def far_stems(trees: Trees, first_row: int, *, table: Table | None = None) -> ND
 
 
 def profiles(foot_m: F8, middle_m: F8, radius_m: F8, begin: int) -> NDArray[np.void]:
-    """Return `STEM`s of circles (n, 16) with centres (n, 16, 3) relative to feet (n, 3); `begin` is the first used circle."""
+    """Return `STEM`s of circles (n, 16) with centres (n, 16, 3) relative to feet (n, 3).
+
+    `begin` is the first used circle.
+    """
     stems = np.zeros(len(foot_m), STEM)
     from_m = middle_m[:, begin]
     axis = unit(middle_m[:, -1] - from_m)

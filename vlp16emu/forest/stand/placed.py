@@ -58,7 +58,10 @@ def turned(azimuth_deg: F8) -> F8:
 
 
 def laid(towards: F8, slope: F8) -> F8:
-    """Rotations (n, 3, 3) that turn the x axis towards an angle from east, rad, on a slope dz/ds; y stays level."""
+    """Rotations (n, 3, 3) that turn the x axis towards an angle from east, rad, on a slope dz/ds.
+
+    The y axis stays level.
+    """
     flat = 1 / hypot(1, slope)
     c = cos(towards)
     s = sin(towards)

@@ -67,7 +67,9 @@ def scattered(*, seed: int, purpose: Growth, per_ha: float) -> PointPattern:
 
 
 def patchy(*, seed: int, purpose: Growth, even_per_ha: float, patchy_per_ha: float) -> PointPattern:
-    """Scatter points, a part of them in patches (Cox process), like plants that spread by runners or follow light.
+    """Scatter points, a part of them in patches (Cox process).
+
+    Plants that spread by runners or follow light stand like that.
 
     The density in patches follows the square of normal noise: a quarter of the ground has less than a tenth
     of the mean, and a twelfth more than three times the mean. `even_per_ha` points are independent of
@@ -90,7 +92,9 @@ def patchy(*, seed: int, purpose: Growth, even_per_ha: float, patchy_per_ha: flo
 
 
 def hard_core(*, seed: int, purpose: Growth, per_ha: float) -> PointPattern:
-    """Thin Poisson candidates with random priorities by a hard-core distance: Matern's second process (Matern 1960).
+    """Thin Poisson candidates with random priorities by a hard-core distance.
+
+    This is Matern's second process (Matern 1960).
 
     A candidate survives if no candidate of higher priority is within the hard-core distance.
     """
@@ -117,7 +121,7 @@ def hard_core(*, seed: int, purpose: Growth, per_ha: float) -> PointPattern:
 
 
 def clustered(section: Clusters, *, seed: int, purpose: Growth, per_ha: float) -> PointPattern:
-    """Scatter clumps by a Poisson process, with members normally distributed about the centre (Thomas process).
+    """Scatter clumps by a Poisson process, with members around a centre (Thomas process).
 
     Members beyond the neighbouring tile, at most one in 1e4, are lost.
     """
@@ -190,7 +194,10 @@ def pattern_of(section: Pattern, land: Land, *, purpose: Growth, per_ha: float) 
 
 
 def _sown(rng: np.random.Generator, ix: int, iy: int, mean: float, columns: int = 2) -> F8:
-    """Random numbers (n, columns) in [0, 1), the first two scaled to positions on a tile; n is `mean` on average."""
+    """Random numbers (n, columns) in [0, 1), the first two scaled to positions on a tile.
+
+    The mean of n is `mean`.
+    """
     draws = rng.random((rng.poisson(mean), columns))
     draws[:, :2] = (draws[:, :2] + np.array([ix, iy])) * TILE_M
     return draws

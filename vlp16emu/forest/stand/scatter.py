@@ -85,7 +85,10 @@ class Layer:
         self.pattern = self._pattern()  # before things on the path and in trunks are left out
 
     def place(self, ix: int, iy: int, trunks: F8) -> PlacedThings:
-        """Place the things of a tile clear of trunks (m, 3): x, y and radius at the ground of stems on it and its neighbours."""
+        """Place the things of a tile clear of trunks (m, 3).
+
+        Trunks are x, y and radius at the ground of the stems on it and its neighbours.
+        """
         near = tile_distance_m((ix, iy), self.land.path) < self.row.get("reach_m", math.inf)
         xy_m = self.pattern.points(ix, iy) if near else np.zeros((0, 2))
         return self._lay(self, trunks, xy_m, generator(self.land.seed, self.purpose, ix, iy, 1))
@@ -104,15 +107,18 @@ class Layer:
             case settings.Grass(tufts_per_m2=per_m2):
                 even = 10_000 * per_m2
             case settings.Stones(cover=cover):
-                # Overlaps counted once, scattered discs of mean area a and density d leave exp(-a d) of the plane
-                # bare (Boolean model; Chiu et al., Stochastic Geometry, section 3.1).
+                # Overlaps counted once, scattered discs of mean area a and density d leave exp(-a d) of the
+                # plane bare (Boolean model; Chiu et al., Stochastic Geometry, section 3.1).
                 even = -log1p(-cover) / _stone_area_m2() * 10_000
             case settings.Logs(per_ha=per_ha) | settings.Stumps(per_ha=per_ha):
                 even = per_ha
         return scattered(**where, per_ha=even)
 
     def are_clear(self, trunks: F8, xy_m: F8, reach_m: F8, foot_m: F8) -> Mask:
-        """Return a mask (n,) of points (n, 2) that keep `reach_m` (n,) away from the path, and `foot_m` (n,) from all trunks."""
+        """Return a mask of points (n, 2) that are clear of path and trunks.
+
+        They keep `reach_m` (n,) away from the path, and `foot_m` (n,) from all trunks.
+        """
         free = np.asarray(self.land.path.distance_m(xy_m) - reach_m >= self.land.path.clearance_m)
         dx, dy = (xy_m[:, None, axis] - trunks[:, axis] for axis in (0, 1))
         gap_m = foot_m[:, None] + trunks[:, 2]
@@ -317,7 +323,7 @@ def _on_ground(pieces: _Pieces, height_m: HeightField, plate_axis: float) -> F8:
 
 
 def _are_clear(layer: Layer, trunks: F8, line_m: F8, radius_m: F8) -> Mask:
-    """Return a mask of lines of positions (n, k, 2) that keep a radius (n,) clear of the path and of trunks."""
+    """Return a mask of lines (n, k, 2) that keep a radius (n,) clear of the path and of trunks."""
     reach_m = np.repeat(radius_m, line_m.shape[1])
     clear = layer.are_clear(trunks, line_m.reshape(-1, 2), reach_m, reach_m).reshape(line_m.shape[:2])
     return np.asarray(clear.all(axis=1))
@@ -332,18 +338,57 @@ def _line_m(xy_m: F8, towards: F8, along_m: F8) -> F8:
 _SQRT_2_PI = 2.50662827463100050242
 _TAIL = 0.13533528323661269189  # exp(-2): limit between the approximations of the middle and the tails
 _MIDDLE = (
-    (-5.99633501014107895267e1, 9.80010754185999661536e1, -5.66762857469070293439e1, 1.39312609387279679503e1, -1.23916583867381258016e0),
-    (1.0, 1.95448858338141759834e0, 4.67627912898881538453e0, 8.63602421390890590575e1, -2.25462687854119370527e2, 2.00260212380060660359e2, -8.20372256168333339912e1, 1.59056225126211695515e1, -1.18331621121330003142e0),
-)  # fmt: skip
+    (
+        -5.99633501014107895267e1,
+        9.80010754185999661536e1,
+        -5.66762857469070293439e1,
+        1.39312609387279679503e1,
+        -1.23916583867381258016e0,
+    ),
+    (
+        1.0,
+        1.95448858338141759834e0,
+        4.67627912898881538453e0,
+        8.63602421390890590575e1,
+        -2.25462687854119370527e2,
+        2.00260212380060660359e2,
+        -8.20372256168333339912e1,
+        1.59056225126211695515e1,
+        -1.18331621121330003142e0,
+    ),
+)
 _TAILS = (
-    (4.05544892305962419923e0, 3.15251094599893866154e1, 5.71628192246421288162e1, 4.40805073893200834700e1, 1.46849561928858024014e1, 2.18663306850790267539e0, -1.40256079171354495875e-1, -3.50424626827848203418e-2, -8.57456785154685413611e-4),
-    (1.0, 1.57799883256466749731e1, 4.53907635128879210584e1, 4.13172038254672030440e1, 1.50425385692907503408e1, 2.50464946208309415979e0, -1.42182922854787788574e-1, -3.80806407691578277194e-2, -9.33259480895457427372e-4),
-)  # fmt: skip
+    (
+        4.05544892305962419923e0,
+        3.15251094599893866154e1,
+        5.71628192246421288162e1,
+        4.40805073893200834700e1,
+        1.46849561928858024014e1,
+        2.18663306850790267539e0,
+        -1.40256079171354495875e-1,
+        -3.50424626827848203418e-2,
+        -8.57456785154685413611e-4,
+    ),
+    (
+        1.0,
+        1.57799883256466749731e1,
+        4.53907635128879210584e1,
+        4.13172038254672030440e1,
+        1.50425385692907503408e1,
+        2.50464946208309415979e0,
+        -1.42182922854787788574e-1,
+        -3.80806407691578277194e-2,
+        -9.33259480895457427372e-4,
+    ),
+)
 """Numerators and denominators, highest power first (Moshier, Cephes Mathematical Library, ndtri.c)."""
 
 
 def normal_quantile(probability: F8) -> F8:
-    """Return standard normal quantiles of probabilities (n,) from 1e-13 to 1 - 1e-13, with a relative error of 1e-15."""
+    """Return standard normal quantiles of probabilities (n,) from 1e-13 to 1 - 1e-13.
+
+    The relative error is 1e-15.
+    """
     off = probability - 0.5
     square = off * off
     above, below = (np.polyval(np.array(coefficients), square) for coefficients in _MIDDLE)
@@ -360,7 +405,9 @@ _SLOPE_M = 0.2  # distance to either side for the slope under a cushion or heap
 
 
 def plants_per_ha(section: settings.Cover, spread: float, *, patches: bool) -> tuple[float, float]:
-    """Plants per hectare, even ones and ones in patches, to cover a share c of the ground, overlaps counted once.
+    """Plants per hectare, even ones and ones in patches, to cover a share c of the ground.
+
+    Overlaps count once.
 
     Discs of area a in patches of mean density d leave (1 + 2 a d)^(-1/2) of the plane bare: the mean of
     exp(-a d n^2) over normal noise n. It is assumed to be 1 / (1 + c (1 - c)): most plants are in patches at
@@ -378,7 +425,10 @@ def plants_per_ha(section: settings.Cover, spread: float, *, patches: bool) -> t
 
 @cache
 def _stone_area_m2() -> float:
-    """Mean area of a stone from above: its section at the ground, or its outline if its widest part is above."""
+    """Mean area of a stone from above.
+
+    It is the section at the ground, or the outline if the widest part is above.
+    """
     row = floor()["layers"]["stones"]
     low, high = row["buried"]
     buried = low + (high - low) * (np.arange(1000) + 0.5) / 1000

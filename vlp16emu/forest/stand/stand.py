@@ -93,7 +93,10 @@ class _Cohort:
         return self.species.height_curve(dbh_cm, self.share.dbh_cm, self.share.height_m)
 
     def sized(self, trees: Trees, uniform: F8, residual: F8) -> Trees:
-        """Set species, size and brightness of trees (n,), all but the crown base, from (n, 3) uniform numbers and `residuals`."""
+        """Set species, size and brightness of trees (n,), all but the crown base.
+
+        They follow from (n, 3) uniform numbers and `residuals`.
+        """
         species = self.species
         # Quantiles of diameter, scaled to the stand's quadratic mean.
         dbh_cm = truncated_weibull_cm(species.diameters, uniform[:, 0], self.share.dbh_cm) * self._scale
@@ -125,7 +128,10 @@ def competition(
 
 
 def residuals(normal: F8) -> F8:
-    """Residuals (n, 4) of height, crown ratio, crown width and volume in sigmas, correlated as measured; from normals."""
+    """Residuals (n, 4) of height, crown ratio, crown width and volume in sigmas, correlated as measured.
+
+    From normals.
+    """
     z = np.clip(normal, -_MOST_SIGMAS, _MOST_SIGMAS)
     own = math.sqrt(1 - _WIDTH_BY_HEIGHT * _WIDTH_BY_HEIGHT - _WIDTH_BY_RATIO * _WIDTH_BY_RATIO)
     z[:, 2] = _WIDTH_BY_HEIGHT * z[:, 0] + _WIDTH_BY_RATIO * z[:, 1] + own * z[:, 2]
@@ -301,7 +307,10 @@ class Stand:
 
 
 def _sample(pattern: PointPattern, cohorts: list[_Cohort]) -> tuple[F8, F8]:
-    """Diameters (n,) of sample trees of a storey, and for each (n, 3) in m2 per ha `rival_m2` and crown projection."""
+    """Diameters (n,) of sample trees of a storey, and areas (n, 3) in m2 per ha of each.
+
+    The areas are `rival_m2` and the crown projection.
+    """
     whole = sum(cohort.share.share for cohort in cohorts)
     areas_m2 = []
     for cohort in cohorts:

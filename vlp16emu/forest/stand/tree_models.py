@@ -1,4 +1,7 @@
-"""Tree models from the user: meshes in place of grown trees, scaled to the size of each, and their ground truth."""
+"""Tree models from the user: meshes in place of grown trees, and their ground truth.
+
+A model is scaled to the size of each tree.
+"""
 
 import hashlib
 from collections.abc import Sequence
@@ -166,7 +169,10 @@ class TreeModel:
         return stems
 
     def outline(self, height_m: float, above_m: float) -> Outline:
-        """Return the stem's section at a height over the foot of the model scaled to `height_m`; its width is as in the file."""
+        """Return the stem's section at a height over the foot of the model scaled to `height_m`.
+
+        Its width is as in the file.
+        """
         return self._cut(above_m * self.height_m / height_m)
 
     def circles(self, trees: Trees) -> NDArray[np.void]:
@@ -228,7 +234,10 @@ class TreeModel:
         row["biomass_kg"] = self.species.biomass_kg(*sizes)[0]
 
     def _keep_measures(self) -> None:
-        """Keep the inputs of a tree's row: corners of the hulls of tree and crown, and leaf faces by their normals."""
+        """Keep the inputs of a tree's row.
+
+        They are the corners of the hulls of tree and crown, and leaf faces by their normals.
+        """
         of = list(zip(self.parts, self.meshes, strict=True))
         leaves = [mesh for part, mesh in of if part == PlantPart.LEAF]
         others = [mesh for part, mesh in of if part not in (*STEM_PARTS, PlantPart.LEAF)]
@@ -246,7 +255,10 @@ class TreeModel:
         self._leaf_m2 = [np.bincount(tilt, m2, _TILTS) for m2 in (level_m2, upright_m2)]
 
     def _circles(self, low_m: float, high_m: float) -> F8:
-        """Centres and radii (16, 4) of the stem, denser at the butt; interpolated linearly if it cannot be cut."""
+        """Centres and radii (16, 4) of the stem, denser at the butt.
+
+        They are interpolated linearly where the stem cannot be cut.
+        """
         share = np.square(np.linspace(0.0, 1.0, 16))
         at_m = low_m + share * (high_m - low_m)
         cuts = [
@@ -258,7 +270,10 @@ class TreeModel:
         return np.column_stack([x_m, y_m, at_m, radius_m])
 
     def _meshes(self, part: PlantPart, vertices_m: F8, faces: Faces) -> list[tuple[int, int, Mesh]]:
-        """Part, part in the far medium and mesh for one part of the file; a stem is split into bole and branches."""
+        """Part, part in the far medium and mesh for one part of the file.
+
+        A stem is split into bole and branches.
+        """
         if part not in STEM_PARTS:
             return [(part, part, _used(vertices_m, faces))]
         x, y, at_m, radius = self._profile_m.T
@@ -362,7 +377,10 @@ class TreeModels:
         return [(i, trees[chosen == i]) for i in np.unique(chosen).tolist()]
 
     def _chosen(self, tree: Trees) -> int:
-        """Choose the model of one tree (1,) by its size, and among equally good ones by its azimuth's last digits."""
+        """Choose the model of one tree (1,) by its size.
+
+        Among equally good ones the last digits of its azimuth decide.
+        """
         fits = [i for i, number in enumerate(self._species) if number == tree["species"][0]]
         if len(fits) == 1:
             return fits[0]

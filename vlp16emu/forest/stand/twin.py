@@ -72,7 +72,10 @@ _ROOT = "world z up"  # name of the root node
 
 
 def label(row: np.void, species: Mapping[int, str], *, with_part: bool) -> str:
-    """Name one `SURFACE` by its labels, for instance `tree_000123/silver_birch/stem`; ground is just `ground`."""
+    """Name one `SURFACE` by its labels, for instance `tree_000123/silver_birch/stem`.
+
+    Ground is just `ground`.
+    """
     words = [Semantic(row["semantic"]).name.lower()]
     if row["instance"]:
         words[0] += f"_{row['instance']:06d}"
