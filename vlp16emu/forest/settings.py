@@ -183,7 +183,7 @@ class Storey(Section):
     @field_validator("species")
     @classmethod
     def _check_shares(cls, species: list[SpeciesShare]) -> list[SpeciesShare]:
-        if abs(sum(one.share for one in species) - 1.0) > _SHARE_ERROR:
+        if abs(sum(row.share for row in species) - 1.0) > _SHARE_ERROR:
             raise ValueError("shares that sum to 1")
         return species
 
@@ -444,17 +444,17 @@ class Forest(Woods, Storey):
 
     @model_validator(mode="before")
     @classmethod
-    def with_preset(cls, own: Any) -> Any:
+    def with_preset(cls, table: Any) -> Any:
         """Lay a scene's `[world]` table over the preset that it names, as `merged` does.
 
         An unknown preset changes nothing.
         """
-        name = own.get("preset") if isinstance(own, dict) else None
+        name = table.get("preset") if isinstance(table, dict) else None
         if not isinstance(name, str):
-            return own
-        left_out = DENSITY_KEYS if own.keys() & DENSITY_KEYS else frozenset[str]()
+            return table
+        left_out = DENSITY_KEYS if table.keys() & DENSITY_KEYS else frozenset[str]()
         return merged(
-            {key: value for key, value in presets().get(name, {}).items() if key not in left_out}, own
+            {key: value for key, value in presets().get(name, {}).items() if key not in left_out}, table
         )
 
     preset: Literal["none", "plantation", "managed_mixed", "old_growth", "wild_regrowth", "open_savanna"] = (

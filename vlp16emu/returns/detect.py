@@ -196,7 +196,7 @@ def _detect(
         for j in range(lasers):
             start, stop = stop, stop + int(rays.counts[i, j])
             error_m = errors.bias_m[j] + errors.drift_m[i] + errors.beat_m[(slot + j) % 5]
-            own = error_m, errors.noise_share[j], errors.gain[j], errors.codes[j]
+            laser_errors = error_m, errors.noise_share[j], errors.gain[j], errors.codes[j]
             lit = gather(constants, rays, start, stop, nodes)
             if constants.extinction_per_m > 0.0:
                 air_m, air = clutter_echo(constants, n, j, start, stop, rays.range_m)
@@ -206,14 +206,14 @@ def _detect(
                     lit += 1
             at_m, light = _only_echo(constants, n, j, nodes, lit, peaks)
             if light > 0.0 and _is_seen(constants, n, j, at_m, light):
-                measured = _measure(constants, (noise[0, j], noise[1, j]), at_m, light, own)
+                measured = _measure(constants, (noise[0, j], noise[1, j]), at_m, light, laser_errors)
                 for column in range(columns):
                     distance_m[i, j, column], reflectivity[i, j, column] = measured
                     if keeps_exact:
                         exact_m[i, j, column] = at_m
             elif lit > 1 and light >= 0.0:  # also if the highest peak is not detected: another may be
                 _choose(constants, n, j, peaks, find_peaks(nodes, lit, constants.sigma_m, peaks), chosen)
-                _write(constants, n, j, own, peaks, chosen, distance_m[i, j], reflectivity[i, j])
+                _write(constants, n, j, laser_errors, peaks, chosen, distance_m[i, j], reflectivity[i, j])
                 for column in range(3 if keeps_exact else 0):
                     if chosen[column] >= 0:
                         exact_m[i, j, column] = peaks[RANGE, chosen[column]]
@@ -347,14 +347,14 @@ def _none_is_seen(constants: DetectorConstants, n: int, laser: int, most: float,
 
 @inline_kernel
 def _measure(
-    constants: DetectorConstants, noise: _Pair, range_m: float, amplitude: float, own: _Laser
+    constants: DetectorConstants, noise: _Pair, range_m: float, amplitude: float, laser_errors: _Laser
 ) -> tuple[np.float32, np.uint8]:
     """Return measured distance and reflectivity.
 
     The distance is 0 below the least range, and both are 0 beyond the greatest.
     """
     (range_noise, other_noise) = noise
-    (error_m, share, gain, codes) = own
+    (error_m, share, gain, codes) = laser_errors
     reflectance = amplitude * range_m * range_m
     shown = min(100.0 * reflectance, 100.0)
     measured_m = range_m + error_m + constants.range_walk_m * (shown - _UNSHIFTED_CODE)
@@ -419,7 +419,7 @@ def _write(
     constants: DetectorConstants,
     n: int,
     j: int,
-    own: _Laser,
+    laser_errors: _Laser,
     peaks: F8,
     chosen: I8,
     distance_m: F4,
@@ -429,14 +429,14 @@ def _write(
 
     Each chosen peak is measured once, and dropped if measured beyond `max_range_m`.
     """
-    share = own[1]
+    share = laser_errors[1]
     for column in range(3):
         peak = chosen[column]
         if peak < 0 or (column > 0 and peak == chosen[column - 1]):  # an echo in two columns has one error
             continue
         at_m = peaks[RANGE, peak]
         light = peaks[AMPLITUDE, peak]
-        error_m = own[0] + constants.range_walk_m * (
+        error_m = laser_errors[0] + constants.range_walk_m * (
             min(100.0 * light * at_m * at_m, 100.0) - _UNSHIFTED_CODE
         )
         sigma_m = (
@@ -459,4 +459,4 @@ def _write(
             pair = normal_pair(constants.seed, _RANGE_NOISE, n, j | column << _LANE_BITS)
             at_m = peaks[RANGE, peak]
             light = peaks[AMPLITUDE, peak]
-            distance_m[column], reflectivity[column] = _measure(constants, pair, at_m, light, own)
+            distance_m[column], reflectivity[column] = _measure(constants, pair, at_m, light, laser_errors)

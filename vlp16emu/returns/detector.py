@@ -77,7 +77,7 @@ class UnitDetector:
         lasers = len(elevation_deg)
         sigma_m = _HALF_LIGHT_M_PER_NS * detector.pulse_ns / _FWHM_SIGMAS
         least, amplitude_noise = threshold_of(detector)
-        own = exp(
+        factors = exp(
             noise.unit_spread * normal(seed, Purpose.UNIT_NOISE, 0, 2)
         ).tolist()  # log-normal: no error below 0
         least_walk, most_walk = span("range.walk_mm")
@@ -95,9 +95,9 @@ class UnitDetector:
             extinction_per_m=air_per_m,
             clutter=air_reflectance(air_per_m, sigma_m),
             least_clutter=least,
-            range_noise_m=noise.range_noise_m * own[0],
-            reflectivity_noise=noise.reflectivity_noise * own[1],
-            reflectivity_noise_share=noise.reflectivity_noise_share * own[1],
+            range_noise_m=noise.range_noise_m * factors[0],
+            reflectivity_noise=noise.reflectivity_noise * factors[1],
+            reflectivity_noise_share=noise.reflectivity_noise_share * factors[1],
             heavy_tails=noise.is_real,
             range_walk_m=1e-3 * walk_mm * noise.is_real,
             lost=loss_rates(

@@ -173,15 +173,15 @@ def lose(
         distance_m[column] = 0.0
         reflectivity[column] = np.uint8(no_return)
         return
-    raised_code = 0.0
+    shown_code = 0.0
     if lost < jump and is_up:  # too bright: the height of the peak is measured, its range is not
         most = _FULL if reflectivity[0] > _DIFFUSE and lost < _GLARE * jump else _DIFFUSE
-        raised_code = _multiple(np.float64(reflectivity[0]) * (0.7 + 1.6 * choice), no_return, most)
+        shown_code = _multiple(np.float64(reflectivity[0]) * (0.7 + 1.6 * choice), no_return, most)
     for column in range(3):
         distance_m[column] = 0.0
-        reflectivity[column] = np.uint8(raised_code if column < 2 else 0.0)
-    if raised_code > 0.0 and dual and np.sqrt(_fraction(_ANEW * choice)) * _UNEQUAL_CODE < raised_code:
-        reflectivity[1] = np.uint8(_multiple(_LAST_FACTOR * raised_code + no_return, no_return, _FULL))
+        reflectivity[column] = np.uint8(shown_code if column < 2 else 0.0)
+    if shown_code > 0.0 and dual and np.sqrt(_fraction(_ANEW * choice)) * _UNEQUAL_CODE < shown_code:
+        reflectivity[1] = np.uint8(_multiple(_LAST_FACTOR * shown_code + no_return, no_return, _FULL))
 
 
 @inline_kernel

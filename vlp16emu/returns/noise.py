@@ -77,12 +77,12 @@ def no_return_multiples(seed: int, no_return: F8, wander: float) -> F8:
     (NO_RETURN_KNOTS + 1, lasers), evenly spaced in azimuth; the last row equals the first
     """
     lasers = len(no_return)
-    *own, shared = (
+    *lasers_alone, shared = (
         normal(seed, Purpose.NO_RETURN, 0, NO_RETURN_KNOTS, 1 + lane) for lane in range(lasers + 1)
     )
     low, high = span("no_return.shared")
     alike = low + (high - low) * float(uniform(seed, Purpose.NO_RETURN, 0, 1, 2 + lasers)[0])
-    drawn = alike * shared[:, None] + math.sqrt(1.0 - alike * alike) * np.stack(own, axis=1)
+    drawn = alike * shared[:, None] + math.sqrt(1.0 - alike * alike) * np.stack(lasers_alone, axis=1)
     *of_lasers, of_unit = normal(seed, Purpose.NO_RETURN, 1 + lasers, lasers + 1)
     logarithm = law("no_return.wander_of_units") * of_unit
     logarithm = logarithm + law("no_return.wander_of_lasers") * np.array(of_lasers)
@@ -126,8 +126,8 @@ def sent_codes(seed: int, lasers: int, step: float) -> U1:
             code = math.floor(at)
             sent.append(code + (code % 3 == 2 and of_code[code] < law("code.narrow_missed") * narrow))
             at += max(slope, 1.0)
-        own = np.array([*sent, 100])
-        nearest = own[np.abs(np.arange(101)[:, None] - own).argmin(axis=1)]
+        kept = np.array([*sent, 100])
+        nearest = kept[np.abs(np.arange(101)[:, None] - kept).argmin(axis=1)]
         away = fine - whole
         edge = 0.5 - np.floor(0.5 * narrow * CODE_PARTS + of_code[whole]) / CODE_PARTS
         moved = whole + np.sign(away).astype(np.int64) * ((whole % 3 == 2) & (np.abs(away) > edge))

@@ -26,15 +26,15 @@ def powered_up(section: _Section, seed: int) -> _Section:
 
     Keys that are not set are random with `unit`, fixed with `steady`.
     """
-    own = uniform(seed, Purpose.POWER_UP, 0, 4).tolist()
+    draws = uniform(seed, Purpose.POWER_UP, 0, 4).tolist()
     low_s, high_s = _POWERED_S
-    if own[2] < law("clock.off_share"):
-        error_ppm = law("clock.most_off_ppm") * own[3]
+    if draws[2] < law("clock.off_share"):
+        error_ppm = law("clock.most_off_ppm") * draws[3]
     else:
         error_ppm = law("clock.spread_ppm") * float(normal(seed, Purpose.POWER_UP, 0, 1, 1)[0])
     drawn = {
-        "powered_for_s": round(low_s * power(high_s / low_s, own[0]), 9),
-        "start_azimuth_deg": 360.0 * own[1],
+        "powered_for_s": round(low_s * power(high_s / low_s, draws[0]), 9),
+        "start_azimuth_deg": 360.0 * draws[1],
         "clock_error_ppm": error_ppm,
     }
     values = _STEADY if section.preset == "steady" else drawn
@@ -59,6 +59,6 @@ def counters_of(section: Lidar, seed: int, number: int) -> Counters:
     """
     if section.preset == "steady":
         return Counters(bytes.fromhex(f"{_VENDOR}{_SERIES[1]}{number + 1:04x}"), 0, 0.0)
-    series, own, identification, phase = uniform(seed, Purpose.POWER_UP, 0, 4, 2).tolist()
-    mac = f"{_VENDOR}{_SERIES[int(series < 0.7)]}{int(own * 2**16):04x}"
+    series, mac_draw, identification, phase = uniform(seed, Purpose.POWER_UP, 0, 4, 2).tolist()
+    mac = f"{_VENDOR}{_SERIES[int(series < 0.7)]}{int(mac_draw * 2**16):04x}"
     return Counters(bytes.fromhex(mac), int(identification * 2**16), phase)

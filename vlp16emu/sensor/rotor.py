@@ -148,11 +148,11 @@ class Encoder:
     def of_unit(cls, section: Lidar, seed: int) -> Self:
         """Sample the encoder of one unit; with `rotation_spread` also its unit-to-unit deviations."""
         spread = section.rotation_spread
-        own = uniform(seed, Purpose.AZIMUTH_PATTERN, 0, 12)
+        draws = uniform(seed, Purpose.AZIMUTH_PATTERN, 0, 12)
         shares = np.array(_SLOW_SHARES)
         width = spread * law("encoder.slow_share_spread")
-        factor = 1.0 + spread * (2.0 * own[:3] - 1.0)
-        turned_deg = 360.0 * own[3:6] * (spread > 0.0)
+        factor = 1.0 + spread * (2.0 * draws[:3] - 1.0)
+        turned_deg = 360.0 * draws[3:6] * (spread > 0.0)
         return cls(
             seed=seed,
             once=(
@@ -161,13 +161,13 @@ class Encoder:
             ),
             twice=(section.twice_per_turn_deg * factor[1], turned_deg[1]),
             hum_deg=section.hum_deg * (1.0 + 0.1 * (factor[2] - 1.0)),
-            tick_ns=int(_TICK_PHASE_NS[int(spread > 0.0 and own[5] < 0.2)]),
+            tick_ns=int(_TICK_PHASE_NS[int(spread > 0.0 and draws[5] < 0.2)]),
             noise_deg=section.azimuth_noise_deg,
             noise_limit_deg=0.1,  # so that readings of an encoder without lines never go back (assumption)
             pitch_deg=law("encoder.pitch_deg") * (section.preset == "unit"),
             rate_error=section.encoder_rate_error,
-            first_deg=math.floor(20.0 * own[6]) / 100,
-            slow_shares=(shares + width * shares * (1.0 - shares) * (own[8:] - 0.5)).tolist(),
+            first_deg=math.floor(20.0 * draws[6]) / 100,
+            slow_shares=(shares + width * shares * (1.0 - shares) * (draws[8:] - 0.5)).tolist(),
         )
 
     def read(self, angle_deg: F8, first: int, clock_ns: I8, rpm: F8 | float) -> F8:
@@ -259,9 +259,9 @@ class Rotor:
         else:
             out = np.empty(len(flat_ns))
             begins_ns = np.array([spin.from_ns for spin in self.spins[1:]])
-            of = np.searchsorted(begins_ns, flat_ns, side="right")
-            for number in np.unique(of).tolist():
-                out[of == number] = self.spins[number].at(flat_ns[of == number])
+            spin_of = np.searchsorted(begins_ns, flat_ns, side="right")
+            for number in np.unique(spin_of).tolist():
+                out[spin_of == number] = self.spins[number].at(flat_ns[spin_of == number])
         for wobble in self.wobbles:
             out = (out + wobble.ahead_deg(flat_ns)) % 360.0
         return out.reshape(elapsed_ns.shape)
@@ -298,8 +298,10 @@ class Rotor:
         """
         rpm: F8 | float = self.spins[0].rpm
         if len(self.spins) > 1:
-            of = np.searchsorted([spin.from_ns for spin in self.spins[1:]], elapsed_ns, side="right")
-            begin_ns, begin_rpm, per_s = np.array([(s.from_ns, s.rpm, s.rpm_per_s) for s in self.spins])[of].T
+            spin_of = np.searchsorted([spin.from_ns for spin in self.spins[1:]], elapsed_ns, side="right")
+            begin_ns, begin_rpm, per_s = np.array([(s.from_ns, s.rpm, s.rpm_per_s) for s in self.spins])[
+                spin_of
+            ].T
             rpm = begin_rpm + per_s * (elapsed_ns - begin_ns) / S_NS
         return self.encoder.read(angle_deg, first, clock_ns, rpm)
 
@@ -423,7 +425,7 @@ class Clock:
         if len(self.spans) == 1:
             return self.spans[0].reading(t_ns)
         out = np.empty(t_ns.shape, np.int64)
-        of = np.searchsorted([span.from_ns for span in self.spans[1:]], t_ns, side="right")
-        for number in np.unique(of).tolist():
-            out[of == number] = self.spans[number].reading(t_ns[of == number])
+        span_of = np.searchsorted([span.from_ns for span in self.spans[1:]], t_ns, side="right")
+        for number in np.unique(span_of).tolist():
+            out[span_of == number] = self.spans[number].reading(t_ns[span_of == number])
         return out

@@ -48,7 +48,7 @@ def programs() -> Mapping[str, Program]:
     return {name: Program(name, **row) for name, row in table.items()}
 
 
-def chosen(name: str, *, where: str = "--for") -> list[Program]:
+def programs_named(name: str, *, where: str = "--for") -> list[Program]:
     """Return a program by name, or all of them; InputError if there is none."""
     if name != "all" and name not in programs():
         raise InputError(where, f"found {name}", f"{', '.join(programs())} or all")
@@ -114,7 +114,7 @@ def _number(value: float) -> str:
     return text if "." in text else text.replace("e", ".0e")
 
 
-def pose_names(of: str, what: str, T: NDArray[Any]) -> dict[str, list[float]]:
+def pose_names(frame: str, child: str, T: NDArray[Any]) -> dict[str, list[float]]:
     """Return the pose (4, 4) of frame `what` in frame `of` by the names of templates.
 
     The names stand for the orders of numbers that programs use.
@@ -125,10 +125,10 @@ def pose_names(of: str, what: str, T: NDArray[Any]) -> dict[str, list[float]]:
     turn = (T[:3, :3].round(9) + 0.0).ravel().tolist()
     quaternion = (Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True).round(9) + 0.0).tolist()
     return {
-        f"{of}_t_{what}": place,
-        f"{of}_R_{what}": turn,
-        f"{of}_pose_{what}": quaternion + place,
-        f"{of}_tum_{what}": place + quaternion,
+        f"{frame}_t_{child}": place,
+        f"{frame}_R_{child}": turn,
+        f"{frame}_pose_{child}": quaternion + place,
+        f"{frame}_tum_{child}": place + quaternion,
     }
 
 
@@ -137,14 +137,12 @@ def configurations(program: Program, rig: Rig) -> dict[str, str]:
     folder = files(__package__).joinpath("templates")
     names = rig.names()
     return {
-        name: _filled(
-            folder.joinpath(name).read_text(encoding="utf-8"), names, is_json=name.endswith(".json")
-        )
+        name: _fill(folder.joinpath(name).read_text(encoding="utf-8"), names, is_json=name.endswith(".json"))
         for name in program.files
     }
 
 
-def _filled(template: str, names: Mapping[str, str], *, is_json: bool) -> str:
+def _fill(template: str, names: Mapping[str, str], *, is_json: bool) -> str:
     """Fill a template; for a name that the rig does not have stands the default of the program."""
     text = Template(template).safe_substitute(names)
     if is_json:
@@ -174,7 +172,7 @@ def written_beside(bag: Path, name: str | None, rig: Callable[[], Rig]) -> Itera
     """
     texts = {
         final_name(bag.with_name(f"{bag.stem}.{file}")): text
-        for program in (chosen(name) if name is not None else ())
+        for program in (programs_named(name) if name is not None else ())
         for file, text in configurations(program, rig()).items()
     }
     for path, text in texts.items():

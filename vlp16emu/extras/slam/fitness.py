@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import CaptureError, MissingExtraError
-from vlp16emu.extras.slam.configure import Program, chosen, pose_names
+from vlp16emu.extras.slam.configure import Program, pose_names, programs_named
 from vlp16emu.types import F8
 from vlp16emu.units import S_NS
 
@@ -107,7 +107,7 @@ def read_facts(path: Path) -> Facts:
 
 def _topic(reader: Any, kind: str, ours: str) -> str:
     """Return the topic of a type that ends with `ours`, else the first; empty if there is none."""
-    names = [one.topic for one in reader.connections if one.msgtype == kind]
+    names = [connection.topic for connection in reader.connections if connection.msgtype == kind]
     return next((name for name in names if name.endswith(ours)), names[0] if names else "")
 
 
@@ -127,10 +127,10 @@ def _add_sample(facts: Facts, message: Any, start_s: int) -> None:
 
 
 def _add_cloud(facts: Facts, message: Any, start_s: int) -> None:
-    names = [one.name for one in message.fields]
+    names = [number.name for number in message.fields]
     end = "><"[not message.is_bigendian]
-    kinds = [np.dtype(end + _KINDS.get(one.datatype, "u1")) for one in message.fields]
-    layout: Any = {"names": names, "formats": kinds, "offsets": [one.offset for one in message.fields]}
+    kinds = [np.dtype(end + _KINDS.get(number.datatype, "u1")) for number in message.fields]
+    layout: Any = {"names": names, "formats": kinds, "offsets": [number.offset for number in message.fields]}
     layout["itemsize"] = message.point_step
     points: NDArray[Any] = np.frombuffer(message.data, np.dtype(layout))
     facts.frame = message.header.frame_id
@@ -146,29 +146,31 @@ def _add_cloud(facts: Facts, message: Any, start_s: int) -> None:
         xyz = xyz[~holes]
         ring = points["ring"][~holes]
         sine = xyz[:, 2] / np.maximum(np.linalg.norm(xyz, axis=1), 1e-9)
-        for one in np.unique(ring).tolist():
-            total = facts.rings.setdefault(int(one), [0.0, 0.0])
-            total[0] += float(sine[ring == one].sum())
-            total[1] += int((ring == one).sum())
+        for number in np.unique(ring).tolist():
+            total = facts.rings.setdefault(int(number), [0.0, 0.0])
+            total[0] += float(sine[ring == number].sum())
+            total[1] += int((ring == number).sum())
 
 
 def _add_moving(facts: Facts, message: Any, _: int) -> None:
-    for one in message.transforms:
-        facts.parents.setdefault(one.child_frame_id.lstrip("/"), set()).add(one.header.frame_id.lstrip("/"))
+    for transform in message.transforms:
+        facts.parents.setdefault(transform.child_frame_id.lstrip("/"), set()).add(
+            transform.header.frame_id.lstrip("/")
+        )
 
 
 def _add_fixed(facts: Facts, message: Any, start_s: int) -> None:
     from scipy.spatial.transform import Rotation
 
     _add_moving(facts, message, start_s)
-    for one in message.transforms:
-        p = one.transform.translation
-        q = one.transform.rotation
+    for edge in message.transforms:
+        p = edge.transform.translation
+        q = edge.transform.rotation
         T = np.eye(4)
         T[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
         T[:3, 3] = (p.x, p.y, p.z)
         # A second parent gives a separate finding.
-        facts.fixed.setdefault(one.child_frame_id.lstrip("/"), (one.header.frame_id.lstrip("/"), T))
+        facts.fixed.setdefault(edge.child_frame_id.lstrip("/"), (edge.header.frame_id.lstrip("/"), T))
 
 
 def rest_s(imu: F8, rate_hz: float) -> float:
@@ -220,7 +222,7 @@ class Fitness:
 
     def of(self, program: str) -> list[Unfit]:
         """Return the findings of a program."""
-        return [one for one in self.findings if one.program == program]
+        return [finding for finding in self.findings if finding.program == program]
 
 
 class _Row(NamedTuple):
@@ -328,7 +330,7 @@ def fitness(path: Path, name: str) -> Fitness:
 
     Raises InputError if there is no such program; CaptureError, MissingExtraError as in `read_facts`.
     """
-    programs = chosen(name)
+    programs = programs_named(name)
     facts = read_facts(path)
     values = _cloud_values(facts) | _imu_values(facts) | _frame_values(facts)
     keys = ("topic", "clouds", "points", "sweep_s", "imu", "samples", "hz_imu", "norm", "rest_s", "root")
@@ -349,7 +351,7 @@ def _cloud_values(facts: Facts) -> dict[str, Any]:
     sweep_s = float(np.median(steps_s)) if len(steps_s) else _SWEEP_S
     span = float(np.median(latest - earliest))
     unit, scale, code = min(
-        _UNITS, key=lambda one: abs(math.log(max(span, 1e-12) * one[1] / max(sweep_s, 1e-6)))
+        _UNITS, key=lambda row: abs(math.log(max(span, 1e-12) * row[1] / max(sweep_s, 1e-6)))
     )
     kinds = {name: kind.name for name, kind in facts.fields.items()}
     sines = [(ring, total / n) for ring, (total, n) in sorted(facts.rings.items()) if n]

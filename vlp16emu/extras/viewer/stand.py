@@ -52,7 +52,7 @@ def pieces_of(seen: Survey) -> Iterator[tuple[str, dict[str, Any]]]:
     window = seen.window
     colours = surface_colours(seen.window.surfaces, seen.species)
     path = Polyline(seen.path_m[:, :2])
-    near, size_m = _drawn(seen, path)
+    near, size_m = _choose_placements(seen, path)
     per_m = _FACES / max(float(size_m.sum()), 1.0)
     single = defaultdict[Rgb, list[Mesh]](list)
     shapes: list[int] = window.shape[near].tolist()
@@ -89,7 +89,7 @@ def pieces_of(seen: Survey) -> Iterator[tuple[str, dict[str, Any]]]:
         yield _piece(f"single/{count}", joined, colour, _ONE)
 
 
-def _drawn(seen: Survey, path: Polyline) -> tuple[NDArray[np.intp], F8]:
+def _choose_placements(seen: Survey, path: Polyline) -> tuple[NDArray[np.intp], F8]:
     """Return the placements (n,) that are drawn, and the size (n,) of each in metres.
 
     Tiles have 0, as their stems are drawn separately.
@@ -162,9 +162,9 @@ def _merge_clusters(mesh: Mesh, cluster: I8, cost: NDArray[np.floating]) -> Mesh
     Faces that then have no area are removed.
     """
     order = np.lexsort([cost, cluster])
-    _, first, own = np.unique(cluster[order], return_index=True, return_inverse=True)
+    _, first, cluster_of = np.unique(cluster[order], return_index=True, return_inverse=True)
     at = np.empty(len(order), np.uint32)
-    at[order] = own
+    at[order] = cluster_of
     faces = at[_triangles(mesh)]
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
     _, once = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)

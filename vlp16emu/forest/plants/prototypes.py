@@ -192,21 +192,21 @@ def sapling_meshes(
     habit = species.crown.model_copy(update={"whorl_spacing_m": spacing_m, "twigs": twigs})
     first = first_order(rng, habit, (crown_m, width_m), stem_m)
     second = side_branches(rng, habit.twigs, first, 2)
-    crooked = partial(_crooked, key.height_m, rng.uniform(0.0, 1.0, 8))
+    bend = partial(_bend, key.height_m, rng.uniform(0.0, 1.0, 8))
     leaves = NO_LEAVES
     foliage = species.foliage
     if foliage and foliage.is_borne(key.season):
         leaf_area_m2 = _LEAF_AREA_INDEX * np.pi / 4 * width_m * width_m
         leaves = foliage_mesh(rng, foliage, second, leaf_area_m2)
     return (
-        crooked(_cone(foot_m, key.height_m)),
-        crooked(_raised(tubes(first, _BRANCH_SIDES, every=_EVERY), base_m)),
-        crooked(_raised(tubes(second, _BRANCH_SIDES, every=_EVERY), base_m)),
-        crooked(_raised(leaves, base_m)),
+        bend(_cone(foot_m, key.height_m)),
+        bend(_raise(tubes(first, _BRANCH_SIDES, every=_EVERY), base_m)),
+        bend(_raise(tubes(second, _BRANCH_SIDES, every=_EVERY), base_m)),
+        bend(_raise(leaves, base_m)),
     )
 
 
-def _crooked(height_m: float, drawn: F8, mesh: Mesh) -> Mesh:
+def _bend(height_m: float, drawn: F8, mesh: Mesh) -> Mesh:
     """Return a sapling that leans, bows and extends towards the light.
 
     Its stem keeps its sections and height.
@@ -238,7 +238,7 @@ def _crooked(height_m: float, drawn: F8, mesh: Mesh) -> Mesh:
     return Mesh(vertices_m.astype(np.float32), mesh.faces)
 
 
-def _raised(mesh: Mesh, by_m: float) -> Mesh:
+def _raise(mesh: Mesh, by_m: float) -> Mesh:
     return Mesh(mesh.vertices_m + np.array([0.0, 0.0, by_m], np.float32), mesh.faces)
 
 

@@ -386,10 +386,10 @@ def tapers(trees: Trees, *, table: Table | None = None) -> F8:
 
     `table` defaults to the program's.
     """
-    rows = {one.number: one.taper.row for one in (table or flora().trees).values()}
-    own = np.array([rows[number] for number in trees["species"].tolist()]).reshape(-1, 13)
-    own[:, -1] = trees["taper"]
-    return own
+    rows = {species.number: species.taper.row for species in (table or flora().trees).values()}
+    taper = np.array([rows[number] for number in trees["species"].tolist()]).reshape(-1, 13)
+    taper[:, -1] = trees["taper"]
+    return taper
 
 
 GROUND_MATERIALS = ("litter", "stone", "dead wood", "grass", "herb", "fern", "dwarf shrub", "moss")

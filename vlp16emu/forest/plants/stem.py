@@ -107,7 +107,7 @@ class StemForms:
 
 def stem_forms(trees: NDArray[np.void], *, table: Table | None = None) -> StemForms:
     """Draw the forms of trees (n,) `TREE`, each from its own seed and the keys of its species."""
-    rows = {one.number: one.stem.row for one in (table or flora().trees).values()}
+    rows = {species.number: species.stem.row for species in (table or flora().trees).values()}
     keys = np.array([rows[number] for number in trees["species"].tolist()]).reshape(-1, 10)
     keys[:, :9] *= (trees["form"] > 0)[:, None]
     bow, butt_deg, fork_share, low, high, ovality, lobes, roots, bark_mm_per_cm, period_mm = keys.T
@@ -243,8 +243,8 @@ class Stems:
         self.sides = _SIDES[np.searchsorted(_THICKER_M, trees["dbh_m"])]
 
     def _radius_m(self, which: I8 | slice, above_m: F8) -> F8:
-        own = self.trees[which]
-        return taper_radius_m(self._taper[which], own["dbh_m"], own["height_m"], above_m)
+        trees = self.trees[which]
+        return taper_radius_m(self._taper[which], trees["dbh_m"], trees["height_m"], above_m)
 
     @property
     def tip_radius_m(self) -> F8:
@@ -256,9 +256,9 @@ class Stems:
 
         By default all stems are selected.
         """
-        own = self.trees[which]
-        slope = tan(np.radians(own["lean_deg"]))
-        towards = np.radians(own["lean_towards_deg"])
+        trees = self.trees[which]
+        slope = tan(np.radians(trees["lean_deg"]))
+        towards = np.radians(trees["lean_towards_deg"])
         lean = (slope * np.array([cos(towards), sin(towards)])).T
         aside_m = self.forms.of(which).aside_m(above_m)
         return np.concatenate([above_m[..., None] * lean[:, None] + aside_m, above_m[..., None]], axis=2)
@@ -473,15 +473,17 @@ def _meshes(stems: Stems, foot_m: F8) -> list[Mesh]:
     leader = pipe_faces(_LEADER_SIDES, len(_LEADER_RINGS))
     meshes: dict[int, tuple[Mesh, Mesh]] = {}
     for count in np.unique(stems.sides):
-        own = np.flatnonzero(stems.sides == count)
+        with_sides = np.flatnonzero(stems.sides == count)
         sides = int(count)
-        above_m = stems.above_ground_m[own]
-        away_m = stems.outlines(own, sides)
-        pipes_m = _pipes(partial(stems.axis_m, which=own), above_m, away_m, stems.angles(own, sides))
+        above_m = stems.above_ground_m[with_sides]
+        away_m = stems.outlines(with_sides, sides)
+        pipes_m = _pipes(
+            partial(stems.axis_m, which=with_sides), above_m, away_m, stems.angles(with_sides, sides)
+        )
         flare = pipe_faces(sides, stems.flare_rings, top=False)
         upper = pipe_faces(sides, above_m.shape[1] - stems.flare_rings + 1, bottom=False)
         shared = 1 + sides * (stems.flare_rings - 1)
-        for tree, points_m in zip(own.tolist(), pipes_m, strict=True):
+        for tree, points_m in zip(with_sides.tolist(), pipes_m, strict=True):
             top_m = np.concatenate([points_m[shared:], tip_m[tree : tree + 1]])
             stem = [*([(second[tree], leader)] if tree in second else []), (top_m, upper)]
             pieces = (Mesh((at_m + foot_m[tree]).astype(np.float32), faces) for at_m, faces in stem)

@@ -22,7 +22,7 @@ from vlp16emu.elementary import cos, hypot, matvec, norm, sin
 from vlp16emu.forest.plants.branches import merged
 from vlp16emu.forest.plants.species import GROUND_MATERIALS
 from vlp16emu.forest.purpose import Growth
-from vlp16emu.forest.stand.placed import PlacedThings
+from vlp16emu.forest.stand.placement import PlacedThings
 from vlp16emu.random import generator
 from vlp16emu.types import F8, I8, SURFACE, Mesh, PlantPart, Semantic
 from vlp16emu.world.vectors import closed, unit
@@ -104,7 +104,7 @@ def floor_meshes(seed: int, key: FloorKey) -> tuple[Mesh]:
     return (_FORMS[row["form"]](rng, row),)
 
 
-def labelled(
+def floor_things(
     kind: FloorKind,
     keep: Mask,
     world_T: F8,

@@ -98,9 +98,9 @@ def inventory(
         )
     rows["biomass_kg"] = np.nan
     for species in table.values():
-        own = trees["species"] == species.number
-        sizes = (trees[name][own] for name in ("dbh_m", "height_m", "crown_base_m", "taper"))
-        rows["biomass_kg"][own] = species.biomass_kg(*sizes)
+        is_species = trees["species"] == species.number
+        sizes = (trees[name][is_species] for name in ("dbh_m", "height_m", "crown_base_m", "taper"))
+        rows["biomass_kg"][is_species] = species.biomass_kg(*sizes)
     return rows
 
 
@@ -150,10 +150,10 @@ def _measure_crowns(
     rows["wood_m3"] = rows["stem_m3"]
     foot_T_crown = crown_placements(trees, crowns)
     foot_T_crown[:, :, 3] -= places_m(trees)
-    own: dict[CrownKey, list[int]] = {}
+    trees_of: dict[CrownKey, list[int]] = {}
     for i, key in enumerate(crowns):
-        own.setdefault(key, []).append(i)
-    for key, which in own.items():
+        trees_of.setdefault(key, []).append(i)
+    for key, which in trees_of.items():
         rows["wood_m3"][which] += crown_wood_m3(seed, key, table=table) * np.square(wide[which]) * long[which]
         meshes = crown_meshes(seed, key, table=table)
         corners_m = hull_m(np.concatenate([mesh.vertices_m for mesh in meshes]).astype(np.float64))
@@ -197,7 +197,7 @@ def branch_circles(
     """
     prototypes = {key: crown_branches(seed, key, table=table) for key in dict.fromkeys(crowns)}
     found = [np.zeros(0, STEM_CIRCLE)]
-    for one, key, world_T_crown in zip(trees[:, None], crowns, crown_placements(trees, crowns), strict=True):
+    for tree, key, world_T_crown in zip(trees[:, None], crowns, crown_placements(trees, crowns), strict=True):
         number = 1
         both = PlantPart.BRANCH_FIRST_ORDER, PlantPart.DEAD_BRANCH
         for part, branches in zip(both, prototypes[key], strict=True):
@@ -209,8 +209,8 @@ def branch_circles(
             radius_m = branches.node_radius_m * np.sqrt(determinant(world_A) / longer)
             at_m = matvec(world_A, nodes_m) + world_T_crown[:, 3]
             numbers = number + np.arange(len(nodes_m))
-            circles = circles_of(one, 1, part, at_m, radius_m, numbers[:, None])
-            circles["above_foot_m"] = circles["z_m"] - one["z_m"]
+            circles = circles_of(tree, 1, part, at_m, radius_m, numbers[:, None])
+            circles["above_foot_m"] = circles["z_m"] - tree["z_m"]
             number += len(circles)
             found.append(circles.ravel())
     return np.concatenate(found)
@@ -221,16 +221,21 @@ def far_stems(trees: Trees, first_row: int, *, table: Table | None = None) -> ND
 
     Rows start at `first_row`.
     """
-    own = Stems(trees, table=table)
+    stems_of_trees = Stems(trees, table=table)
     foot_m = places_m(trees)
-    above_m = np.column_stack([own.above_ground_m, trees["height_m"]])
-    first = profiles(foot_m, own.axis_m(above_m), np.column_stack([own.radius_m, own.tip_radius_m]), 1)
+    above_m = np.column_stack([stems_of_trees.above_ground_m, trees["height_m"]])
+    first = profiles(
+        foot_m,
+        stems_of_trees.axis_m(above_m),
+        np.column_stack([stems_of_trees.radius_m, stems_of_trees.tip_radius_m]),
+        1,
+    )
     first["flare_m"] = FLARE_TOP_M / first["axis"][:, 2]
     first["row"] = first_row + 2 * np.arange(len(trees))[:, None] + [0, 1]
-    above_m, radius_m = own.leaders(np.linspace(0.0, 1.0, above_m.shape[1]))
-    second = profiles(foot_m[own.forked], own.leader_axis_m(above_m), radius_m, 0)
+    above_m, radius_m = stems_of_trees.leaders(np.linspace(0.0, 1.0, above_m.shape[1]))
+    second = profiles(foot_m[stems_of_trees.forked], stems_of_trees.leader_axis_m(above_m), radius_m, 0)
     second["flare_m"] = -1.0
-    second["row"] = first["row"][own.forked]
+    second["row"] = first["row"][stems_of_trees.forked]
     return np.concatenate([first, second])
 
 

@@ -29,15 +29,15 @@ from vlp16emu.forest.plants.prototypes import (
 )
 from vlp16emu.forest.plants.species import BARK_SPREAD, LEAF_SPREAD, known
 from vlp16emu.forest.purpose import Growth
-from vlp16emu.forest.stand.floor_shapes import FloorKind, Row, floor, is_ground, labelled, shape_row
-from vlp16emu.forest.stand.placed import (
+from vlp16emu.forest.stand.floor_shapes import FloorKind, Row, floor, floor_things, is_ground, shape_row
+from vlp16emu.forest.stand.placement import (
     PlacedThings,
+    about_vertical,
+    along_slope,
     between,
-    laid,
+    concatenated,
     placements,
     plant_surfaces,
-    together,
-    turned,
 )
 from vlp16emu.forest.stand.points import Land, PointPattern, patchy, pattern_of, scattered
 from vlp16emu.forest.stand.stand import REGENERATION, TREE, class_scale
@@ -73,7 +73,7 @@ class Layer:
         plants = land.plants
         match section:
             case settings.Regeneration():
-                names = section.species or [one for one in canopy if plants.trees[one].foliage]
+                names = section.species or [name for name in canopy if plants.trees[name].foliage]
                 if section.stems_per_ha and not names:
                     found = "found none, and only dead trees above"
                     raise GeometryError("regeneration.species", found, "names of species")
@@ -140,7 +140,9 @@ def _lay_plants(layer: Layer, trunks: F8, xy_m: F8, rng: Generator) -> PlacedThi
     kind = (len(layer.species) * draws[:, 1]).astype(int)
     is_shrub = isinstance(layer.section, settings.Shrubs)
     if is_shrub:
-        low_m, high_m, wide = np.array([(*one.height_m, one.width_share) for one in layer.species])[kind].T
+        low_m, high_m, wide = np.array([(*plant.height_m, plant.width_share) for plant in layer.species])[
+            kind
+        ].T
         height_m = low_m + (high_m - low_m) * draws[:, 0]
         width_m = height_m * wide
         foot_m = row["foot"] * width_m
@@ -160,20 +162,20 @@ def _lay_plants(layer: Layer, trunks: F8, xy_m: F8, rng: Generator) -> PlacedThi
     plants["crown_azimuth_deg"] = 360 * draws[:, 2]
     plants["crown_class"] = np.round(log(height_m) / log(row["class_ratio"]))
     plants["crown_variant"] = VARIANTS * draws[:, 3]
-    looks = [(one.number, one.bark_reflectance, one.leaf_reflectance) for one in layer.species]
+    looks = [(plant.number, plant.bark_reflectance, plant.leaf_reflectance) for plant in layer.species]
     plants["species"], bark, leaf = np.array(looks)[kind].T
     plants["bark_reflectance"] = bark + (2 * draws[:, 4] - 1) * BARK_SPREAD
     plants["leaf_reflectance"] = leaf + (2 * draws[:, 5] - 1) * LEAF_SPREAD
     prototype_m = [class_scale(row["class_ratio"], number) for number in plants["crown_class"].tolist()]
     size = np.repeat((height_m / np.array(prototype_m))[:, None], 3, axis=1)
-    world_T = placements(places_m(plants), turned(plants["crown_azimuth_deg"]), size)
+    world_T = placements(places_m(plants), about_vertical(plants["crown_azimuth_deg"]), size)
     prototypes = zip(
         (layer.species[i] for i in kind), plants["crown_variant"].tolist(), prototype_m, strict=True
     )
     if is_shrub:
         shrubs = [
-            ShrubKey(one.name, variant, m, one.width_share * m, layer.season)
-            for one, variant, m in prototypes
+            ShrubKey(plant.name, variant, m, plant.width_share * m, layer.season)
+            for plant, variant, m in prototypes
         ]
         return PlacedThings(
             shrubs, world_T, plant_surfaces(plants, SHRUB_PARTS, layer.land.plants, Semantic.SHRUB)
@@ -182,7 +184,7 @@ def _lay_plants(layer: Layer, trunks: F8, xy_m: F8, rng: Generator) -> PlacedThi
     plants["dbh_m"] = np.maximum(height_m - BREAST_HEIGHT_M, 0.0) / SLENDERNESS
     plants["crown_base_m"] = CROWN_BASE_SHARE * height_m
     plants["crown_width_m"] = CROWN_WIDTH_SHARE * height_m
-    saplings = [SaplingKey(one.name, variant, m, layer.season) for one, variant, m in prototypes]
+    saplings = [SaplingKey(plant.name, variant, m, layer.season) for plant, variant, m in prototypes]
     return PlacedThings(saplings, world_T, plant_surfaces(plants, SAPLING_PARTS, layer.land.plants), plants)
 
 
@@ -235,7 +237,7 @@ def _lay_logs(layer: Layer, trunks: F8, xy_m: F8, rng: Generator) -> PlacedThing
         sunk=row["sunk"] + row["decayed_sunk"] * decay,
         plate_m=np.where(is_uprooted, plate_m, 0.0),
     )
-    pieces = _broken(whole, is_broken, fate[:, 4:], row)
+    pieces = _break_in_two(whole, is_broken, fate[:, 4:], row)
     world_T = _on_ground(pieces, layer.land.height_m, row["plate_axis"])
     along_m = pieces.along_m()
     sideways = pieces.towards + np.pi / 2
@@ -250,14 +252,14 @@ def _lay_logs(layer: Layer, trunks: F8, xy_m: F8, rng: Generator) -> PlacedThing
     has_plate = pieces.plate_m > 0
     # Plates stand at the butts, across the logs.
     along = world_T[:, :, 0] / pieces.length_m[:, None]
-    across = laid(pieces.towards, along[:, 2] / hypot(along[:, 0], along[:, 1]))
+    across = along_slope(pieces.towards, along[:, 2] / hypot(along[:, 0], along[:, 1]))
     size = pieces.plate_m[:, None] * [row["plate_thickness"], 1.0, 1.0]
     butt_T = placements(world_T[:, :, 3] - world_T[:, :, 0] / 2, across, size)
-    return together(
+    return concatenated(
         [
-            labelled(FloorKind.LOG, keep & ~in_two, world_T, log_looks, species=species),
-            labelled(FloorKind.BROKEN_LOG, keep & in_two, world_T, log_looks, species=species),
-            labelled(FloorKind.ROOT_PLATE, keep & has_plate, butt_T, looks[:, [7, 5]], species=species),
+            floor_things(FloorKind.LOG, keep & ~in_two, world_T, log_looks, species=species),
+            floor_things(FloorKind.BROKEN_LOG, keep & in_two, world_T, log_looks, species=species),
+            floor_things(FloorKind.ROOT_PLATE, keep & has_plate, butt_T, looks[:, [7, 5]], species=species),
         ]
     )
 
@@ -271,10 +273,10 @@ def _lay_stumps(layer: Layer, trunks: F8, xy_m: F8, rng: Generator) -> PlacedThi
     keep = layer.are_clear(trunks, xy_m, 0.8 * diameter_m, 0.8 * diameter_m)
     place_m = np.column_stack([xy_m, layer.land.height_m(*xy_m.T)])
     size = np.column_stack([diameter_m, diameter_m, height_m])
-    world_T = placements(place_m, turned(360 * draws[:, 2]), size)
+    world_T = placements(place_m, about_vertical(360 * draws[:, 2]), size)
     is_broken = draws[:, 6] < section.broken
     kinds = (FloorKind.STUMP, keep & ~is_broken), (FloorKind.BROKEN_STUMP, keep & is_broken)
-    return together([labelled(*kind, world_T, draws[:, 4:], species=species) for kind in kinds])
+    return concatenated([floor_things(*kind, world_T, draws[:, 4:], species=species) for kind in kinds])
 
 
 def _sampled_species(layer: Layer, draws: F8) -> I8:
@@ -282,7 +284,7 @@ def _sampled_species(layer: Layer, draws: F8) -> I8:
     return numbers[(len(numbers) * draws[:, 3]).astype(int)]
 
 
-def _broken(whole: _Pieces, is_broken: Mask, draws: F8, row: Row) -> _Pieces:
+def _break_in_two(whole: _Pieces, is_broken: Mask, draws: F8, row: Row) -> _Pieces:
     """Break some of the logs (n,) in two; draws (n, 3) give position, gap and angle."""
     log = np.append(whole.log, np.flatnonzero(is_broken))
     is_top = np.arange(len(log)) >= len(whole.log)
@@ -317,7 +319,7 @@ def _on_ground(pieces: _Pieces, height_m: HeightField, plate_axis: float) -> F8:
     rest_m = (1 - pieces.sunk) * pieces.high_m / 2
     lift_m = np.maximum(plate_axis * pieces.plate_m - rest_m, 0.0)
     z_m = ground_m.mean(axis=1) + rest_m + lift_m / 2
-    world_R_log = laid(pieces.towards, slope - lift_m / pieces.length_m)
+    world_R_log = along_slope(pieces.towards, slope - lift_m / pieces.length_m)
     size = np.column_stack([pieces.length_m, pieces.wide_m, pieces.high_m])
     return placements(np.column_stack([pieces.xy_m, z_m]), world_R_log, size)
 
@@ -451,8 +453,8 @@ def _lay_stones(layer: Layer, trunks: F8, xy_m: F8, rng: Generator) -> PlacedThi
     size = length_m[:, None] * [1.0, row["width"], row["height"]]
     keep = layer.are_clear(trunks, xy_m, length_m / 2, length_m / 2)
     z_m = layer.land.height_m(*xy_m.T) + (0.5 - between(row["buried"], draws[:, 1])) * size[:, 2]
-    world_T = placements(np.column_stack([xy_m, z_m]), turned(360 * draws[:, 2]), size)
-    return labelled(FloorKind.STONE, keep, world_T, draws[:, 3:], large=length_m >= row["large_m"])
+    world_T = placements(np.column_stack([xy_m, z_m]), about_vertical(360 * draws[:, 2]), size)
+    return floor_things(FloorKind.STONE, keep, world_T, draws[:, 3:], large=length_m >= row["large_m"])
 
 
 def _lay_low(layer: Layer, trunks: F8, xy_m: F8, rng: Generator) -> PlacedThings:
@@ -462,19 +464,21 @@ def _lay_low(layer: Layer, trunks: F8, xy_m: F8, rng: Generator) -> PlacedThings
     spread = layer.row["spread"]
     height_m = between(layer.section.height_m, draws[:, 0])
     keep = layer.land.path.distance_m(xy_m) < layer.row["reach_m"]
-    world_R_thing = turned(360 * draws[:, 1])
+    world_R_thing = about_vertical(360 * draws[:, 1])
     if layer.is_ground:
         x, y = xy_m.T
         east = (layer.land.height_m(x + _SLOPE_M, y) - layer.land.height_m(x - _SLOPE_M, y)) / (2 * _SLOPE_M)
         north = (layer.land.height_m(x, y + _SLOPE_M) - layer.land.height_m(x, y - _SLOPE_M)) / (2 * _SLOPE_M)
         towards = atan2(north, east)
-        world_R_ground = matmul(laid(towards, hypot(east, north)), turned(np.degrees(-towards)))
+        world_R_ground = matmul(
+            along_slope(towards, hypot(east, north)), about_vertical(np.degrees(-towards))
+        )
         world_R_thing = matmul(world_R_ground, world_R_thing)
     else:
         keep[keep] = layer.are_clear(trunks, xy_m[keep], spread * height_m[keep] / 2, np.zeros(keep.sum()))
     place_m = np.column_stack([xy_m, layer.land.height_m(*xy_m.T)])
     size = height_m[:, None] * [spread, spread, 1.0]
-    return labelled(layer.shape, keep, placements(place_m, world_R_thing, size), draws[:, 2:])
+    return floor_things(layer.shape, keep, placements(place_m, world_R_thing, size), draws[:, 2:])
 
 
 _LAYERS: dict[type[Section], tuple[str, Callable[[Layer, F8, F8, Generator], PlacedThings]]] = {

@@ -122,7 +122,7 @@ def write_glb(
             for number, mesh in enumerate(meshes):
                 is_ground = number == 0 and isinstance(window.shapes[which], TileKey)
                 corner_m = window.world_T_shape[placement, :2, 3]
-                shown = _cropped(mesh, corner_m, inside) if is_ground and inside else mesh
+                shown = _crop(mesh, corner_m, inside) if is_ground and inside else mesh
                 if len(shown.faces) and (is_ground or wanted[first + number]):
                     twin.add(placement, number, shown)
     file.write(twin.trimesh.exchange.gltf.export_glb(twin.scene, include_normals=False))
@@ -137,7 +137,7 @@ def _has_part(key: ShapeKey, tiles: Container[tuple[int, int]], inside: Inside) 
     return (key.ix, key.iy) in tiles or bool(inside(np.column_stack([x_m.ravel(), y_m.ravel()])).any())
 
 
-def _cropped(ground: Mesh, corner_m: F8, inside: Inside) -> Mesh:
+def _crop(ground: Mesh, corner_m: F8, inside: Inside) -> Mesh:
     middles_m = ground.vertices_m[ground.faces].mean(axis=1)[:, :2] + corner_m
     used, faces = np.unique(ground.faces[inside(middles_m)], return_inverse=True)
     return Mesh(ground.vertices_m[used], faces.reshape(-1, 3).astype(np.uint32))
