@@ -6,14 +6,8 @@ from scipy import special
 from scipy.spatial import ConvexHull
 
 from vlp16emu.forest.purpose import Growth
-from vlp16emu.forest.stand.floor_shapes import _outline_m2
-from vlp16emu.forest.stand.scatter import (
-    _STONE_M,
-    _STONE_MEDIAN_M,
-    _STONE_SHARES,
-    _STONE_SIGMA,
-    normal_quantile,
-)
+from vlp16emu.forest.stand.floor_shapes import _outline_m2, floor
+from vlp16emu.forest.stand.scatter import normal_quantile
 from vlp16emu.forest.stand.stand import class_scale
 from vlp16emu.random import _EXPONENTIAL_TAIL, _NORMAL_TAIL, generator
 
@@ -60,8 +54,9 @@ def test_quantiles_are_those_of_scipy() -> None:
 
 def test_shares_of_stones_are_those_of_their_distribution() -> None:
     """The shares of stones that are too short and too long are those of the log-normal distribution."""
-    at = np.log(np.array(_STONE_M) / _STONE_MEDIAN_M) / _STONE_SIGMA
-    assert special.ndtr(at) == pytest.approx(_STONE_SHARES, rel=1e-15)
+    stones = floor()["layers"]["stones"]
+    at = np.log(np.array(stones["length_m"]) / stones["median_m"]) / stones["sigma"]
+    assert special.ndtr(at) == pytest.approx(stones["shares"], rel=1e-15)
 
 
 def test_outlines_are_those_of_hulls() -> None:

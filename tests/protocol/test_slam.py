@@ -1,4 +1,4 @@
-"""Configurations of SLAM programs: those in protocol/slam, read by loaders of their formats, and their names held against the sources."""
+"""Configurations of SLAM programs, read by loaders of their formats; their names are held against the sources."""
 
 import json
 import re
@@ -17,8 +17,7 @@ from vlp16emu.extras.slam.configure import Rig, configurations, programs
 from vlp16emu.extras.slam.fitness import ROWS
 
 NAMES = tomllib.loads(Path(__file__).with_name("slam_names.toml").read_text(encoding="utf-8"))
-FILES = [(program, file) for program in programs().values() for file in program.files]
-YAML = [(program, file) for program, file in FILES if file.name.endswith(".yaml")]
+FILES = [(program, name) for program in programs().values() for name in program.files]
 
 
 def yaml_of(text):
@@ -35,19 +34,64 @@ def leaves(tree, path=""):
             yield f"{path}{key}", value
 
 
-def test_the_folder_is_made_of_the_table(protocol, tool_named):
-    """Every file of protocol/slam is what the table makes, and there is no other."""
+def keys_of(name, text):
+    """Paths of the parameters in a file, read by a loader of its format."""
+    match name.rpartition(".")[2]:
+        case "yaml":
+            return list(dict(leaves(yaml_of(text))))
+        case "json":
+            return list(dict(leaves(json.loads(text))))
+        case "launch":
+            elements = [element for element in ET.fromstring(text) if element.tag != "include"]
+            return [f"{element.tag}/{element.get('from') or element.get('name')}" for element in elements]
+        case "sh":
+            return re.findall(r"^export (\w+)=", text, re.MULTILINE)
+        case "lua":
+            inside, _, behind = text.partition("\n}\n")
+            options = [f"options/{key}" for key in re.findall(r"^  (\w+) = ", inside, re.MULTILINE)]
+            return options + re.findall(r"^([\w.]+) = ", behind, re.MULTILINE)
+
+
+def test_the_folder_is_filled_from_the_templates(protocol, tool_named):
+    """Each file of protocol/slam is a template filled for the default rig, there is no other, and the page links all."""
     there = {path.name: path.read_text(encoding="utf-8") for path in (protocol / "slam").iterdir()}
+    page = there.pop("README.md")
     assert there == tool_named("slam_files").made()
+    assert set(re.findall(r"\]\(([\w.-]+)\)", page)) == set(there)
+    assert re.findall(r"^\| \[([\w-]+)\]\(https", page, re.MULTILINE) == list(programs())
 
 
-@pytest.mark.parametrize("program", programs().values(), ids=str)
-def test_names_are_those_of_the_source(program):
-    """No parameter has a name that its program does not read: such a value would be ignored without a word."""
-    unknown = {value.key for file in program.files for value in file.values} - set(
-        NAMES[program.name]["names"]
+@pytest.mark.parametrize(("program", "name"), FILES, ids=str)
+def test_names_are_those_of_the_source(program, name):
+    """A loader reads each file, and no parameter has a name that its program does not read, which it would ignore."""
+    rows = NAMES[program.name]
+    keys = keys_of(name, configurations(program, Rig(300.0))[name])
+    known = {f"{root}{key}" for root in rows.get("roots", [""]) for key in rows["names"]}
+    assert keys
+    assert not set(keys) - known
+
+
+@pytest.mark.parametrize(("program", "name"), FILES, ids=str)
+def test_every_name_of_a_template_has_a_value(program, name):
+    """No name of the rig is left in a filled file, also where the rig has no such value."""
+    imu = {"rate_hz": 100, "accel_noise_m_s2_sqrt_hz": 0.0}
+    for rig in (Rig(), Rig(300.0, imu=imu)):
+        assert not re.search(r"\$(?!\(find )", configurations(program, rig)[name])
+
+
+def test_a_remark_stands_where_a_value_differs():
+    """A value that is the program's own has no remark, and no element in a launch file."""
+    usual, slow = (
+        configurations(programs()["point-lio"], Rig(rpm))["point-lio.yaml"] for rpm in (600.0, 300.0)
     )
-    assert not unknown
+    assert "scan_rate: 10\n" in usual
+    assert "scan_rate: 5  # revolutions per second; its own value is 10\n" in slow
+    usual, slow = (
+        configurations(programs()["hdl-graph-slam"], Rig(rpm))["hdl-graph-slam.launch"]
+        for rpm in (600.0, 300.0)
+    )
+    assert "scan_period" not in usual
+    assert '<param name="/prefiltering_nodelet/scan_period" value="0.2" />' in slow
 
 
 @pytest.mark.parametrize("program", programs().values(), ids=str)
@@ -57,18 +101,14 @@ def test_needs_are_rules(program):
     assert all(text.count("; ") >= 1 for text in program.needs.values())
 
 
-@pytest.mark.parametrize(("program", "file"), YAML, ids=str)
-def test_yaml_reads_as_written(program, file):
-    """A loader of YAML finds each key under its root, numbers as numbers and texts as texts."""
-    tree = yaml_of(configurations(program, Rig())[file.name])
-    for part in filter(None, file.root.split("/")):
-        tree = tree[part]
-    found = dict(leaves(tree))
-    assert list(found) == [value.key for value in file.values]
-    for value in file.values:
-        if not (isinstance(value.value, str) and value.value.startswith("{")):
-            assert found[value.key] == value.value
-            assert type(found[value.key]) is type(value.value)
+def test_numbers_of_yaml_are_numbers():
+    """YAML 1.1 reads 1e-9 as a text: the files have 1.0e-9."""
+    imu = {"rate_hz": 100, "accel_walk_m_s3_sqrt_hz": 1e-5}
+    for program, name in FILES:
+        if name.endswith(".yaml"):
+            values = dict(leaves(yaml_of(configurations(program, Rig(imu=imu))[name]))).values()
+            texts = [value for value in values if isinstance(value, str)]
+            assert [text for text in texts if re.fullmatch(r"[-+.e\d]+", text) and text.count(".") < 2] == []
 
 
 def test_json_reads_as_written():
@@ -108,11 +148,6 @@ def test_launch_files_read_as_written(name):
     assert kinds == sorted(kinds, key=["remap", "include", "param"].index)
     (include,) = root.findall("include")
     assert re.fullmatch(r"\$\(find \w+\)/launch/\w+\.launch", include.get("file"))
-    written = [
-        f"{child.tag}/{child.get('from') or child.get('name')}" for child in root if child.tag != "include"
-    ]
-    assert set(written) <= set(NAMES[name]["names"])
-    assert written
 
 
 def test_shell_sets_what_mola_reads(tmp_path):

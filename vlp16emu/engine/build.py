@@ -21,6 +21,7 @@ from vlp16emu.returns.detector import UnitDetector, threshold_of
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.beams import with_angle_errors
 from vlp16emu.sensor.head import Head
+from vlp16emu.sensor.laws import law
 from vlp16emu.sensor.power_up import counters_of, powered_up
 from vlp16emu.sensor.rotor import Clock, ClockSpan, Encoder, Rotor, Spin, Swing
 from vlp16emu.sensor.settings import Lidar, Sensor, require_packets
@@ -34,7 +35,7 @@ _IMU = 1000  # device number of the inertial unit's mount, above all sensors
 _STRAY_M = (
     1.0  # greatest distance of a laser from the carrier's path on the ground: sway, and lasers off the centre
 )
-_LEFT_PPM = 0.3  # rate error of a GPS-locked clock within a second: 0.27 ppm on mrpt
+_LEFT_PPM = law("clock.locked_ppm")
 
 
 @dataclass(frozen=True)

@@ -46,19 +46,25 @@ class ForestSite:
     def name(self) -> str:
         """Digest of all inputs of the ground."""
         section = self._section
-        own = section.model_dump_json(include={"dem", "origin_m", "terrain"})
-        return _digest(own, _content(section.dem.file if section.dem else None), str(self._seed))
+        settings = section.model_dump_json(include={"dem", "origin_m", "terrain"})
+        return _digest(settings, _content(section.dem.file if section.dem else None), str(self._seed))
 
     @cached_property
     def obstacles(self) -> tuple[F8, F8] | None:
-        """Stems that the path must avoid, with the errors of `stems_in_the_way`; None if the path stays as it is."""
+        """Stems that the path must avoid, with the errors of `stems_in_the_way`.
+
+        None if the path stays as it is.
+        """
         section = self._section
         if isinstance(section, Plot) and section.on_conflict == "move_path":
             return stems_in_the_way(section, self._seed)
         return None
 
     def has_ground(self, xy_m: F8, reach_m: float) -> NDArray[np.bool_]:
-        """Return a mask of the points (n, 2) at which a path has ground: with a file of heights not everywhere."""
+        """Return a mask of the points (n, 2) at which a path has ground.
+
+        A file of heights may not have it everywhere.
+        """
         if isinstance(self._ground, DemHeights):
             return self._ground.has_heights(xy_m, reach_m)
         return np.ones(len(xy_m), np.bool_)
@@ -106,9 +112,9 @@ def _cache_name(section: Woods, seed: int, path: Corridor, reach_m: float, *, lo
     stem_list = section.stem_list if isinstance(section, Plot) else None
     dem_file = section.dem.file if section.dem else None
     files = section.species_file, dem_file, stem_list, *(model.file for model in section.tree_models)
-    own = section.model_dump_json(exclude={"meshes", "near_m", "seed"})
-    way = hashlib.sha256(path.xy_m.tobytes()).hexdigest()
-    return _digest(own, str(seed), f"{reach_m!r} {loose_stems}", *map(_content, files), way)
+    settings = section.model_dump_json(exclude={"meshes", "near_m", "seed"})
+    path_digest = hashlib.sha256(path.xy_m.tobytes()).hexdigest()
+    return _digest(settings, str(seed), f"{reach_m!r} {loose_stems}", *map(_content, files), path_digest)
 
 
 def _digest(*parts: str) -> str:

@@ -1,4 +1,4 @@
-"""Settings of a generated forest or a plot of given trees: ground, trees, and plants and things under them."""
+"""Settings of a generated forest or a plot of given trees: ground, trees, and what is under them."""
 
 import math
 import tomllib
@@ -188,7 +188,7 @@ class Storey(Section):
     @field_validator("species")
     @classmethod
     def _check_shares(cls, species: list[SpeciesShare]) -> list[SpeciesShare]:
-        if abs(sum(one.share for one in species) - 1.0) > _SHARE_ERROR:
+        if abs(sum(row.share for row in species) - 1.0) > _SHARE_ERROR:
             raise ExpectationError("shares that sum to 1")
         return species
 
@@ -302,21 +302,27 @@ class DwarfShrubs(Cover):
 
 
 class Moss(Cover):
-    """Cushions of moss within 12 m of the path, eight times as wide as high; labelled as ground; cast up to `near_m`."""
+    """Cushions of moss within 12 m of the path, eight times as wide as high; labelled as ground.
+
+    They are cast up to `near_m`.
+    """
 
     height_m: Range = (0.03, 0.08)
     """Minimum and maximum height of a cushion; depth of feather mosses in spruce forest (assumption)."""
 
 
 class Litter(Cover):
-    """Heaps of litter within 12 m of the path, eight times as wide as high; labelled as ground; cast up to `near_m`."""
+    """Heaps of litter within 12 m of the path, eight times as wide as high; labelled as ground.
+
+    They are cast up to `near_m`.
+    """
 
     height_m: Range = (0.03, 0.08)
     """Minimum and maximum height of a heap; assumption."""
 
 
 class Ivy(Section):
-    """Ivy on the stems of trees, labelled as leaf of its tree; the inventory's leaf area does not include it."""
+    """Ivy on the stems of trees, labelled as leaf of its tree; not in the inventory's leaf area."""
 
     share: Fraction = 0.0
     """Share of stems with ivy."""
@@ -446,14 +452,17 @@ class Forest(Woods, Storey):
 
     @model_validator(mode="before")
     @classmethod
-    def with_preset(cls, own: Any) -> Any:
-        """Lay a scene's own `[world]` table over the preset that it names, as `merged` does; an unknown preset changes nothing."""
-        name = own.get("preset") if isinstance(own, dict) else None
+    def with_preset(cls, table: Any) -> Any:
+        """Lay a scene's `[world]` table over the preset that it names, as `merged` does.
+
+        An unknown preset changes nothing.
+        """
+        name = table.get("preset") if isinstance(table, dict) else None
         if not isinstance(name, str):
-            return own
-        left_out = DENSITY_KEYS if own.keys() & DENSITY_KEYS else frozenset[str]()
+            return table
+        left_out = DENSITY_KEYS if table.keys() & DENSITY_KEYS else frozenset[str]()
         return merged(
-            {key: value for key, value in presets().get(name, {}).items() if key not in left_out}, own
+            {key: value for key, value in presets().get(name, {}).items() if key not in left_out}, table
         )
 
     preset: Literal["none", "plantation", "managed_mixed", "old_growth", "wild_regrowth", "open_savanna"] = (

@@ -38,12 +38,12 @@ def ground_triangles(corner_m: tuple[float, float], edge_m: float, height_m: Hei
     """
     cells = round(edge_m / _CELL_M)
     ground = _Ground(corner_m, (cells + 2 * _APRON) * _FINEST + 1, height_m)
-    own = np.arange(_APRON, _APRON + cells) * _FINEST
+    inner = np.arange(_APRON, _APRON + cells) * _FINEST
     # Both halves of each square: tip, and ends of the longest side.
-    corner = (own[:, None] * ground.side + own).ravel()
+    corner = (inner[:, None] * ground.side + inner).ravel()
     east, north = corner + _FINEST, corner + _FINEST * ground.side
     halves = [np.column_stack(t) for t in ((east, north + _FINEST, corner), (north, corner, north + _FINEST))]
-    used, which = np.unique(_bisected(np.concatenate(halves), _cuts(ground).ravel()), return_inverse=True)
+    used, which = np.unique(_bisect(np.concatenate(halves), _cuts(ground).ravel()), return_inverse=True)
     return ground.points_m(used), which.reshape(-1, 3)
 
 
@@ -71,7 +71,10 @@ class _Ground:
 
 
 def _cuts(ground: _Ground) -> Mask:
-    """Mask (side, side) of vertices at which the ground is off the side, and of vertices that such cuts depend on."""
+    """Mask (side, side) of vertices at which the ground is off the side.
+
+    It includes the vertices that such cuts depend on.
+    """
     cut = np.zeros(ground.z_m.shape, np.bool_)
     off_m = np.full((ground.side // (2 * _FINEST),) * 2, np.inf)
     for step in _LOOKED_AT:
@@ -118,12 +121,15 @@ def _around(squares: Mask, edge: int) -> Mask:
 
 
 def _is_anti(side: int, step: int) -> Mask:
-    """Return a mask of the squares of `step` that are cut from south-east to north-west: alternating within a larger square."""
+    """Return a mask of the squares of `step` that are cut from south-east to north-west.
+
+    They alternate within a larger square.
+    """
     n = np.arange(side // step)
     return (n[:, None] + n) % 2 == 1 if step < _FINEST else np.zeros((len(n), len(n)), np.bool_)
 
 
-def _bisected(triangles: I8, cut: Mask) -> I8:
+def _bisect(triangles: I8, cut: Mask) -> I8:
     """Cut triangles (n, 3) until none has a cut in the middle of its longest side."""
     whole = []
     for _ in range(_CUTS):
@@ -152,7 +158,10 @@ class TileKey:
 
 
 def tiles_within(line_xy_m: F8, reach_m: float) -> I8:
-    """Return tiles (n, 2), ix and iy in ascending order, that may be partly within `reach_m` of a polyline (m, 2)."""
+    """Return tiles (n, 2) that may be partly within `reach_m` of a polyline (m, 2).
+
+    Their ix and iy are in ascending order.
+    """
     reach = reach_m + _HALF_DIAGONAL_M
     low = np.floor((line_xy_m.min(axis=0) - reach) / TILE_M).astype(np.int64)
     high = np.floor((line_xy_m.max(axis=0) + reach) / TILE_M).astype(np.int64)
@@ -161,9 +170,9 @@ def tiles_within(line_xy_m: F8, reach_m: float) -> I8:
     return tiles[_centre_distance_m(tiles, Polyline(line_xy_m)) <= reach]
 
 
-def around(ix: int, iy: int, of: Callable[[int, int], F8]) -> F8:
+def around(ix: int, iy: int, values_of: Callable[[int, int], F8]) -> F8:
     """Concatenate the results for a tile and the eight around it."""
-    return np.concatenate([of(ix + i, iy + j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
+    return np.concatenate([values_of(ix + i, iy + j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
 
 
 def tile_distance_m(tile: tuple[int, int], path: Polyline) -> float:

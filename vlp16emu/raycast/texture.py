@@ -20,8 +20,8 @@ degrees apart, not at 0.4 (protocol/README.md)."""
 _RELIEF_FROM_M = 6.0
 _FINEST = 32.0
 """Range from which on relief has patches of that size, which halve with the range, and the greatest
-refinement: real surfaces are rough at all scales, and a pulse resolves its footprint, at 1 m (mrpt) as at 10
-m (2014)."""
+refinement: real surfaces are rough at all scales, and a pulse resolves its footprint, at 1 m as at 10 m
+(units A and D of protocol/README.md)."""
 _SAME_M = 0.1  # sub-rays of a pulse that end within this distance share a patch
 _SPREAD = math.sqrt(3.0)  # half-width of a uniform distribution of variance one
 _CELL_BITS = 3  # eight patches across share a contrast: a wall, a floor or bark consists of such areas

@@ -33,6 +33,7 @@ from vlp16emu.returns.noise import (
 )
 from vlp16emu.returns.settings import DetectorConstants
 from vlp16emu.returns.weather import clutter_echo
+from vlp16emu.sensor.laws import law
 from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, I8, U1, U4, Firings, Hits, PlantPart, Returns, Semantic
 
@@ -44,7 +45,7 @@ _CERTAIN_SIGMAS = 6.0  # noise does not exceed this: probability 2e-9
 _DETECTION = ZERO + Purpose.DETECTION
 _RANGE_NOISE = ZERO + Purpose.RANGE_NOISE
 _CODES_PER_M = 500.0  # distance codes of a packet per metre: 2 mm
-_MOST_NO_RETURN = 100.0  # largest wandering code of no-returns on einride
+_MOST_NO_RETURN = law("no_return.most")
 _UNSHIFTED_CODE = 40.0  # code at which reflectivity does not change the range
 _Pair = tuple[float, float]
 _Laser = tuple[float, float, float, U1]
@@ -126,13 +127,19 @@ def detect(
 
 
 def _sheets(surfaces: NDArray[np.void]) -> U4:
-    """Return the sheet number of each surface (m,): all tiles of the ground are one sheet without gaps; 0 for plants."""
+    """Return the sheet number of each surface (m,): all tiles of the ground are one sheet without gaps.
+
+    Plants have 0.
+    """
     number = np.where(surfaces["semantic"] == Semantic.GROUND, 1, np.arange(2, len(surfaces) + 2))
     return np.where(surfaces["part"] == PlantPart.NONE, number, 0).astype(np.uint32)
 
 
 class _Errors(NamedTuple):
-    """Properties of a unit, as in `UnitDetector`; `drift_m` (k,) by firing sequence, `sheet` (m,) by surface."""
+    """Properties of a unit, as in `UnitDetector`.
+
+    `drift_m` (k,) by firing sequence, `sheet` (m,) by surface.
+    """
 
     bias_m: F8
     noise_share: F8
@@ -189,7 +196,7 @@ def _detect(
         for j in range(lasers):
             start, stop = stop, stop + int(rays.counts[i, j])
             error_m = errors.bias_m[j] + errors.drift_m[i] + errors.beat_m[(slot + j) % 5]
-            own = error_m, errors.noise_share[j], errors.gain[j], errors.codes[j]
+            laser_errors = error_m, errors.noise_share[j], errors.gain[j], errors.codes[j]
             lit = gather(constants, rays, start, stop, nodes)
             if constants.extinction_per_m > 0.0:
                 air_m, air = clutter_echo(constants, n, j, start, stop, rays.range_m)
@@ -199,14 +206,14 @@ def _detect(
                     lit += 1
             at_m, light = _only_echo(constants, n, j, nodes, lit, peaks)
             if light > 0.0 and _is_seen(constants, n, j, at_m, light):
-                measured = _measure(constants, (noise[0, j], noise[1, j]), at_m, light, own)
+                measured = _measure(constants, (noise[0, j], noise[1, j]), at_m, light, laser_errors)
                 for column in range(columns):
                     distance_m[i, j, column], reflectivity[i, j, column] = measured
                     if keeps_exact:
                         exact_m[i, j, column] = at_m
             elif lit > 1 and light >= 0.0:  # also if the highest peak is not detected: another may be
                 _choose(constants, n, j, peaks, find_peaks(nodes, lit, constants.sigma_m, peaks), chosen)
-                _write(constants, n, j, own, peaks, chosen, distance_m[i, j], reflectivity[i, j])
+                _write(constants, n, j, laser_errors, peaks, chosen, distance_m[i, j], reflectivity[i, j])
                 for column in range(3 if keeps_exact else 0):
                     if chosen[column] >= 0:
                         exact_m[i, j, column] = peaks[RANGE, chosen[column]]
@@ -257,7 +264,7 @@ def _mark_silent(
 
 @kernel
 def _count_unevenly(parity: F8, distance_m: F4) -> None:
-    """Move distances at the edge of an odd code into or out of this code, by each laser's excess of odd codes."""
+    """Move distances at the edge of an odd code into or out of it, by each laser's excess."""
     for i in range(distance_m.shape[0]):
         for j in range(distance_m.shape[1]):
             for column in range(3):
@@ -273,7 +280,9 @@ def _count_unevenly(parity: F8, distance_m: F4) -> None:
 def _only_echo(
     constants: DetectorConstants, n: int, laser: int, nodes: F8, lit: int, peaks: F8
 ) -> tuple[float, float]:
-    """Return range and amplitude of the only echo needed: the single node, or the highest peak in strongest return mode.
+    """Return range and amplitude of the only echo needed.
+
+    It is the single node, or the highest peak in strongest return mode.
 
     Amplitude is 0 if there may be more echoes, or if the highest peak is not found this way; -1 if no echo is
     detected.
@@ -307,7 +316,9 @@ def _is_seen(constants: DetectorConstants, n: int, lane: int, range_m: float, am
 
 @inline_kernel
 def _falls_short(constants: DetectorConstants, a: float, excess: float) -> bool:
-    """Return True if noise from the uniform number a stays below the threshold for any second number; needs no logarithm.
+    """Return True if noise from the uniform number a stays below the threshold for any second number.
+
+    It needs no logarithm.
 
     The radius of a normal pair is below t if 1 - a > exp(-t**2 / 2); the test uses an upper bound of this
     exponential.
@@ -319,7 +330,10 @@ def _falls_short(constants: DetectorConstants, a: float, excess: float) -> bool:
 
 @inline_kernel
 def _none_is_seen(constants: DetectorConstants, n: int, laser: int, most: float, count: int) -> bool:
-    """Return True if none of up to `count` echoes with amplitudes up to `most` is detected, as for most faint pulses."""
+    """Return True if none of up to `count` echoes with amplitudes up to `most` is detected.
+
+    This is so for most faint pulses.
+    """
     excess = most - constants.threshold
     if excess >= 0.0:
         return False
@@ -333,11 +347,14 @@ def _none_is_seen(constants: DetectorConstants, n: int, laser: int, most: float,
 
 @inline_kernel
 def _measure(
-    constants: DetectorConstants, noise: _Pair, range_m: float, amplitude: float, own: _Laser
+    constants: DetectorConstants, noise: _Pair, range_m: float, amplitude: float, laser_errors: _Laser
 ) -> tuple[np.float32, np.uint8]:
-    """Return measured distance and reflectivity; distance 0 below the least range, both 0 beyond the greatest range."""
+    """Return measured distance and reflectivity.
+
+    The distance is 0 below the least range, and both are 0 beyond the greatest.
+    """
     (range_noise, other_noise) = noise
-    (error_m, share, gain, codes) = own
+    (error_m, share, gain, codes) = laser_errors
     reflectance = amplitude * range_m * range_m
     shown = min(100.0 * reflectance, 100.0)
     measured_m = range_m + error_m + constants.range_walk_m * (shown - _UNSHIFTED_CODE)
@@ -402,21 +419,24 @@ def _write(
     constants: DetectorConstants,
     n: int,
     j: int,
-    own: _Laser,
+    laser_errors: _Laser,
     peaks: F8,
     chosen: I8,
     distance_m: F4,
     reflectivity: U1,
 ) -> None:
-    """Fill the returns (3,) of a pulse; each chosen peak is measured once, and dropped if measured beyond `max_range_m`."""
-    share = own[1]
+    """Fill the returns (3,) of a pulse.
+
+    Each chosen peak is measured once, and dropped if measured beyond `max_range_m`.
+    """
+    share = laser_errors[1]
     for column in range(3):
         peak = chosen[column]
         if peak < 0 or (column > 0 and peak == chosen[column - 1]):  # an echo in two columns has one error
             continue
         at_m = peaks[RANGE, peak]
         light = peaks[AMPLITUDE, peak]
-        error_m = own[0] + constants.range_walk_m * (
+        error_m = laser_errors[0] + constants.range_walk_m * (
             min(100.0 * light * at_m * at_m, 100.0) - _UNSHIFTED_CODE
         )
         sigma_m = (
@@ -439,4 +459,4 @@ def _write(
             pair = normal_pair(constants.seed, _RANGE_NOISE, n, j | column << _LANE_BITS)
             at_m = peaks[RANGE, peak]
             light = peaks[AMPLITUDE, peak]
-            distance_m[column], reflectivity[column] = _measure(constants, pair, at_m, light, own)
+            distance_m[column], reflectivity[column] = _measure(constants, pair, at_m, light, laser_errors)

@@ -18,6 +18,7 @@ from vlp16emu.returns.noise import (
 )
 from vlp16emu.returns.settings import Detector, DetectorConstants, LossRates, Noise, Weather
 from vlp16emu.returns.weather import air_reflectance, extinction_per_m
+from vlp16emu.sensor.laws import law, span
 from vlp16emu.types import F8, I8, U1, ReturnMode
 from vlp16emu.units import INCLUSIVE
 
@@ -26,15 +27,6 @@ _FWHM_SIGMAS = 2.3548200450309493  # 2 sqrt(2 ln 2)
 _CALIBRATION_REFLECTANCE = 0.1
 _MOST_PARITY = 0.4
 _BALANCED = 0.6
-_RANGE_WALK_MM = -0.06, 0.18
-"""Change of range per code of reflectivity, uniform over units: 0.08, 0.16 and -0.03 on three real units;
--0.16, but of few pulses, on that
-of 2014; the correlation of both noises is -0.01 to 0.14 (protocol/README.md, "The character of a unit", also
-for the next constant)."""
-_LASER_NOISE_SPREAD = 0.08
-"""Spread of the logarithm of the white range noise over lasers: 0.076, 0.121 and 0.079 on mrpt, einride and
-nebula, without the part due to chance; the noise of lasers correlates by 0.44, 0.37 and 0.37 between sectors
-of 45 deg."""
 _WARM_UP_S = 900.0  # time constant (assumption)
 
 
@@ -73,7 +65,7 @@ class UnitDetector:
         elevation_deg: F8,
         power_up_ns: int,
     ) -> Self:
-        """Draw the constant errors of a unit, and convert the settings of a run to the form that kernels take.
+        """Draw the constant errors of a unit, and convert the settings of a run for kernels.
 
         Parameters
         ----------
@@ -85,10 +77,10 @@ class UnitDetector:
         lasers = len(elevation_deg)
         sigma_m = _HALF_LIGHT_M_PER_NS * detector.pulse_ns / _FWHM_SIGMAS
         least, amplitude_noise = threshold_of(detector)
-        own = exp(
+        factors = exp(
             noise.unit_spread * normal(seed, Purpose.UNIT_NOISE, 0, 2)
         ).tolist()  # log-normal: no error below 0
-        least_walk, most_walk = _RANGE_WALK_MM
+        least_walk, most_walk = span("range.walk_mm")
         walk_mm = least_walk + (most_walk - least_walk) * float(uniform(seed, Purpose.UNIT_NOISE, 2, 1)[0])
         air_per_m = extinction_per_m(weather.visibility_m, weather.rain_mm_h)
         constants = DetectorConstants(
@@ -103,9 +95,9 @@ class UnitDetector:
             extinction_per_m=air_per_m,
             clutter=air_reflectance(air_per_m, sigma_m),
             least_clutter=least,
-            range_noise_m=noise.range_noise_m * own[0],
-            reflectivity_noise=noise.reflectivity_noise * own[1],
-            reflectivity_noise_share=noise.reflectivity_noise_share * own[1],
+            range_noise_m=noise.range_noise_m * factors[0],
+            reflectivity_noise=noise.reflectivity_noise * factors[1],
+            reflectivity_noise_share=noise.reflectivity_noise_share * factors[1],
             heavy_tails=noise.is_real,
             range_walk_m=1e-3 * walk_mm * noise.is_real,
             lost=loss_rates(
@@ -124,7 +116,9 @@ class UnitDetector:
             constants=constants,
             range_bias_m=range_bias_m(seed, lasers, noise.range_bias_m),
             range_noise_share=exp(
-                _LASER_NOISE_SPREAD * noise.is_real * normal(seed, Purpose.UNIT_NOISE, 0, lasers, 1)
+                law("range.laser_noise_spread")
+                * noise.is_real
+                * normal(seed, Purpose.UNIT_NOISE, 0, lasers, 1)
             ),
             gain=gain(seed, noise.gain_spread, elevation_deg),
             range_beat_m=range_beat_m(seed, noise.range_beat_m, noise.range_beat_phase_deg),
@@ -143,7 +137,10 @@ class UnitDetector:
         return replace(self, constants=constants, mode=mode)
 
     def without_chance(self) -> Self:
-        """Return a receiver with the same threshold in the same air that detects all echoes, without randomness and errors."""
+        """Return a receiver without randomness and errors that detects all echoes.
+
+        Its threshold and its air are the same.
+        """
         errors = "amplitude_noise", "clutter", "range_noise", "range_walk", "reflectivity_"
         lost = LossRates(*[0.0] * len(LossRates._fields))
         given = self.constants._asdict() | {"strongest_only": False, "lost": lost}
@@ -165,7 +162,10 @@ class UnitDetector:
         )
 
     def drift_m(self, t_ns: I8) -> F8:
-        """Return the warm-up error of ranges at instants, same shape; it decays exponentially after power-up."""
+        """Return the warm-up error of ranges at instants, same shape.
+
+        It decays exponentially after power-up.
+        """
         if not self.noise.warm_up_m:
             return np.zeros(t_ns.shape)
         return np.asarray(self.noise.warm_up_m * exp(-1e-9 * (t_ns - self.power_up_ns) / _WARM_UP_S))

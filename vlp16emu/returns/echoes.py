@@ -189,7 +189,10 @@ def _sort(nodes: F8, count: int) -> None:
 
 @inline_kernel
 def _quick_exp(x: float) -> float:
-    """Return the exponential of x <= 0 with a relative error of 1e-10, at least 1e-300, at half the cost of a library call."""
+    """Return the exponential of x <= 0 with a relative error of 1e-10, at least 1e-300.
+
+    It has half the cost of a library call.
+    """
     x = max(x, -690.0)
     shifted = x * 1.4426950408889634 + 6755399441055744.0  # its last bits hold the power of 2
     r = x - (shifted - 6755399441055744.0) * _LN2
@@ -204,7 +207,7 @@ def _quick_exp(x: float) -> float:
 
 @inline_kernel
 def _waveform(nodes: F8, start: int, stop: int, x_m: float, sigma_m: float) -> _Light:
-    """Return mean and variance of the ranges of light at x_m, relative to x_m, and the height of the waveform."""
+    """Return mean and variance of ranges of light relative to x_m, and the height of the waveform."""
     height = first = second = 0.0
     sharpness = -0.5 / (sigma_m * sigma_m)
     for node in range(start, stop):
@@ -278,7 +281,9 @@ def _peaks_of_group(nodes: F8, start: int, stop: int, sigma_m: float, peaks: F8,
 def _climb(
     nodes: F8, start: int, stop: int, sigma_m: float, x_m: float, end_m: float, closed: bool, light: _Light
 ) -> tuple[float, float]:
-    """Return range and height of the peak between x_m, where the waveform rises towards end_m, and end_m; height 0 for none.
+    """Return range and height of the peak between x_m, where the waveform rises towards end_m, and end_m.
+
+    Without a peak the height is 0.
 
     It applies Newton's method to the mean, with bisection as fallback. `closed` is True if the waveform is
     known to fall at end_m; else this is evaluated when Newton's method fails. `light` is the waveform at x_m.
@@ -314,7 +319,9 @@ _REACH_SIGMAS = 5.0
 def find_source_surfaces(
     constants: DetectorConstants, first: int, rays: SubRays, distance_m: F4, surface: U4, share: F4
 ) -> None:
-    """Fill the surface (k, L, 3) of the sub-ray that gives most of the light at each distance before errors, and its share.
+    """Fill the surface (k, L, 3) of the sub-ray that gives most of the light, and its share.
+
+    Light is that at each distance before errors.
 
     The share (k, L, 3) is the fraction of the pulse's sub-rays that hit it at any range. Clutter and distance
     0 have no surface.

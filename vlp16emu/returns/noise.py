@@ -1,4 +1,7 @@
-"""Errors of range and reflectivity, white for each echo and constant for a unit; the reflectivity byte."""
+"""Errors of range and reflectivity, white for each echo and constant for a unit; the reflectivity byte.
+
+Sources of the measured constants: the laws `range`, `code` and `no_return` of `vlp16emu/sensor/laws.toml`.
+"""
 
 import math
 
@@ -8,64 +11,40 @@ from vlp16emu.elementary import cos, exp, log, power
 from vlp16emu.kernels.compiler import inline_kernel
 from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.returns.settings import DetectorConstants
+from vlp16emu.sensor.laws import law, span
 from vlp16emu.types import F8, U1
 
 BIAS_LIMIT_M = 0.03  # accuracy of the data sheet, which no laser exceeds
 _NOISE_AT = 0.2  # reflectance at which the noise has the value of the settings
 _FAINTEST_REFLECTANCE = 0.01
-_OVERTONE_RAD = math.radians(85.0)
-# first code from which some are never sent, and code of spacing `reflectivity_step`
-_COARSE = 30.0
-_TOP = 90.0
-# codes of a laser at one spacing, and its factor on `reflectivity_step`
-_SEGMENT = (7.0, 18.0)
-_SLOPES = (0.75, 1.3)
 CODE_PARTS = 24  # parts of one code in the table of sent codes
-_NARROW = (0.05, 0.16)
-_MISSED = 1.0
-"""How much narrower codes are that are 2 modulo 3, and how much more often bright ones are left out: 0.11,
-0.06, 0.22 and 0.05 at codes 4 to 45
-of mrpt, einride, nebula and 2014; 0.25, 0.14 and 0.26 at 45 to 98 of the first three."""
-_APART = 1.5
-_ALIKE = 10.0
-"""Variance of an independent gain less the mean of its neighbours, over its own variance, and the weight of
-this expectation, in lasers: units differ by a tenth."""
-NO_RETURN_KNOTS = 56
-"""Azimuth intervals around a unit over which no-return codes change; assumption, after einride: 78 % of
-neighbours are equal."""
-_SHARED_CORRELATION = 0.8, 0.98
-"""Correlation of the no-return codes of a place with a part that all lasers share: neighbouring lasers are
-raised together on real units, with a correlation of 0.12 to 0.54."""
-_NO_RETURN_MIDDLE = (1.5, 20.0)
-_NO_RETURN_SPREAD = 0.5
-"""Median over the lasers, and spread of its logarithm: 13 and 0.4 on mrpt, 5 and 0.45 on nebula, 2.7 and 0.7
-on einride,
-1.3 and 1 on the unit of 2014. Assumption: medians are uniform in their logarithm."""
-_WANDER_OF_UNITS = 0.7
-_WANDER_OF_LASERS = 0.6
-_WANDER_CODES = 25.0
-"""Spreads of the logarithm; on nebula the multiple of a laser is 1 in 39 to 98 % of its records."""
+NO_RETURN_KNOTS = int(law("no_return.knots"))  # azimuth intervals over which no-return codes change
 
 
 def range_bias_m(seed: int, lasers: int, sigma_m: float) -> F8:
-    """Return the constant range error of each laser, (lasers,) m: Gaussian, cut at the data sheet's accuracy."""
+    """Return the constant range error of each laser, (lasers,) m.
+
+    It is Gaussian, cut at the data sheet's accuracy.
+    """
     return np.clip(sigma_m * normal(seed, Purpose.RANGE_BIAS, 0, lasers), -BIAS_LIMIT_M, BIAS_LIMIT_M)
 
 
 def gain(seed: int, spread: float, elevation_deg: F8) -> F8:
-    """Return the factor on the reflectivity of each laser, (lasers,), above 0: log-normal, in much the same measure on every unit.
+    """Return the factor on the reflectivity of each laser, (lasers,), above 0.
 
-    What can be measured is a laser against its neighbours in elevation: 0.057, 0.093 and 0.097 on einride,
-    nebula and mrpt, the same in all sectors of azimuth. Of 16 independent gains it is between 0.5 and 1.7 of
-    their spread; here within a tenth, one sigma.
+    It is log-normal, in much the same measure on every unit.
+
+    What can be measured is a laser against its neighbours in elevation, `apart`.
     """
-    drawn = normal(seed, Purpose.REFLECTIVITY, 0, len(elevation_deg))
-    apart = np.diff(drawn[np.argsort(elevation_deg, kind="stable")], 2) / 2.0
-    return exp(spread * math.sqrt((_APART * len(apart) + _ALIKE) / ((apart * apart).sum() + _ALIKE)) * drawn)
+    draws = normal(seed, Purpose.REFLECTIVITY, 0, len(elevation_deg))
+    apart = np.diff(draws[np.argsort(elevation_deg, kind="stable")], 2) / 2.0
+    weight = law("code.gain_weight")
+    expected = law("code.gain_neighbours") * len(apart)
+    return exp(spread * math.sqrt((expected + weight) / ((apart * apart).sum() + weight)) * draws)
 
 
 def no_return_reflectivity(seed: int, lasers: int, middle: float | None) -> F8:
-    """Return the reflectivity of each laser's records without a return, (lasers,), before it is truncated to integers.
+    """Return the reflectivity (lasers,) of records without a return, before it is truncated.
 
     Real units send it in 50 to 98 % of such records, and multiples of it in the others.
 
@@ -74,22 +53,22 @@ def no_return_reflectivity(seed: int, lasers: int, middle: float | None) -> F8:
     middle : median over the lasers; None to draw it
     """
     if middle is None:
-        low, high = _NO_RETURN_MIDDLE
+        low, high = span("no_return.median")
         middle = low * power(high / low, float(uniform(seed, Purpose.NO_RETURN, 0, 1)[0]))
-    return np.minimum(middle * exp(_NO_RETURN_SPREAD * normal(seed, Purpose.NO_RETURN, 1, lasers)), 255.0)
+    factor = exp(law("no_return.spread") * normal(seed, Purpose.NO_RETURN, 1, lasers))
+    return np.minimum(middle * factor, 255.0)
 
 
 def no_return_multiples(seed: int, no_return: F8, wander: float) -> F8:
     """Return the multiples of `no_return_reflectivity` that no-returns carry at each azimuth.
 
-    Values below 1 are sent as 1: a steady unit (mrpt) sends 1 in 98 % of its records, an unsteady one
-    (einride) in 14 to 73 %, and goes through ten multiples. An image of a sweep shows patches that all lasers
-    share, at the same azimuths in each revolution; on real units they depend on the scene, probably on faint
-    light below the threshold; here they are random.
+    Values below 1 are sent as 1. An image of a sweep shows patches that all lasers share, at the same
+    azimuths in each revolution; on real units they depend on the scene, probably on faint light below the
+    threshold; here they are random.
 
     Parameters
     ----------
-    no_return : (lasers,) codes of a multiple of one; larger codes wander less, as on mrpt
+    no_return : (lasers,) codes of a multiple of one; larger codes wander less
     wander : value of a median unit; units differ by a factor of two, one sigma, and their lasers nearly as
         much
 
@@ -98,29 +77,28 @@ def no_return_multiples(seed: int, no_return: F8, wander: float) -> F8:
     (NO_RETURN_KNOTS + 1, lasers), evenly spaced in azimuth; the last row equals the first
     """
     lasers = len(no_return)
-    *own, shared = (
+    *lasers_alone, shared = (
         normal(seed, Purpose.NO_RETURN, 0, NO_RETURN_KNOTS, 1 + lane) for lane in range(lasers + 1)
     )
-    low, high = _SHARED_CORRELATION
+    low, high = span("no_return.shared")
     alike = low + (high - low) * float(uniform(seed, Purpose.NO_RETURN, 0, 1, 2 + lasers)[0])
-    drawn = alike * shared[:, None] + math.sqrt(1.0 - alike * alike) * np.stack(own, axis=1)
+    drawn = alike * shared[:, None] + math.sqrt(1.0 - alike * alike) * np.stack(lasers_alone, axis=1)
     *of_lasers, of_unit = normal(seed, Purpose.NO_RETURN, 1 + lasers, lasers + 1)
-    spread = wander * exp(_WANDER_OF_UNITS * of_unit + _WANDER_OF_LASERS * np.array(of_lasers))
-    return np.minimum(spread, _WANDER_CODES / no_return) * np.abs(np.concatenate([drawn, drawn[:1]]))
+    logarithm = law("no_return.wander_of_units") * of_unit
+    logarithm = logarithm + law("no_return.wander_of_lasers") * np.array(of_lasers)
+    spread = np.minimum(wander * exp(logarithm), law("no_return.wander_codes") / no_return)
+    return spread * np.abs(np.concatenate([drawn, drawn[:1]]))
 
 
 def sent_codes(seed: int, lasers: int, step: float) -> U1:
-    """Return the code that a laser sends for each reflectivity of a diffuse target, (lasers, 100 * CODE_PARTS + 1), in steps of 1 / CODE_PARTS.
+    """Return the code that a laser sends for each reflectivity of a diffuse target.
 
-    Bright codes of a real laser are 1.2 to 2.2 apart, with more spacing at brighter codes: at 45 to 95, mrpt,
-    einride and nebula send 8.5, 7, 8, 7, 6.5 and 5 of each ten consecutive codes. The codes of einride are
-    the same at all ranges and in both kinds of sectors, at one spacing for a dozen codes (laser 7: two of
-    three from 47 to 65, then every second), and independent of other lasers: a calibration table from
-    integers of the receiver to codes.
+    The table is (lasers, 100 * CODE_PARTS + 1), in steps of 1 / CODE_PARTS.
 
-    All lasers of all units have one more quantization after it, whose integers do not coincide with codes:
-    codes that are 2 modulo 3 are rarer than their neighbours, at all levels and on each of four units
-    (`_NARROW`), most of all 44, 53, 62 and 71.
+    Bright codes of a real laser are more than 1 apart, with more spacing at brighter codes: a calibration
+    table of each laser from integers of the receiver to codes (laws `code.coarse_from` to `spacing`). All
+    lasers have one more quantization after it, by which codes that are 2 modulo 3 are rarer than their
+    neighbours (`code.narrow`).
 
     Parameters
     ----------
@@ -129,27 +107,27 @@ def sent_codes(seed: int, lasers: int, step: float) -> U1:
     fine = (np.arange(100 * CODE_PARTS + 1) + 0.5) / CODE_PARTS
     whole = np.floor(fine + 0.5).astype(np.int64)
     out = np.tile(whole.astype(np.uint8), (lasers, 1))
-    low, high = _NARROW
+    coarse = law("code.coarse_from")
+    low, high = span("code.narrow")
     narrow = low * power(high / low, float(uniform(seed, Purpose.REFLECTIVITY, 0, 1, 2 + 2 * lasers)[0]))
     for laser in range(lasers if step > 1.0 else 0):
         drawn = iter(uniform(seed, Purpose.REFLECTIVITY, 0, 64, 2 + laser).tolist())
         of_code = uniform(seed, Purpose.REFLECTIVITY, 0, 101, 2 + lasers + laser)
-        at = _COARSE + next(drawn)  # from about this code, each laser leaves out different codes
-        sent = [*range(int(_COARSE))]
+        at = coarse + next(drawn)  # from about this code, each laser leaves out different codes
+        sent = [*range(int(coarse))]
         stop = slope = 0.0
         while at < 100.0:
             if at >= stop:
-                (short, long) = _SEGMENT
-                (low, high) = _SLOPES
+                short, long = span("code.segment")
+                low, high = span("code.spacing")
+                mean = 1.0 + (step - 1.0) * (at - coarse) / (law("code.step_at") - coarse)
                 stop = at + short + (long - short) * next(drawn)
-                slope = (1.0 + (step - 1.0) * (at - _COARSE) / (_TOP - _COARSE)) * (
-                    low + (high - low) * next(drawn)
-                )
+                slope = mean * (low + (high - low) * next(drawn))
             code = math.floor(at)
-            sent.append(code + (code % 3 == 2 and of_code[code] < _MISSED * narrow))
+            sent.append(code + (code % 3 == 2 and of_code[code] < law("code.narrow_missed") * narrow))
             at += max(slope, 1.0)
-        own = np.array([*sent, 100])
-        nearest = own[np.abs(np.arange(101)[:, None] - own).argmin(axis=1)]
+        kept = np.array([*sent, 100])
+        nearest = kept[np.abs(np.arange(101)[:, None] - kept).argmin(axis=1)]
         away = fine - whole
         edge = 0.5 - np.floor(0.5 * narrow * CODE_PARTS + of_code[whole]) / CODE_PARTS
         moved = whole + np.sign(away).astype(np.int64) * ((whole % 3 == 2) & (np.abs(away) > edge))
@@ -161,19 +139,24 @@ def sent_codes(seed: int, lasers: int, step: float) -> U1:
 def range_beat_m(seed: int, amplitude_m: float, phase_deg: float | None) -> F8:
     """Return the range error by (24 sequence + laser) mod 5, (5,) m.
 
-    It is a sine and its first overtone: the overtone's phase is 78 to 98 deg more than twice the phase of the
-    sine on four units, with 0.17 to 0.36 of its amplitude. A clock of the receiver that beats with the pulses
-    would explain it.
+    It is a sine and its first overtone.
 
     Parameters
     ----------
     phase_deg : phase of a unit with exactly this amplitude; None to draw both
     """
-    one, two, three = uniform(seed, Purpose.RANGE_BEAT, 0, 3)
-    own_m = amplitude_m * (0.62 + 0.62 * one) if phase_deg is None else amplitude_m
-    overtone = 0.17 + 0.19 * three if phase_deg is None else 0.25
-    angle = 2.0 * math.pi * (np.arange(5) / 5.0 + (two if phase_deg is None else phase_deg / 360.0))
-    return np.asarray(own_m * (cos(angle) + overtone * cos(2.0 * angle + _OVERTONE_RAD)))
+    size, phase, overtone = uniform(seed, Purpose.RANGE_BEAT, 0, 3)
+    least, most = span("range.beat")
+    first_share, width = span("range.overtone")
+    share = first_share + width * overtone
+    if phase_deg is None:
+        amplitude_m = amplitude_m * (least + (most - least) * size)
+    else:
+        share = 0.25
+        phase = phase_deg / 360.0
+    angle = 2.0 * math.pi * (np.arange(5) / 5.0 + phase)
+    overtone_rad = math.radians(law("range.overtone_deg"))
+    return np.asarray(amplitude_m * (cos(angle) + share * cos(2.0 * angle + overtone_rad)))
 
 
 @inline_kernel
@@ -198,15 +181,14 @@ def range_sigma_m(constants: DetectorConstants, reflectance: float, amplitude: f
     )
 
 
-REFLECTIVITY_TAIL = 0.1
-"""Share of the cube: changes of reflectivity between revolutions match a kurtosis of 6.6. Range noise is
-Gaussian: residuals over 15 pulses have a kurtosis of 2.62 to 2.68 on four real units, and 2.58 with our beat
-and smooth surfaces, 2.65 with relief."""
+REFLECTIVITY_TAIL = law("code.tail")
 
 
 @inline_kernel
 def heavier(z: float, tail: float) -> float:
-    """Return a number of the same variance with heavy tails, from a normal number: the share `tail` of its cube is added.
+    """Return a number of the same variance with heavy tails, from a normal number.
+
+    The share `tail` of its cube is added.
 
     The fourth moment of a normal number is 3, and the sixth is 15.
     """

@@ -37,7 +37,10 @@ def fog_extinction_per_m(visibility_m: float) -> float:
 
 
 def rain_extinction_per_m(rain_mm_h: float) -> float:
-    """Return the extinction of rain: 1.076 R**0.67 dB/km, for all wavelengths (Carbonneau and Wisely, Proc. SPIE 3491, 1998)."""
+    """Return the extinction of rain.
+
+    It is 1.076 R**0.67 dB/km, for all wavelengths (Carbonneau and Wisely, Proc. SPIE 3491, 1998).
+    """
     return 1.076 * power(rain_mm_h, 0.67) * _LN10 / 10.0 / 1000.0
 
 

@@ -5,6 +5,7 @@ from typing import TypeVar
 
 from vlp16emu.elementary import power
 from vlp16emu.random import Purpose, normal, uniform
+from vlp16emu.sensor.laws import law
 from vlp16emu.sensor.settings import Lidar
 
 _POWERED_S = 60.0, 6 * 3600.0
@@ -13,12 +14,6 @@ power-up)."""
 _STEADY = {"powered_for_s": 0.0, "start_azimuth_deg": 0.1, "clock_error_ppm": 0.0}
 """State of a unit with `preset = "steady"`: power-up is the start of the run, and the first revolution is
 complete."""
-_CLOCK_PPM = 0.6
-_OFF_SHARE = 0.15
-_FAR_OFF_PPM = 20.0
-"""Rate of the stamp clock relative to the firing clock: 0.27, -0.90, 0.39, -0.6 ppm on mrpt, einride, nebula
-and the unit of 2014. On other units up to 140 ppm; no stamp clock is more than 20 ppm off the host's clock,
-so their firing clock is off, which has no error here. Assumption: every seventh unit is one of these."""
 _VENDOR = "607688"
 _SERIES = ("10", "38")
 """First bytes of MAC addresses: vendor, and units from before and after 2017."""
@@ -31,15 +26,16 @@ def powered_up(section: _Section, seed: int) -> _Section:
 
     Keys that are not set are random with `unit`, fixed with `steady`.
     """
-    own = uniform(seed, Purpose.POWER_UP, 0, 4).tolist()
+    draws = uniform(seed, Purpose.POWER_UP, 0, 4).tolist()
     low_s, high_s = _POWERED_S
-    off = own[2] < _OFF_SHARE
+    if draws[2] < law("clock.off_share"):
+        error_ppm = law("clock.most_off_ppm") * draws[3]
+    else:
+        error_ppm = law("clock.spread_ppm") * float(normal(seed, Purpose.POWER_UP, 0, 1, 1)[0])
     drawn = {
-        "powered_for_s": round(low_s * power(high_s / low_s, own[0]), 9),
-        "start_azimuth_deg": 360.0 * own[1],
-        "clock_error_ppm": _FAR_OFF_PPM * own[3]
-        if off
-        else _CLOCK_PPM * float(normal(seed, Purpose.POWER_UP, 0, 1, 1)[0]),
+        "powered_for_s": round(low_s * power(high_s / low_s, draws[0]), 9),
+        "start_azimuth_deg": 360.0 * draws[1],
+        "clock_error_ppm": error_ppm,
     }
     values = _STEADY if section.preset == "steady" else drawn
     return section.model_copy(
@@ -63,6 +59,6 @@ def counters_of(section: Lidar, seed: int, number: int) -> Counters:
     """
     if section.preset == "steady":
         return Counters(bytes.fromhex(f"{_VENDOR}{_SERIES[1]}{number + 1:04x}"), 0, 0.0)
-    series, own, identification, phase = uniform(seed, Purpose.POWER_UP, 0, 4, 2).tolist()
-    mac = f"{_VENDOR}{_SERIES[int(series < 0.7)]}{int(own * 2**16):04x}"
+    series, mac_draw, identification, phase = uniform(seed, Purpose.POWER_UP, 0, 4, 2).tolist()
+    mac = f"{_VENDOR}{_SERIES[int(series < 0.7)]}{int(mac_draw * 2**16):04x}"
     return Counters(bytes.fromhex(mac), int(identification * 2**16), phase)

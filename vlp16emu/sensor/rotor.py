@@ -1,4 +1,7 @@
-"""Spinning head: its true angle over time, its encoder readings, and the sensor's clock."""
+"""Spinning head: its true angle over time, its encoder readings, and the sensor's clock.
+
+Sources of the measured constants: the laws `encoder` and `motor` of `laws.toml`.
+"""
 
 import math
 from collections.abc import Sequence
@@ -10,42 +13,20 @@ import numpy as np
 from vlp16emu.elementary import cos
 from vlp16emu.kernels.compiler import array_kernel, kernel
 from vlp16emu.random import Purpose, normal, uniform
+from vlp16emu.sensor.laws import law, span
 from vlp16emu.sensor.settings import Lidar
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import F8, I8
 from vlp16emu.units import HOUR_NS, S_NS
 
-_TICK_NS = 1_200
-_LATEST_TICK_NS = (500, 300)
-"""Period of the clock that samples the encoder, and its phase in the stamp: on mrpt, einride and nebula, and
-on the unit of
-2014. A block has 92.16 ticks, which gives a spectral line at 0.16 cycles per block."""
+_TICK_NS = int(law("encoder.tick_ns"))
+_TICK_PHASE_NS = span("encoder.tick_phase_ns")
 _CDEG_PER_LASER = 6.0 * 2.304e-4  # hundredths of a degree in 2.304 us, the period of a firing, at 1 rpm
-_SPEEDS_CDEG = np.array([0.25, 0.375, 0.5, 0.625, 1.0, 1.25, 2.0, 2.5, 4.0])
-"""Speeds of the reading between two encoder lines, in hundredths of a degree per 2.304 us: 3/8 and 1/2 at 300
-rpm, 5/8 and 1 at 500 and 600 rpm, 5/4 and 2 at 1200 rpm on real units; the first and the last are
-assumptions."""
-_LAG = 0.945
-_LEAD = 1.17
-_LEADS_FROM_RPM = 750.0
-"""Mean speed of the reading between two lines over the true speed. Shares of the faster speed are 0.15, 0.06
-and 0.43 at 300, 500 and 600 rpm, and
-0.93 at 1200 rpm, where the reading waits at the last code of a line. The speed at which the lag changes to a
-lead is an assumption."""
+_SPEEDS_CDEG = np.array(span("encoder.speeds_cdeg"))
 _RATE_ERROR = 0.2464  # deficit of 5/8 of a hundredth of a degree in 2.304 us relative to 600 rpm
-_SLOW_SHARES = (0.91, 0.64, 0.245, 0.455)
-_SHARE_SPREAD = 0.8
-"""Share of readings at the lower speed after each of four consecutive lines, at 600 rpm: 0.90 to 0.98, 0.52
-to 0.76, 0.15 to 0.29 and 0.38 to 0.52
-on four real units; and the width of its draw over share times (1 - share). The variance of steps is 0.52 to
-0.57 on these units, of
-which 0.538 and 0.562 are the best measured; these shares have 0.51 to 0.59."""
+_SLOW_SHARES = span("encoder.slow_shares")
 _SLOW = sum(_SLOW_SHARES) / len(_SLOW_SHARES)
-_MOST_SIGMAS = 1.9  # limit of the error of the mean speed: 0.93 rpm on the slowest of four real units, mrpt
 _HALF_WIDTH = math.sqrt(3.0)  # half-width of a uniform distribution, in standard deviations
-_PITCH_DEG = 0.05
-"""Spacing of the lines on real units: codes modulo five repeat (protocol/README.md, "The character of a
-unit")."""
 _LINE_GAP_DEG = 1e-5  # least distance of a reading from the next line
 _KNOT_BITS = 20  # a swing is linear between multiples of 2**20 ns, 1 ms
 PULL = 0.05  # relative change of the speed while the rotor is pulled into its phase (assumption)
@@ -99,11 +80,9 @@ class Swing:
     def sample(
         cls, seed: int, error_rpm: float, wander_rpm: float, *, is_exact: bool = False
     ) -> "tuple[Swing, ...]":
-        """Sample the swings of one unit at 600 rpm: one of the mean speed over minutes, two within seconds, and one within a turn.
+        """Sample the swings of one unit at 600 rpm.
 
-        One unit (einride) deviated by 0.04 deg from constant speed within half a second, others by 0.02.
-        Between 6.5 and 20 cycles per turn the errors of mrpt, einride, nebula and the unit of 2014 are 0.37,
-        0.39, 0.76 and 0.37 cdeg (RMS); the reading alone has 0.2. Their lines are at 7 to 13 cycles.
+        They are one of the mean speed over minutes, two within seconds, and one within a turn.
 
         Parameters
         ----------
@@ -111,15 +90,29 @@ class Swing:
             sigma
         """
         draws = uniform(seed, Purpose.MOTOR_SPEED, 0, 11)
-        within_s = 0.1 / (6.5 + 7.5 * draws[8])
-        fast_deg_per_rpm = 0.045 + 0.075 * draws[9] * draws[9]
-        sigmas = np.clip(normal(seed, Purpose.MOTOR_SPEED, 0, 1, 1), -_MOST_SIGMAS, _MOST_SIGMAS)
-        sigma, phase_rad = (1.0, 0.0) if is_exact else (float(sigmas[0]), (draws[1] - 0.5) * 0.5)
+        most = law("motor.most_sigmas")
+        sigmas = np.clip(normal(seed, Purpose.MOTOR_SPEED, 0, 1, 1), -most, most)
+        sigma = 1.0 if is_exact else float(sigmas[0])
+        phase_rad = 0.0 if is_exact else (draws[1] - 0.5) * 0.5
+        shortest_s, longest_s = span("motor.drift_s")
+        short_s, long_s, shorter_s, longer_s = span("motor.wander_s")
+        few, many = span("motor.ripple_per_turn")
+        least, greatest = span("motor.ripple_deg_per_rpm")
+        ripple_s = 0.1 / (few + (many - few) * draws[8])
+        ripple_deg_per_rpm = least + (greatest - least) * draws[9] * draws[9]
         wanted = (
-            (error_rpm * sigma, 60.0 + 120.0 * draws[0], phase_rad),
-            (wander_rpm * 2.0 * draws[2], 0.3 + 0.5 * draws[3], 2.0 * math.pi * draws[4]),
-            (wander_rpm * 2.0 * draws[5], 0.9 + 2.0 * draws[6], 2.0 * math.pi * draws[7]),
-            (wander_rpm * fast_deg_per_rpm * math.pi / (3.0 * within_s), within_s, 2.0 * math.pi * draws[10]),
+            (error_rpm * sigma, shortest_s + (longest_s - shortest_s) * draws[0], phase_rad),
+            (wander_rpm * 2.0 * draws[2], short_s + (long_s - short_s) * draws[3], 2.0 * math.pi * draws[4]),
+            (
+                wander_rpm * 2.0 * draws[5],
+                shorter_s + (longer_s - shorter_s) * draws[6],
+                2.0 * math.pi * draws[7],
+            ),
+            (
+                wander_rpm * ripple_deg_per_rpm * math.pi / (3.0 * ripple_s),
+                ripple_s,
+                2.0 * math.pi * draws[10],
+            ),
         )
         return tuple(
             cls(rpm / 600.0 * period_s * S_NS / (2.0 * math.pi), period_s * S_NS, float(at_start_rad))
@@ -141,7 +134,7 @@ class Encoder:
     once: Sine = (0.0, 0.0)  # error once per revolution; it crosses zero upwards at the angle of its phase
     twice: Sine = (0.0, 0.0)  # error twice per revolution
     hum_deg: float = 0.0  # half the height of the sawtooth from sampling at ticks of a clock, at 600 rpm
-    tick_ns: int = _LATEST_TICK_NS[0]  # phase of this clock in the sensor's stamp
+    tick_ns: int = int(_TICK_PHASE_NS[0])  # phase of this clock in the sensor's stamp
     noise_deg: float = 0.0  # white error of each reading, one sigma; with lines at 600 rpm. 0 switches it off
     noise_limit_deg: float = math.inf  # limit of the white error of an encoder without lines
     pitch_deg: float = 0.0  # spacing of the lines; 0 for an encoder without lines
@@ -155,10 +148,11 @@ class Encoder:
     def of_unit(cls, section: Lidar, seed: int) -> Self:
         """Sample the encoder of one unit; with `rotation_spread` also its unit-to-unit deviations."""
         spread = section.rotation_spread
-        own = uniform(seed, Purpose.AZIMUTH_PATTERN, 0, 12)
+        draws = uniform(seed, Purpose.AZIMUTH_PATTERN, 0, 12)
         shares = np.array(_SLOW_SHARES)
-        factor = 1.0 + spread * (2.0 * own[:3] - 1.0)
-        turned_deg = 360.0 * own[3:6] * (spread > 0.0)
+        width = spread * law("encoder.slow_share_spread")
+        factor = 1.0 + spread * (2.0 * draws[:3] - 1.0)
+        turned_deg = 360.0 * draws[3:6] * (spread > 0.0)
         return cls(
             seed=seed,
             once=(
@@ -167,15 +161,13 @@ class Encoder:
             ),
             twice=(section.twice_per_turn_deg * factor[1], turned_deg[1]),
             hum_deg=section.hum_deg * (1.0 + 0.1 * (factor[2] - 1.0)),
-            tick_ns=_LATEST_TICK_NS[int(spread > 0.0 and own[5] < 0.2)],
+            tick_ns=int(_TICK_PHASE_NS[int(spread > 0.0 and draws[5] < 0.2)]),
             noise_deg=section.azimuth_noise_deg,
             noise_limit_deg=0.1,  # so that readings of an encoder without lines never go back (assumption)
-            pitch_deg=_PITCH_DEG * (section.preset == "unit"),
+            pitch_deg=law("encoder.pitch_deg") * (section.preset == "unit"),
             rate_error=section.encoder_rate_error,
-            first_deg=math.floor(20.0 * own[6]) / 100,
-            slow_shares=(
-                shares + spread * _SHARE_SPREAD * shares * (1.0 - shares) * (own[8:] - 0.5)
-            ).tolist(),
+            first_deg=math.floor(20.0 * draws[6]) / 100,
+            slow_shares=(shares + width * shares * (1.0 - shares) * (draws[8:] - 0.5)).tolist(),
         )
 
     def read(self, angle_deg: F8, first: int, clock_ns: I8, rpm: F8 | float) -> F8:
@@ -219,9 +211,13 @@ class Encoder:
 
 
 def _speeds(rpm: F8) -> tuple[F8, F8, F8]:
-    """Return the two speeds of a reading between lines over the true speed, and the share of the slower; all in the shape of `rpm`."""
+    """Return the two speeds of a reading between lines over the true speed, and the share of the slower.
+
+    All have the shape of `rpm`.
+    """
     true_cdeg = _CDEG_PER_LASER * np.maximum(np.abs(rpm), 1.0)
-    mean_cdeg = true_cdeg * np.where(np.abs(rpm) < _LEADS_FROM_RPM, _LAG, _LEAD)
+    factor = np.where(np.abs(rpm) < law("encoder.leads_from_rpm"), law("encoder.lag"), law("encoder.lead"))
+    mean_cdeg = true_cdeg * factor
     faster = np.clip(np.searchsorted(_SPEEDS_CDEG, mean_cdeg), 1, len(_SPEEDS_CDEG) - 1)
     low, high = _SPEEDS_CDEG[faster - 1], _SPEEDS_CDEG[faster]
     return low / true_cdeg, high / true_cdeg, np.clip((high - mean_cdeg) / (high - low), 0.0, 1.0)
@@ -249,7 +245,10 @@ class Rotor:
         return self.spins[0].rpm
 
     def angle_deg(self, elapsed_ns: I8) -> F8:
-        """Return true angles, [0, 360), at times since the start, any shape; exact after any number of hours."""
+        """Return true angles, [0, 360), at times since the start, any shape.
+
+        They are exact after any number of hours.
+        """
         flat_ns = elapsed_ns.reshape(-1)
         if self.drift and self.locks_ns:
             flat_ns = swung_ns(self.swings, flat_ns) + self._drift_ns(self.drift, flat_ns)
@@ -260,15 +259,18 @@ class Rotor:
         else:
             out = np.empty(len(flat_ns))
             begins_ns = np.array([spin.from_ns for spin in self.spins[1:]])
-            of = np.searchsorted(begins_ns, flat_ns, side="right")
-            for number in np.unique(of).tolist():
-                out[of == number] = self.spins[number].at(flat_ns[of == number])
+            spin_of = np.searchsorted(begins_ns, flat_ns, side="right")
+            for number in np.unique(spin_of).tolist():
+                out[spin_of == number] = self.spins[number].at(flat_ns[spin_of == number])
         for wobble in self.wobbles:
             out = (out + wobble.ahead_deg(flat_ns)) % 360.0
         return out.reshape(elapsed_ns.shape)
 
     def _drift_ns(self, drift: Swing, elapsed_ns: I8) -> I8:
-        """Return by how much (n,) the error of the mean speed has put the motor ahead: a lock pulls it to 0, where it begins again."""
+        """Return by how much (n,) the error of the mean speed has put the motor ahead.
+
+        A lock pulls it to 0, where it begins again.
+        """
 
         def ahead_ns(times_ns: I8) -> I8:
             return swung_ns((drift,), times_ns) - times_ns
@@ -296,8 +298,10 @@ class Rotor:
         """
         rpm: F8 | float = self.spins[0].rpm
         if len(self.spins) > 1:
-            of = np.searchsorted([spin.from_ns for spin in self.spins[1:]], elapsed_ns, side="right")
-            begin_ns, begin_rpm, per_s = np.array([(s.from_ns, s.rpm, s.rpm_per_s) for s in self.spins])[of].T
+            spin_of = np.searchsorted([spin.from_ns for spin in self.spins[1:]], elapsed_ns, side="right")
+            begin_ns, begin_rpm, per_s = np.array([(s.from_ns, s.rpm, s.rpm_per_s) for s in self.spins])[
+                spin_of
+            ].T
             rpm = begin_rpm + per_s * (elapsed_ns - begin_ns) / S_NS
         return self.encoder.read(angle_deg, first, clock_ns, rpm)
 
@@ -321,7 +325,10 @@ class Rotor:
 
 
 def swung_ns(swings: Sequence[Swing], elapsed_ns: I8) -> I8:
-    """Return times (n,) at which a motor of constant speed has the angle that a motor with swings has at times (n,)."""
+    """Return times at which a motor of constant speed has the angles of one with swings.
+
+    Times are (n,).
+    """
     if not swings:
         return elapsed_ns
     return _swung(elapsed_ns, *np.array([(s.amplitude_ns, s.period_ns, s.phase_rad) for s in swings]).T)
@@ -329,7 +336,10 @@ def swung_ns(swings: Sequence[Swing], elapsed_ns: I8) -> I8:
 
 @kernel
 def _turn(elapsed_ns: I8, span_ns: int, deg_per_ns: float, start_deg: float, out: F8) -> None:
-    """Fill angles (n,); the remainder is exact, as with `%`, because whole turns and their differences are exact."""
+    """Fill angles (n,).
+
+    The remainder is exact, as with `%`, because whole turns and their differences are exact.
+    """
     for i in range(out.shape[0]):
         angle_deg = start_deg + (elapsed_ns[i] % span_ns) * deg_per_ns
         angle_deg -= 360.0 * math.floor(angle_deg / 360.0)
@@ -381,7 +391,10 @@ class ClockSpan:
     )
 
     def reading(self, t_ns: I8) -> I8:
-        """Return nanoseconds past the counter's hour at UTC instants of any shape; the first reading before the span."""
+        """Return nanoseconds past the counter's hour at UTC instants of any shape.
+
+        Before the span it is the first reading.
+        """
         if self.reading_ns is None:
             if not self.error_ppm:
                 return np.asarray(t_ns % HOUR_NS)
@@ -412,7 +425,7 @@ class Clock:
         if len(self.spans) == 1:
             return self.spans[0].reading(t_ns)
         out = np.empty(t_ns.shape, np.int64)
-        of = np.searchsorted([span.from_ns for span in self.spans[1:]], t_ns, side="right")
-        for number in np.unique(of).tolist():
-            out[of == number] = self.spans[number].reading(t_ns[of == number])
+        span_of = np.searchsorted([span.from_ns for span in self.spans[1:]], t_ns, side="right")
+        for number in np.unique(span_of).tolist():
+            out[span_of == number] = self.spans[number].reading(t_ns[span_of == number])
         return out

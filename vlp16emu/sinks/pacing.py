@@ -101,7 +101,7 @@ class FellBehind:
 
 _CLOSEST = 0.94
 """Share of the sensor's spacing that packets of a unit and kind keep on average while they catch up. The
-shortest interval of a real sensor in 293 packets is 1 246 of 1 327 us: mrpt_vlp16_gps.pcap."""
+shortest interval of a real sensor in 293 packets is 1 246 of 1 327 us: unit A of protocol/README.md."""
 _JITTER_NS = 10_000_000
 """Lateness of single packets that does not delay later ones: two or three time slices of 3 to 4 ms that Linux
 gives to other threads before ours. After such a late wake-up several packets are sent at once, at most 8."""

@@ -6,7 +6,9 @@ import trimesh
 from forest.kit import areas_m2, corners, section_m2
 from scipy.spatial import ConvexHull
 
-from vlp16emu.forest.stand.floor_shapes import FLOOR_VARIANTS, FloorKey, FloorKind, floor_meshes
+from vlp16emu.forest.stand.floor_shapes import FLOOR_VARIANTS, FloorKey, FloorKind, floor, floor_meshes
+from vlp16emu.forest.stand.scatter import _LAYERS
+from vlp16emu.types import PlantPart, Semantic
 
 KEYS = [FloorKey(kind, variant) for kind in FloorKind for variant in (0, 5)]
 KEYS += [FloorKey(FloorKind.STONE, variant, large=True) for variant in (0, 5)]
@@ -102,3 +104,16 @@ def test_variants_differ_and_depend_on_the_seed_alone():
         forms = {bytes_of(8, kind, variant) for variant in range(FLOOR_VARIANTS)}
         assert len(forms | {bytes_of(9, kind, 0)}) == FLOOR_VARIANTS + 1 == 7, kind
         assert bytes_of(8, kind, 2) == bytes_of(8, kind, 2), kind
+
+
+def test_every_kind_and_layer_is_a_row_with_a_source():
+    """`floor.toml` has a row for each kind, with labels that exist, and one for each layer; each says its source."""
+    rows = floor()
+    assert list(rows) == ["shapes", "layers"]
+    assert set(rows["shapes"]) == {kind.value for kind in FloorKind}
+    assert set(rows["layers"]) == {name for name, _ in _LAYERS.values()}
+    assert all(row["source"] for section in rows.values() for row in section.values())
+    for row in rows["shapes"].values():
+        assert row["semantic"] in Semantic.__members__
+        assert row["part"] in PlantPart.__members__
+        assert 0.0 < row["reflectance"] < 1.0

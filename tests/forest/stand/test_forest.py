@@ -12,7 +12,7 @@ from vlp16emu.foliage.polyline import distance_m
 from vlp16emu.forest.make import ForestSite
 from vlp16emu.forest.plants.prototypes import CROWN_PARTS
 from vlp16emu.forest.settings import SpeciesShare
-from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS, FloorKey
+from vlp16emu.forest.stand.floor_shapes import FloorKey, is_ground
 from vlp16emu.forest.stand.stand import REGENERATION
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.types import PlantPart, Semantic
@@ -133,7 +133,7 @@ def test_trees_have_numbers_of_their_own_and_a_window_holds_all_in_reach(forest,
 
 
 def is_low(key):
-    return isinstance(key, FloorKey) and key.kind in GROUND_KINDS
+    return isinstance(key, FloorKey) and is_ground(key.kind)
 
 
 def test_everything_has_one_number_and_its_own_class(full_forest, track_m):

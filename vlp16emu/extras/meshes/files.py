@@ -70,7 +70,9 @@ def load_mesh(path: Path, *, unit: LengthUnit, up: UpAxis) -> UserMesh:
     """
     parts = [(name, *_without_empty_faces(f"{path}: {name}", *part)) for name, part in _parts(path)]
     scale = _UNIT_M[unit]
-    z_up = [(name, _turned(vertices, up) * scale, faces, dropped) for name, vertices, faces, dropped in parts]
+    z_up = [
+        (name, _to_z_up(vertices, up) * scale, faces, dropped) for name, vertices, faces, dropped in parts
+    ]
     corners = np.array([end for _, v, f, _ in z_up for end in (v[f].min(axis=(0, 1)), v[f].max(axis=(0, 1)))])
     low, high = corners.min(axis=0), corners.max(axis=0)
     _check_size(path, high - low, unit)
@@ -164,7 +166,7 @@ def _without_empty_faces(where: str, vertices: F8, faces: Faces) -> tuple[F8, Fa
     return vertices[used], kept.reshape(-1, 3), int((~solid).sum())
 
 
-def _turned(vertices: F8, up: UpAxis) -> F8:
+def _to_z_up(vertices: F8, up: UpAxis) -> F8:
     return vertices if up == "z" else np.column_stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]])
 
 
@@ -173,8 +175,10 @@ def _check_size(path: Path, extent_m: F8, unit: LengthUnit) -> None:
     if extent_m[2] <= _TALLEST_M and _SMALLEST_M <= extent_m.max() <= _WIDEST_M:
         return
     size = " x ".join(f"{length:.3g}" for length in extent_m)
-    own = extent_m.max() / _UNIT_M[unit]
-    likely = [other for other, factor in _UNIT_M.items() if 0.1 <= own * factor <= 100 and other != unit]
+    size_of_file = extent_m.max() / _UNIT_M[unit]
+    likely = [
+        other for other, factor in _UNIT_M.items() if 0.1 <= size_of_file * factor <= 100 and other != unit
+    ]
     hint = f" (perhaps its unit is {' or '.join(likely)})" if likely else ""
     expected = (
         f"at most {_TALLEST_M:g} m tall and {_WIDEST_M:g} m wide, at least {_SMALLEST_M * 1000:g} mm{hint}"

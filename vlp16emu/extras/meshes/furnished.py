@@ -33,13 +33,16 @@ _log = logging.getLogger(__name__)
 
 
 def surfaces_of(section: MeshFile, mesh: UserMesh) -> NDArray[np.void]:
-    """Return `SURFACE` (parts,) of a mesh, with material and instance 0; GeometryError for a part that it does not have."""
+    """Return `SURFACE` (parts,) of a mesh, with material and instance 0.
+
+    Raises GeometryError for a part that it does not have.
+    """
     names = [name for name, _ in mesh.parts]
-    own = {part.name: part for part in section.parts}
-    for name in own.keys() - set(names):
+    settings_of = {part.name: part for part in section.parts}
+    for name in settings_of.keys() - set(names):
         raise GeometryError(f"{mesh.path}: parts", f"found {name!r}", f"one of {', '.join(names)}")
     surfaces = np.zeros(len(names), SURFACE)
-    for row, part in zip(surfaces, (own.get(name, section) for name in names), strict=True):
+    for row, part in zip(surfaces, (settings_of.get(name, section) for name in names), strict=True):
         brightness = part.brightness
         row["reflectance"] = section.brightness if brightness is None else brightness
         row["roughness"] = part.roughness or section.roughness or 0.0
@@ -118,7 +121,7 @@ class Furnished:
                 self.names |= {first + i: f"{thing} {where}" for i, thing in enumerate(things)}
                 self._keys.append(key)
                 self._rows.append(rows)
-                placed.append(_placed(place, mesh, world.height_m))
+                placed.append(_world_T_mesh(place, mesh, world.height_m))
                 radius_m.append(place.scale * mesh.radius_m)
             materials += labels
         self.materials = tuple(materials)
@@ -133,10 +136,13 @@ class Furnished:
             else np.zeros(0)
         )
         for key in self._mesh_of:
-            nearest_m = min(gap for gap, own in zip(gap_m.tolist(), self._keys, strict=True) if own == key)
+            nearest_m = min(
+                gap for gap, mesh_key in zip(gap_m.tolist(), self._keys, strict=True) if mesh_key == key
+            )
             if nearest_m > self._reach_m:
                 _log.warning(
-                    "%s: not in sight, %.1f m from the path at the nearest; expected a place %g m from it at most"
+                    "%s: not in sight, %.1f m from the path at the nearest;"
+                    " expected a place %g m from it at most"
                     " (map coordinates must have origin_m taken off)",
                     *(key.path, nearest_m, self._reach_m),
                 )
@@ -173,7 +179,7 @@ class Furnished:
         return self.bare.shape(key)
 
 
-def _placed(place: MeshPlace, mesh: UserMesh, height_m: HeightField) -> F8:
+def _world_T_mesh(place: MeshPlace, mesh: UserMesh, height_m: HeightField) -> F8:
     z_m = place.z_m
     if z_m is None:
         z_m = place.above_ground_m + float(height_m(np.array([place.x_m]), np.array([place.y_m]))[0])

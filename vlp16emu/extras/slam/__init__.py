@@ -1,1 +1,1 @@
-"""Configurations of SLAM programs for bags of a VLP-16, and a check of a bag against the needs of a program."""
+"""Configurations of SLAM programs for bags of a VLP-16, and a check of bags for a program."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import CaptureError, MissingExtraError
-from vlp16emu.extras.slam.configure import Program, chosen, pose_names
+from vlp16emu.extras.slam.configure import Program, pose_names, programs_named
 from vlp16emu.types import F8
 from vlp16emu.units import S_NS
 
@@ -96,7 +96,7 @@ def read_facts(path: Path) -> Facts:
             ):
                 where = f"{path}, {connection.topic}"
                 read[connection.topic](facts, reader.deserialize(raw, connection.msgtype), start_s)
-    except Exception as error:  # noqa: BLE001  # rosbags raises errors of any type for damaged bags and messages
+    except Exception as error:  # noqa: BLE001  # rosbags raises errors of any type for damage
         reason = str(error) or type(error).__name__
         raise CaptureError(where, f"no bag: {reason}", "a bag: .mcap, .bag or a folder of ROS 2") from None
     if not facts.clouds:
@@ -107,7 +107,7 @@ def read_facts(path: Path) -> Facts:
 
 def _topic(reader: Any, kind: str, ours: str) -> str:
     """Return the topic of a type that ends with `ours`, else the first; empty if there is none."""
-    names = [one.topic for one in reader.connections if one.msgtype == kind]
+    names = [connection.topic for connection in reader.connections if connection.msgtype == kind]
     return next((name for name in names if name.endswith(ours)), names[0] if names else "")
 
 
@@ -127,10 +127,10 @@ def _add_sample(facts: Facts, message: Any, start_s: int) -> None:
 
 
 def _add_cloud(facts: Facts, message: Any, start_s: int) -> None:
-    names = [one.name for one in message.fields]
+    names = [number.name for number in message.fields]
     end = "><"[not message.is_bigendian]
-    kinds = [np.dtype(end + _KINDS.get(one.datatype, "u1")) for one in message.fields]
-    layout: Any = {"names": names, "formats": kinds, "offsets": [one.offset for one in message.fields]}
+    kinds = [np.dtype(end + _KINDS.get(number.datatype, "u1")) for number in message.fields]
+    layout: Any = {"names": names, "formats": kinds, "offsets": [number.offset for number in message.fields]}
     layout["itemsize"] = message.point_step
     points: NDArray[Any] = np.frombuffer(message.data, np.dtype(layout))
     facts.frame = message.header.frame_id
@@ -146,29 +146,31 @@ def _add_cloud(facts: Facts, message: Any, start_s: int) -> None:
         xyz = xyz[~holes]
         ring = points["ring"][~holes]
         sine = xyz[:, 2] / np.maximum(np.linalg.norm(xyz, axis=1), 1e-9)
-        for one in np.unique(ring).tolist():
-            total = facts.rings.setdefault(int(one), [0.0, 0.0])
-            total[0] += float(sine[ring == one].sum())
-            total[1] += int((ring == one).sum())
+        for number in np.unique(ring).tolist():
+            total = facts.rings.setdefault(int(number), [0.0, 0.0])
+            total[0] += float(sine[ring == number].sum())
+            total[1] += int((ring == number).sum())
 
 
 def _add_moving(facts: Facts, message: Any, _: int) -> None:
-    for one in message.transforms:
-        facts.parents.setdefault(one.child_frame_id.lstrip("/"), set()).add(one.header.frame_id.lstrip("/"))
+    for transform in message.transforms:
+        facts.parents.setdefault(transform.child_frame_id.lstrip("/"), set()).add(
+            transform.header.frame_id.lstrip("/")
+        )
 
 
 def _add_fixed(facts: Facts, message: Any, start_s: int) -> None:
     from scipy.spatial.transform import Rotation
 
     _add_moving(facts, message, start_s)
-    for one in message.transforms:
-        p = one.transform.translation
-        q = one.transform.rotation
+    for edge in message.transforms:
+        p = edge.transform.translation
+        q = edge.transform.rotation
         T = np.eye(4)
         T[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
         T[:3, 3] = (p.x, p.y, p.z)
         # A second parent gives a separate finding.
-        facts.fixed.setdefault(one.child_frame_id.lstrip("/"), (one.header.frame_id.lstrip("/"), T))
+        facts.fixed.setdefault(edge.child_frame_id.lstrip("/"), (edge.header.frame_id.lstrip("/"), T))
 
 
 def rest_s(imu: F8, rate_hz: float) -> float:
@@ -220,14 +222,14 @@ class Fitness:
 
     def of(self, program: str) -> list[Unfit]:
         """Return the findings of a program."""
-        return [one for one in self.findings if one.program == program]
+        return [finding for finding in self.findings if finding.program == program]
 
 
 class _Row(NamedTuple):
     """A row of the table of rules."""
 
     rule: str
-    broken: Callable[[Any, Program], Any]  # true if values of `_of_clouds` and others break it
+    broken: Callable[[Any, Program], Any]  # true if values of `_cloud_values` and others break it
     found: str  # format string of the finding, with names of values
 
 
@@ -238,24 +240,56 @@ ROWS = (
     _Row("no-time", lambda v, _: not v["name"], "points have no time field, only {fields}"),
     _Row("time-name", lambda v, _: v["name"] not in ("", "time"), "point times are in the field `{name}`"),
     _Row("time-type", lambda v, _: v["name"] and v["time_type"] != "float32", "point times are {time_type}"),
-    _Row("time-unit", lambda v, _: v["name"] and v["unit"] != "s", "point times are in {unit}: a sweep spans {span:g}"),
+    _Row(
+        "time-unit",
+        lambda v, _: v["name"] and v["unit"] != "s",
+        "point times are in {unit}: a sweep spans {span:g}",
+    ),
     _Row(
         "time-zero",
         lambda v, _: v["name"] and abs(v["early_s"]) > _EARLY_S,
         "point times begin {early_s:+.4g} s from the stamp instead of at 0",
     ),
-    _Row("time-last", lambda v, _: v["name"] and v["late_scans"], "in {late_scans} scans the last point is not the latest"),
+    _Row(
+        "time-last",
+        lambda v, _: v["name"] and v["late_scans"],
+        "in {late_scans} scans the last point is not the latest",
+    ),
     _Row("ring", lambda v, _: v["ring_type"] != "uint16", "`ring` is {ring_type} instead of uint16"),
     _Row("ring-order", lambda v, _: v["misordered"], "ring {misordered}"),
     _Row("beams", lambda v, _: v["rings"] not in (0, _BEAMS), "there are {rings} rings"),
     _Row("density", lambda v, _: v["sparse"], "{sparse} clouds hold NaN, or are not marked as dense"),
-    _Row("sweep", lambda v, _: abs(v["sweep_s"] / _SWEEP_S - 1) > 0.05, "a sweep takes {sweep_s:.4g} s instead of 0.1"),
+    _Row(
+        "sweep",
+        lambda v, _: abs(v["sweep_s"] / _SWEEP_S - 1) > 0.05,
+        "a sweep takes {sweep_s:.4g} s instead of 0.1",
+    ),
     _Row("cloud-gaps", lambda v, _: v["gaps"], "{gaps} gaps between scans, up to {gap_s:.3g} s"),
-    _Row("gravity-unit", lambda v, _: v["samples"] and not 8 < v["norm"] < 12, "accelerations have the median {norm:.3g} instead of 9.8"),
-    _Row("gyro-unit", lambda v, _: v["rate_95"] > 12, "angular rates reach {rate_95:.3g}, as in degrees per second"),
-    _Row("gravity-axis", lambda v, _: v["lean_deg"] > _TILT_DEG, "gravity is {lean_deg:.0f} deg off the body's vertical"),
-    _Row("imu-rate", lambda v, _: v["samples"] and abs(v["hz_imu"] / _IMU_HZ - 1) > 0.02, "the IMU has {hz_imu:.1f} samples a second"),
-    _Row("imu-slow", lambda v, _: v["samples"] and v["hz_imu"] < _SLOW_HZ * 0.98, "the IMU has {hz_imu:.1f} samples a second"),
+    _Row(
+        "gravity-unit",
+        lambda v, _: v["samples"] and not 8 < v["norm"] < 12,
+        "accelerations have the median {norm:.3g} instead of 9.8",
+    ),
+    _Row(
+        "gyro-unit",
+        lambda v, _: v["rate_95"] > 12,
+        "angular rates reach {rate_95:.3g}, as in degrees per second",
+    ),
+    _Row(
+        "gravity-axis",
+        lambda v, _: v["lean_deg"] > _TILT_DEG,
+        "gravity is {lean_deg:.0f} deg off the body's vertical",
+    ),
+    _Row(
+        "imu-rate",
+        lambda v, _: v["samples"] and abs(v["hz_imu"] / _IMU_HZ - 1) > 0.02,
+        "the IMU has {hz_imu:.1f} samples a second",
+    ),
+    _Row(
+        "imu-slow",
+        lambda v, _: v["samples"] and v["hz_imu"] < _SLOW_HZ * 0.98,
+        "the IMU has {hz_imu:.1f} samples a second",
+    ),
     _Row(
         "imu-gaps",
         lambda v, _: v["imu_gaps"] or v["imu_back"],
@@ -266,14 +300,27 @@ ROWS = (
     _Row(
         "clock",
         lambda v, _: v["samples"] and (v["inside"] < 0.5 or v["back"]),
-        "{inside:.0%} of the scans lie within the time of the IMU, which begins {offset_s:+.3f} s after them; {back} stamps go back",
+        "{inside:.0%} of the scans lie within the time of the IMU, which begins {offset_s:+.3f} s after them;"
+        " {back} stamps go back",
     ),
-    _Row("extrinsics", lambda v, _: v["apart_m"] > 1e-3 or v["turned_deg"] > 0.1, "lidar and IMU are {apart_m:.3f} m and {turned_deg:.1f} deg apart"),
+    _Row(
+        "extrinsics",
+        lambda v, _: v["apart_m"] > 1e-3 or v["turned_deg"] > 0.1,
+        "lidar and IMU are {apart_m:.3f} m and {turned_deg:.1f} deg apart",
+    ),
     _Row("frames", lambda v, _: v["tree"], "{tree}"),
-    _Row("frame-base", lambda v, _: v["root"] != "base_link", "the root of the frames is {root} instead of base_link"),
+    _Row(
+        "frame-base",
+        lambda v, _: v["root"] != "base_link",
+        "the root of the frames is {root} instead of base_link",
+    ),
     _Row("tf-map", lambda v, _: v["edge"], "/tf holds {edge}, which a SLAM program publishes too"),
-    _Row("rest", lambda v, p: v["samples"] and v["rest_s"] < p.rest_s - 0.2, "{rest_s:.1f} s of rest at the start"),
-)  # fmt: skip
+    _Row(
+        "rest",
+        lambda v, p: v["samples"] and v["rest_s"] < p.rest_s - 0.2,
+        "{rest_s:.1f} s of rest at the start",
+    ),
+)
 """Rules in the order of findings; a rule applies to the programs that have a text for it in
 `programs.toml`."""
 
@@ -283,9 +330,9 @@ def fitness(path: Path, name: str) -> Fitness:
 
     Raises InputError if there is no such program; CaptureError, MissingExtraError as in `read_facts`.
     """
-    programs = chosen(name)
+    programs = programs_named(name)
     facts = read_facts(path)
-    values = _of_clouds(facts) | _of_samples(facts) | _of_frames(facts)
+    values = _cloud_values(facts) | _imu_values(facts) | _frame_values(facts)
     keys = ("topic", "clouds", "points", "sweep_s", "imu", "samples", "hz_imu", "norm", "rest_s", "root")
     findings = tuple(
         Unfit(
@@ -298,13 +345,13 @@ def fitness(path: Path, name: str) -> Fitness:
     return Fitness({key: values[key] for key in keys}, tuple(one.name for one in programs), findings)
 
 
-def _of_clouds(facts: Facts) -> dict[str, Any]:
+def _cloud_values(facts: Facts) -> dict[str, Any]:
     stamp_s, earliest, latest, last, points, sparse = np.array(facts.clouds).T
     steps_s = np.diff(stamp_s)
     sweep_s = float(np.median(steps_s)) if len(steps_s) else _SWEEP_S
     span = float(np.median(latest - earliest))
     unit, scale, code = min(
-        _UNITS, key=lambda one: abs(math.log(max(span, 1e-12) * one[1] / max(sweep_s, 1e-6)))
+        _UNITS, key=lambda row: abs(math.log(max(span, 1e-12) * row[1] / max(sweep_s, 1e-6)))
     )
     kinds = {name: kind.name for name, kind in facts.fields.items()}
     sines = [(ring, total / n) for ring, (total, n) in sorted(facts.rings.items()) if n]
@@ -336,7 +383,7 @@ def _of_clouds(facts: Facts) -> dict[str, Any]:
     }
 
 
-def _of_samples(facts: Facts) -> dict[str, Any]:
+def _imu_values(facts: Facts) -> dict[str, Any]:
     imu = np.array(facts.samples).reshape(-1, 11)
     stamp_s = np.array([row[0] for row in facts.clouds])
     n = len(imu)
@@ -367,7 +414,7 @@ def _of_samples(facts: Facts) -> dict[str, Any]:
     }
 
 
-def _of_frames(facts: Facts) -> dict[str, Any]:
+def _frame_values(facts: Facts) -> dict[str, Any]:
     lidar = facts.frame
     unit = facts.imu_frame
     roots = [list(facts.up(frame))[-1][0] for frame in (lidar, unit) if frame]

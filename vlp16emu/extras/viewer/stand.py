@@ -1,4 +1,7 @@
-"""The stand along the path, simplified for a browser: few faces per object, and instances of repeated shapes."""
+"""The stand along the path, simplified for a browser.
+
+Few faces per object, and instances of repeated shapes.
+"""
 
 from collections import defaultdict
 from collections.abc import Iterator
@@ -49,7 +52,7 @@ def pieces_of(seen: Survey) -> Iterator[tuple[str, dict[str, Any]]]:
     window = seen.window
     colours = surface_colours(seen.window.surfaces, seen.species)
     path = Polyline(seen.path_m[:, :2])
-    near, size_m = _drawn(seen, path)
+    near, size_m = _choose_placements(seen, path)
     per_m = _FACES / max(float(size_m.sum()), 1.0)
     single = defaultdict[Rgb, list[Mesh]](list)
     shapes: list[int] = window.shape[near].tolist()
@@ -86,8 +89,11 @@ def pieces_of(seen: Survey) -> Iterator[tuple[str, dict[str, Any]]]:
         yield _piece(f"single/{count}", joined, colour, _ONE)
 
 
-def _drawn(seen: Survey, path: Polyline) -> tuple[NDArray[np.intp], F8]:
-    """Return the placements (n,) that are drawn, and the size (n,) of each in metres: 0 for tiles, whose stems are drawn separately."""
+def _choose_placements(seen: Survey, path: Polyline) -> tuple[NDArray[np.intp], F8]:
+    """Return the placements (n,) that are drawn, and the size (n,) of each in metres.
+
+    Tiles have 0, as their stems are drawn separately.
+    """
     window = seen.window
     is_tile, is_floor = (
         np.array([isinstance(key, kind) for key in window.shapes], np.bool_)[window.shape]
@@ -123,7 +129,10 @@ def _simple(mesh: Mesh, key: ShapeKey, part: PlantPart, most: int) -> Mesh:
 
 
 def slim_stem(mesh: Mesh) -> Mesh:
-    """Simplify an upright stem to few sides and rings: a vertex moves to the vertex of its sector that is nearest to a ring's height."""
+    """Simplify an upright stem to few sides and rings.
+
+    A vertex moves to the vertex of its sector that is nearest to a ring's height.
+    """
     place_m = mesh.vertices_m.astype(np.float64)
     along = (place_m[:, 2] - place_m[:, 2].min()) / max(float(np.ptp(place_m[:, 2])), 1e-6)
     axis_m = np.stack([np.polyval(np.polyfit(along, place_m[:, k], 3), along) for k in (0, 1)], axis=1)
@@ -136,7 +145,10 @@ def slim_stem(mesh: Mesh) -> Mesh:
 
 
 def lump(mesh: Mesh) -> Mesh:
-    """Simplify a small solid object to the outermost vertex of each third of its box: J. Rossignac and P. Borrel, 1993."""
+    """Simplify a small solid object to the outermost vertex of each third of its box.
+
+    J. Rossignac and P. Borrel, 1993.
+    """
     low_m = mesh.vertices_m.min(axis=0)
     size_m = np.maximum(np.ptp(mesh.vertices_m, axis=0), 1e-6)
     place = (mesh.vertices_m - low_m) / size_m
@@ -145,11 +157,14 @@ def lump(mesh: Mesh) -> Mesh:
 
 
 def _merge_clusters(mesh: Mesh, cluster: I8, cost: NDArray[np.floating]) -> Mesh:
-    """Move all vertices (n,) of a cluster to its vertex of least cost, and remove faces that then have no area."""
+    """Move all vertices (n,) of a cluster to its vertex of least cost.
+
+    Faces that then have no area are removed.
+    """
     order = np.lexsort([cost, cluster])
-    _, first, own = np.unique(cluster[order], return_index=True, return_inverse=True)
+    _, first, cluster_of = np.unique(cluster[order], return_index=True, return_inverse=True)
     at = np.empty(len(order), np.uint32)
-    at[order] = own
+    at[order] = cluster_of
     faces = at[_triangles(mesh)]
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
     _, once = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
@@ -157,7 +172,9 @@ def _merge_clusters(mesh: Mesh, cluster: I8, cost: NDArray[np.floating]) -> Mesh
 
 
 def fewer_faces(mesh: Mesh, most: int, *, grown: bool) -> Mesh:
-    """Keep `most` faces of a mesh: the largest, or with `grown` a sample that is enlarged to keep the total area.
+    """Keep `most` faces of a mesh.
+
+    They are the largest, or with `grown` a sample that is enlarged to keep the total area.
 
     R. L. Cook et al., "Stochastic simplification of aggregate detail", SIGGRAPH 2007.
     """
@@ -200,7 +217,10 @@ def _triangles(mesh: Mesh) -> U4:
 
 
 def _piece(name: str, mesh: Mesh, colour: Rgb, world_T_shape: F8) -> tuple[str, dict[str, Any]]:
-    """Return a mesh with its placements (n, 3, 4), without shear, which instances in a browser cannot have."""
+    """Return a mesh with its placements (n, 3, 4), without shear.
+
+    Instances in a browser cannot have any.
+    """
     scale = np.linalg.norm(world_T_shape[:, :, :3], axis=1)
     turn = Rotation.from_matrix(world_T_shape[:, :, :3] / scale[:, None, :])
     return name, {

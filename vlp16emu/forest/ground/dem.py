@@ -1,4 +1,6 @@
-"""Ground from a digital elevation model: ESRI ASCII grids, numpy arrays, and GeoTIFF if rasterio is installed.
+"""Ground from a digital elevation model.
+
+ESRI ASCII grids, numpy arrays, and GeoTIFF if rasterio is installed.
 
 Monotone cubics interpolate between cell centres along x, and then along y (Steffen, "A simple method for
 monotonic interpolation in one dimension", Astronomy and Astrophysics 239, 1990): the surface passes through
@@ -49,7 +51,9 @@ class Grid:
 
 
 def read_grid(path: Path, *, cell_m: float | None, corner_m: tuple[float, float] | None) -> Grid:
-    """Read a grid in the format of its suffix; cells with a non-finite value or the file's no-data value have no height.
+    """Read a grid in the format of its suffix.
+
+    Cells with a non-finite value or the file's no-data value have no height.
 
     The edge of a cell, and easting and northing of the outer corner of the south-western cell, are required
     for .npy, which does not hold them, and None for the others. Raises GeometryError if the file is not such
@@ -68,7 +72,9 @@ def read_grid(path: Path, *, cell_m: float | None, corner_m: tuple[float, float]
 
 
 def write_ascii(file: BinaryIO, height_m: HeightField, low_m: F8, high_m: F8, cell_m: float) -> None:
-    """Write ground as an ESRI ASCII grid with millimetre resolution; each height is taken at the centre of its cell.
+    """Write ground as an ESRI ASCII grid with millimetre resolution.
+
+    Each height is taken at the centre of its cell.
 
     The grid covers the rectangle from `low_m` to `high_m` (2,), with edges at whole multiples of a cell.
     """
@@ -76,8 +82,9 @@ def write_ascii(file: BinaryIO, height_m: HeightField, low_m: F8, high_m: F8, ce
     end = np.ceil(high_m / cell_m)
     columns, rows = (end - first).astype(np.int64).tolist()
     west_m, south_m = (first * cell_m).tolist()
-    head = f"ncols {columns}\nnrows {rows}\nxllcorner {west_m:.10g}\nyllcorner {south_m:.10g}\ncellsize {cell_m:g}\n"
-    file.write(head.encode())
+    size = f"ncols {columns}\nnrows {rows}\n"
+    corner = f"xllcorner {west_m:.10g}\nyllcorner {south_m:.10g}\n"
+    file.write(f"{size}{corner}cellsize {cell_m:g}\n".encode())
     x_m = (first[0] + 0.5 + np.arange(columns)) * cell_m
     for row in reversed(range(rows)):
         heights_m = height_m(x_m, np.full(columns, (first[1] + 0.5 + row) * cell_m))
@@ -100,7 +107,8 @@ def _grid(path: Path, heights_m: F8, west_m: float, north_m: float, cell_m: floa
     if len(off):
         row, column = off[0]
         found = f"found {heights_m[row, column]:g}" + f" and {len(off) - 1} more such" * (len(off) > 1)
-        expected = f"heights from {_LOWEST_M:g} to {_HIGHEST_M:g} m, NaN or the file's own number where there is none"
+        span = f"heights from {_LOWEST_M:g} to {_HIGHEST_M:g} m"
+        expected = f"{span}, NaN or the file's own number where there is none"
         raise GeometryError(f"{path}: row {row + 1}, column {column + 1}", found, expected)
     return Grid(path, heights_m, west_m, north_m, cell_m)
 
@@ -225,7 +233,9 @@ _SUPPORT_CELLS = 2 * np.sqrt(2.0)  # a height affects the surface up to two cell
 
 
 class DemHeights:
-    """Ground height from a file; beyond the grid the nearest height continues. Raises the errors of `read_grid`.
+    """Ground height from a file; beyond the grid the nearest height continues.
+
+    Raises the errors of `read_grid`.
 
     Easting, northing and height of the origin become (0, 0, 0) in the scene.
     """
@@ -258,7 +268,7 @@ class DemHeights:
         return height
 
     def has_heights(self, xy_m: F8, reach_m: float) -> NDArray[np.bool_]:
-        """Return a mask of the points (n, 2) on the grid with all heights within reach, as `check` requires."""
+        """Return a mask of the points (n, 2) on the grid with all heights within reach, as in `check`."""
         x, y = xy_m.T
         on_grid = (x >= self._west_m) & (x <= self._east_m) & (y >= self._south_m) & (y <= self._north_m)
         gap_m, _ = self._voids.query(xy_m)
@@ -274,7 +284,10 @@ class DemHeights:
         return KDTree(np.column_stack([self._west_m + column * cell_m, self._north_m - row * cell_m]))
 
     def check(self, path_xy_m: F8, reach_m: float) -> None:
-        """Raise GeometryError if a path (n, 2) leaves the grid or a cell within reach has no height; warn of edges in sight."""
+        """Raise GeometryError if a path (n, 2) leaves the grid or a cell within reach has no height.
+
+        Warn of edges in sight.
+        """
         rows, columns = self._grid.heights_m.shape
         x, y = path_xy_m.T
         sides = {
@@ -292,7 +305,8 @@ class DemHeights:
         if in_sight:
             nearest_m = min(gap_m.min() for gap_m in in_sight.values())
             _log.warning(
-                "%s: ends in %s, %.1f m from the path at the nearest, and goes on level from there; the sensor sees %g m",
+                "%s: ends in %s, %.1f m from the path at the nearest, and goes on level from there;"
+                " the sensor sees %g m",
                 *(self._grid.path, ", ".join(in_sight), nearest_m, reach_m),
             )
         row, column = np.nonzero(np.isnan(self._grid.heights_m))

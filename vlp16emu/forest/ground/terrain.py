@@ -43,7 +43,10 @@ def waves(rng: np.random.Generator, wavelengths_m: tuple[float, float], rms: flo
 
 @array_kernel
 def sum_of_waves(out: F8, x: F8, y: F8, band: F8, gradient_x: float, gradient_y: float) -> None:
-    """Fill (n,) sums of a slope and waves; each point is summed alone, wave by wave, independent of its neighbours."""
+    """Fill (n,) sums of a slope and waves.
+
+    Each point is summed alone, wave by wave, independent of its neighbours.
+    """
     for i in range(out.shape[0]):
         out[i] = gradient_x * x[i] + gradient_y * y[i]
     for j in range(band.shape[0]):
@@ -165,7 +168,9 @@ _PIT = int(Growth.PIT)
 
 
 class TerrainHeights:
-    """Ground height at any point of the plane, accurate to 1 nm up to 1e6 m from the origin; the slope has height 0 there.
+    """Ground height at any point of the plane, accurate to 1 nm up to 1e6 m from the origin.
+
+    The slope has height 0 there.
 
     Raises GeometryError for waves that are steeper than ground can be.
     """
@@ -178,7 +183,8 @@ class TerrainHeights:
         number2 = np.square(self._waves[:, 0]) + np.square(self._waves[:, 1])
         steep = math.sqrt(float((np.square(self._waves[:, 2]) * number2).sum()) / 2)
         if (steep_deg := math.degrees(atan2(steep, 1.0))) > _STEEPEST_DEG:
-            found = f"hill_rms_m = {section.hill_rms_m:g} and rough_rms_m = {section.rough_rms_m:g} slope by {steep_deg:.1f} degrees rms"
+            relief = f"hill_rms_m = {section.hill_rms_m:g} and rough_rms_m = {section.rough_rms_m:g}"
+            found = f"{relief} slope by {steep_deg:.1f} degrees rms"
             raise GeometryError(
                 "world.terrain", found, f"at most {_STEEPEST_DEG:g}: hills of 10 m, roughness of 0.4 m"
             )
@@ -215,7 +221,10 @@ def _add(
     seed_low: np.uint32,
     seed_high: np.uint32,
 ) -> None:
-    """Add to heights (n,) the mounds or pits of the squares around each point; `share` of all squares have one."""
+    """Add to heights (n,) the mounds or pits of the squares around each point.
+
+    `share` of all squares have one.
+    """
     for i in range(out.shape[0]):
         column, row = math.floor(x[i] / cell_m), math.floor(y[i] / cell_m)
         for ix in range(column - 1, column + 2):
@@ -241,7 +250,10 @@ def _add(
 
 @array_kernel
 def _pit_m(east_m: float, north_m: float, size: float, turn: float) -> float:
-    """Height of a pit and its mound for a size and a direction in [0, 1): each is (1 - (r / R)^2)^2, smooth to its rim."""
+    """Height of a pit and its mound for a size and a direction in [0, 1).
+
+    Each is (1 - (r / R)^2)^2, smooth to its rim.
+    """
     radius = (_PIT_WIDTH_M[0] + size * (_PIT_WIDTH_M[1] - _PIT_WIDTH_M[0])) / 2
     depth = _PIT_DEPTH_M[0] + size * (_PIT_DEPTH_M[1] - _PIT_DEPTH_M[0])
     east = _PIT_ASIDE * radius * cos(2 * math.pi * turn)

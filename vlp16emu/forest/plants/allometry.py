@@ -27,7 +27,10 @@ _COMPONENT_TERMS = 8  # coefficients of one component of `components` biomass
 
 
 def truncated_weibull_cm(coefficients: Coefficients, probability: F8, mean_dbh_cm: float) -> F8:
-    """Quantiles of a stand's diameters before scaling to their quadratic mean: left-truncated Weibull, Nagel and Biging (1995)."""
+    """Quantiles of a stand's diameters before scaling to their quadratic mean.
+
+    Left-truncated Weibull, Nagel and Biging (1995).
+    """
     a0, a1, c0, c1, c2 = coefficients
     scale = a0 + a1 * mean_dbh_cm
     shape = c0 + c1 * mean_dbh_cm + c2 * _LARGEST_DBH_RATIO * mean_dbh_cm
@@ -45,7 +48,9 @@ def _uniform_height_m(coefficients: Coefficients, dbh_cm: F8, mean_dbh_cm: float
 def _curtis_arney_height_m(
     coefficients: Coefficients, dbh_cm: F8, mean_dbh_cm: float, mean_height_m: float
 ) -> F8:
-    """Curtis-Arney curve (Forest Vegetation Simulator, `htdbh`; P2, P3, P4 for inches and feet), stretched to the mean tree.
+    """Curtis-Arney curve of heights, stretched to the mean tree.
+
+    Source: Forest Vegetation Simulator, `htdbh`; P2, P3 and P4 are for inches and feet.
 
     Below 3 inches, where the equation is not valid, a straight line leads to breast height.
     """
@@ -56,7 +61,9 @@ def _curtis_arney_height_m(
 
 
 def _bechtold_crown_width_m(coefficients: Coefficients, dbh_cm: F8) -> F8:
-    """Crown width of forest-grown trees, Bechtold (2003), in inches and feet; a1, a2, a3, a4, crown ratio in percent.
+    """Crown width of forest-grown trees, Bechtold (2003), in inches and feet.
+
+    Its parameters are a1, a2, a3, a4; the crown ratio is in percent.
 
     It is proportional to diameter below 5 inches and constant above 50 inches, as in the Forest Vegetation
     Simulator.
@@ -79,7 +86,9 @@ def _logistic_crown_base(
 def _component_biomass_kg(
     coefficients: Coefficients, dbh_cm: F8, height_m: F8, upper_cm: F8, base_m: F8
 ) -> F8:
-    """Sum of components a + b d^c h^d u^e s^f k^g (d h)^h; u is the diameter at 0.3 h, s the stump, k the crown base.
+    """Sum of components a + b d^c h^d u^e s^f k^g (d h)^h.
+
+    Here u is the diameter at 0.3 h, s the stump, k the crown base.
 
     A negative component, such as coarse wood of saplings, counts as 0. Source: Vonderach et al. (2018),
     10.1007/s13595-018-0728-4, coefficients of Vonderach and Kaendler (2021).
@@ -151,7 +160,10 @@ class CrownBase(Equation):
 
 
 class Biomass(Equation):
-    """Dry mass above ground from diameters in cm, heights, diameters at 0.3 of the height, and crown base heights."""
+    """Dry mass above ground.
+
+    It follows from diameters in cm, heights, diameters at 0.3 of the height, and crown base heights.
+    """
 
     known: ClassVar = {
         # b0, b1: Jenkins et al. (2003), Forest Science 49(1), table 4; b0, b1, b2: the form of Smith et al.

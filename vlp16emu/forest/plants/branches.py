@@ -38,7 +38,10 @@ def merged(*parts: Mesh) -> Mesh:
 
 @cache
 def pipe_faces(sides: int, rings: int, *, bottom: bool = True, top: bool = True) -> NDArray[np.uint32]:
-    """Triangles (read-only) of a pipe; its first vertex is the bottom's centre and its last the tip, if it has them."""
+    """Triangles (read-only) of a pipe.
+
+    Its first vertex is the bottom's centre and its last the tip, if it has them.
+    """
     here = np.arange(sides)
     after = np.roll(here, -1)
     low = int(bottom) + (np.arange(rings - 1) * sides)[:, None]
@@ -89,7 +92,10 @@ class Branches:
 
 
 def first_order(rng: np.random.Generator, habit: Habit, size_m: tuple[float, float], stem_m: F8) -> Branches:
-    """First-order branches of a crown of a length and width; stem radii (s,) are evenly spaced from base to top."""
+    """First-order branches of a crown of a length and width.
+
+    Stem radii (s,) are evenly spaced from base to top.
+    """
     length_m, _ = size_m
     whorls = max(1, round(length_m / habit.whorl_spacing_m))
     whorl = np.repeat(np.arange(whorls), habit.branches_per_whorl)
@@ -103,9 +109,9 @@ def first_order(rng: np.random.Generator, habit: Habit, size_m: tuple[float, flo
         """Angles in radians, interpolated from the lowest to the highest branches."""
         return np.radians(pair_deg[0] + (pair_deg[1] - pair_deg[0]) * relative)[:, None]
 
-    way = (np.arange(_NODES[1] - 1) + 0.5) / (_NODES[1] - 1)
+    share = (np.arange(_NODES[1] - 1) + 0.5) / (_NODES[1] - 1)
     rise = between(habit.rise_deg) + rng.normal(0.0, np.radians(6.0), (n, 1))
-    elevation = rise - between(habit.droop_deg) * way + between(habit.upturn_deg) * (way * way * way)
+    elevation = rise - between(habit.droop_deg) * share + between(habit.upturn_deg) * (share * share * share)
     base = np.zeros((n, 3))
     base[:, 2] = relative * length_m
     unit = curves(rng, base * 0, azimuth, elevation, np.ones(n), habit.crook_deg)
@@ -127,9 +133,9 @@ def side_branches(rng: np.random.Generator, twigs: Twigs, bearers: Branches, ord
     n = len(bearer)
     rank = np.arange(n) - np.repeat(np.cumsum(count) - count, count)
     terminal = rank == count[bearer] - 1
-    way = twigs.start + (1 - twigs.start) * (rank + rng.random(n)) / count[bearer]
-    way[terminal] = 1.0
-    base, tangent = points_along(bearers.nodes_m, bearer, way)
+    at_share = twigs.start + (1 - twigs.start) * (rank + rng.random(n)) / count[bearer]
+    at_share[terminal] = 1.0
+    base, tangent = points_along(bearers.nodes_m, bearer, at_share)
     side = np.where(rank % 2 == 0, 1.0, -1.0)
     roll = np.radians(twigs.roll_spread_deg) * rng.uniform(-1, 1, n)
     open_angle = np.where(terminal, 0.0, np.radians(twigs.angle_deg + rng.normal(0.0, 8.0, n)))
@@ -140,12 +146,12 @@ def side_branches(rng: np.random.Generator, twigs: Twigs, bearers: Branches, ord
     azimuth = atan2(heading[:, 1], heading[:, 0])
     steps = (np.arange(_NODES[order] - 1) + 0.5) / (_NODES[order] - 1)
     elevation = asin(np.clip(heading[:, 2], -1, 1))[:, None] - np.radians(twigs.droop_deg) * steps
-    share = twigs.length_share * (1 - 0.7 * way) * rng.uniform(0.7, 1.2, n)
+    share = twigs.length_share * (1 - 0.7 * at_share) * rng.uniform(0.7, 1.2, n)
     length = np.clip(bearers.length_m[bearer] * share, *twigs.length_m)
     nodes = curves(rng, base, azimuth, elevation, length, 0.0)
     together = np.sqrt(np.bincount(bearer, np.square(length)))[bearer]
     thickest = bearers.radius_m[bearer]
-    radius = np.minimum(thickest * length / together, thickest * _taper(way))
+    radius = np.minimum(thickest * length / together, thickest * _taper(at_share))
     return Branches(nodes, azimuth, length, np.maximum(radius, THINNEST_M))
 
 
@@ -159,9 +165,9 @@ def ground_stems(rng: np.random.Generator, shrub: Shrub, height_m: float, width_
     base[:, 0] = cos(azimuth)
     base[:, 1] = sin(azimuth)
     base *= (0.08 * width_m * np.sqrt(1 - inward))[:, None]
-    way = (np.arange(_NODES[1] - 1) + 0.5) / (_NODES[1] - 1)
+    share = (np.arange(_NODES[1] - 1) + 0.5) / (_NODES[1] - 1)
     rise = rise_deg[0] + (rise_deg[1] - rise_deg[0]) * inward + rng.normal(0.0, 4.0, stems)
-    elevation = np.radians(rise[:, None] - shrub.droop_deg * way)
+    elevation = np.radians(rise[:, None] - shrub.droop_deg * share)
     unit = curves(rng, base * 0, azimuth, elevation, np.ones(stems), shrub.crook_deg)
     # As long as height and width allow.
     up = unit[:, :, 2].max(axis=1) / height_m
@@ -185,17 +191,19 @@ def joined(*parts: Branches) -> Branches:
     return Branches(*(np.concatenate([getattr(part, name) for part in parts]) for name in Branches.__slots__))
 
 
-def points_along(nodes_m: F8, branch: I8, way: F8) -> tuple[F8, F8]:
-    """Points (p, 3) and unit tangents (p, 3) on curves (n, m, 3) at shares `way` (p,) of their length."""
+def points_along(nodes_m: F8, branch: I8, share: F8) -> tuple[F8, F8]:
+    """Points (p, 3) and unit tangents (p, 3) on curves (n, m, 3) at shares (p,) of their length."""
     last = nodes_m.shape[1] - 2
-    segment = np.minimum((way * (last + 1)).astype(np.int64), last)
+    segment = np.minimum((share * (last + 1)).astype(np.int64), last)
     start = nodes_m[branch, segment]
     step = nodes_m[branch, segment + 1] - start
-    return start + step * (way * (last + 1) - segment)[:, None], unit(step)
+    return start + step * (share * (last + 1) - segment)[:, None], unit(step)
 
 
 def tubes(branches: Branches, sides: int, *, every: int = 1) -> Mesh:
-    """Tapering tubes through every `every`-th node of the curves, open at the base inside the bearer, pointed at the tip.
+    """Tapering tubes through every `every`-th node of the curves.
+
+    They are open at the base, inside the bearer, and pointed at the tip.
 
     A section has the perimeter of the round branch, so that the width of its silhouette, averaged over all
     directions, equals the branch's diameter for any number of sides (Cauchy).
@@ -213,8 +221,8 @@ def tubes(branches: Branches, sides: int, *, every: int = 1) -> Mesh:
     round_about = cos(angle) * across[:, :, None] + sin(angle) * other[:, :, None]
     ring = nodes[:, :rings, None] + corner[..., None, None] * round_about
     vertices = np.concatenate([ring.reshape(n, rings * sides, 3), nodes[:, -1:]], axis=1)
-    one = pipe_faces(sides, rings, bottom=False).astype(np.int64)
-    faces = one + (np.arange(n) * vertices.shape[1])[:, None, None]
+    faces_of_tube = pipe_faces(sides, rings, bottom=False).astype(np.int64)
+    faces = faces_of_tube + (np.arange(n) * vertices.shape[1])[:, None, None]
     return Mesh(vertices.reshape(-1, 3).astype(np.float32), faces.reshape(-1, 3).astype(np.uint32))
 
 
@@ -257,8 +265,8 @@ def curves(
     return np.concatenate([base[:, None], base[:, None] + np.cumsum(step, axis=1)], axis=1)
 
 
-def _taper(way: F8) -> F8:
-    return 1 - (1 - _TIP_SHARE) * way
+def _taper(share: F8) -> F8:
+    return 1 - (1 - _TIP_SHARE) * share
 
 
 _FREE_M = 0.3
@@ -336,13 +344,13 @@ def bole_branches(
     base = np.column_stack([np.zeros((n, 2)), -depth_m])
     whole = curves(rng, base, azimuth, elevation, whole_m, habit.crook_deg)
     # The inner part of a broken branch remains.
-    way = np.outer(length_m / whole_m, np.linspace(0, 1, _BOLE_NODES))
-    nodes = points_along(whole, np.repeat(np.arange(n), _BOLE_NODES), way.ravel())[0].reshape(
+    share = np.outer(length_m / whole_m, np.linspace(0, 1, _BOLE_NODES))
+    nodes = points_along(whole, np.repeat(np.arange(n), _BOLE_NODES), share.ravel())[0].reshape(
         n, _BOLE_NODES, 3
     )
     radius_m = np.maximum(whole_m / _SLENDERNESS / 2, THINNEST_M)
     all_branches = Branches(nodes, azimuth, length_m, radius_m)
-    living, dead = (all_branches.of(np.flatnonzero(own)) for own in (lives, ~lives))
+    living, dead = (all_branches.of(np.flatnonzero(is_of_kind)) for is_of_kind in (lives, ~lives))
     twigs = side_branches(rng, habit.twigs, dead, _DEAD_TWIG_ORDER)
     twig_age = -twigs.nodes_m[:, 0, 2] / reach_m
     kept = rng.random(len(twig_age)) < _TWIGS_KEPT * exp(-twig_age / _TWIG_AGE)

@@ -1,4 +1,7 @@
-"""Leaves and shoots as planar quads: along the twigs of a crown with a given total area, and of ivy on stems."""
+"""Leaves and shoots as planar quads.
+
+They stand along the twigs of a crown with a given total area, or are ivy on stems.
+"""
 
 from dataclasses import dataclass
 
@@ -27,7 +30,10 @@ _SHOOT_ANGLE = (
 
 
 def foliage_mesh(rng: np.random.Generator, foliage: Foliage, twigs: Branches, leaf_area_m2: float) -> Mesh:
-    """Quads spread evenly along the leafy part of twigs, with a total of one-sided leaf area over the species' clumping."""
+    """Quads spread evenly along the leafy part of twigs.
+
+    Their total is one-sided leaf area over the species' clumping.
+    """
     area_m2 = leaf_area_m2 / foliage.clumping
     per_item = foliage.length_m * foliage.width_m * (2.0 if foliage.kind == "shoot" else 0.5)
     n = max(1, round(min(area_m2 / per_item, _MOST_LEAVES)))
@@ -36,9 +42,9 @@ def foliage_mesh(rng: np.random.Generator, foliage: Foliage, twigs: Branches, le
     ends_m = np.cumsum(twigs.length_m)
     position = (np.arange(n) + rng.random(n)) / n * ends_m[-1]
     twig = np.minimum(np.searchsorted(ends_m, position, side="right"), len(ends_m) - 1)
-    way = np.clip(1 - (ends_m[twig] - position) / twigs.length_m[twig], 0.0, 1.0)
-    way = foliage.bare_share + (1 - foliage.bare_share) * way
-    place, tangent = points_along(twigs.nodes_m, twig, way)
+    share = np.clip(1 - (ends_m[twig] - position) / twigs.length_m[twig], 0.0, 1.0)
+    share = foliage.bare_share + (1 - foliage.bare_share) * share
+    place, tangent = points_along(twigs.nodes_m, twig, share)
     length = foliage.length_m * size[:, None]
     width = foliage.width_m * size[:, None]
     if foliage.kind == "leaf":
@@ -103,7 +109,9 @@ class IvyKey:
 
 
 def ivy_tops_m(trees: Trees, share: float, height_m: tuple[float, float], *, seed: int) -> F8:
-    """Height over the foot (n,) up to which ivy covers a stem, no higher than the crown base; 0 for stems without ivy.
+    """Height over the foot (n,) up to which ivy covers a stem, no higher than the crown base.
+
+    Stems without ivy have 0.
 
     A `share` of the stems has ivy; the height is within the range `height_m` and depends on the tree's
     position alone.
@@ -111,16 +119,19 @@ def ivy_tops_m(trees: Trees, share: float, height_m: tuple[float, float], *, see
     places_mm = np.round(1000 * places_m(trees, "xy")).astype(np.int64) & 0xFFFFFFFF
     counters = [(x & 0x7FFFFFFF) << 32 | y for x, y in places_mm.tolist()]
     draws = np.array([uniform(seed, Growth.IVY, first, 1, lane) for first in counters for lane in (0, 1)])
-    chance, way = draws.reshape(-1, 2).T
+    chance, height_share = draws.reshape(-1, 2).T
     low_m, high_m = height_m
-    top_m = np.minimum(low_m + (high_m - low_m) * way, trees["crown_base_m"])
+    top_m = np.minimum(low_m + (high_m - low_m) * height_share, trees["crown_base_m"])
     return np.where(chance < share, top_m, 0.0)
 
 
 def ivy_meshes(
     trees: Trees, tops_m: F8, origin_m: F8, *, seed: int, tile: TileKey, table: Table | None = None
 ) -> list[Mesh]:
-    """Leaves (quads) of the ivy on stems (n,) up to heights (n,), relative to an origin (3,); none for height 0."""
+    """Leaves (quads) of the ivy on stems (n,) up to heights (n,), relative to an origin (3,).
+
+    Height 0 has none.
+    """
     stems = Stems(trees, table=table)
     small_m, large_m = _LEAF_M
     mean_m2 = _LEAF_WIDTH / 2 * (small_m * small_m + small_m * large_m + large_m * large_m) / 3
@@ -130,9 +141,9 @@ def ivy_meshes(
         bark_m2 = np.pi * float(trees["dbh_m"][i]) * top_m
         count = round(_LEAF_PER_BARK * bark_m2 / mean_m2)
         turn = rng.uniform(0, 2 * np.pi, count)
-        way = power(rng.random(count), _UPWARDS)
+        share = power(rng.random(count), _UPWARDS)
         edge = 1 - _SHORTER * (0.5 + 0.5 * sin(_TONGUES * turn + rng.uniform(0, 2 * np.pi)))
-        up_m = top_m * edge * way
+        up_m = top_m * edge * share
         middle_m = stems.axis_m(up_m[None], np.array([i]))[0]
         away_m = np.interp(up_m, stems.above_ground_m[i], stems.radius_m[i]) + rng.uniform(*_AWAY_M, count)
         foot_m = places_m(trees[i : i + 1])[0] - origin_m

@@ -102,7 +102,10 @@ def crown_scale(trees: Trees, crowns: Sequence[CrownKey]) -> tuple[F8, F8]:
 
 
 def crown_placements(trees: Trees, crowns: Sequence[CrownKey]) -> F8:
-    """`world_T_shape` (n, 3, 4) of the crowns: scaled to the tree's size, turned, and leaning with the stem."""
+    """`world_T_shape` (n, 3, 4) of the crowns.
+
+    They are scaled to the tree's size, turned, and lean with the stem.
+    """
     wide, long = crown_scale(trees, crowns)
     lean = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])
     upright = lean[:, 2, 2]  # cosine of the lean: heights are vertical
@@ -119,7 +122,10 @@ def crown_placements(trees: Trees, crowns: Sequence[CrownKey]) -> F8:
 def _orders(
     seed: int, key: CrownKey, species: Species
 ) -> tuple[np.random.Generator, list[Branches], tuple[Branches, Branches]]:
-    """Random generator; branches of first, second and, in broad crowns, third order; dead branches below and their twigs."""
+    """Random generator, branches by order, and dead branches with their twigs.
+
+    Dead branches below and their twigs.
+    """
     name = species.number, key.variant, round(key.dbh_m * 1e4)
     rng, bole_rng = (generator(seed, purpose, *name) for purpose in (Growth.CROWN, Growth.DEAD_BRANCH))
     at_m = np.append(*(np.linspace(key.crown_base_m, end_m, 16) for end_m in (key.height_m, 0.0)))
@@ -186,22 +192,25 @@ def sapling_meshes(
     habit = species.crown.model_copy(update={"whorl_spacing_m": spacing_m, "twigs": twigs})
     first = first_order(rng, habit, (crown_m, width_m), stem_m)
     second = side_branches(rng, habit.twigs, first, 2)
-    crooked = partial(_crooked, key.height_m, rng.uniform(0.0, 1.0, 8))
+    bend = partial(_bend, key.height_m, rng.uniform(0.0, 1.0, 8))
     leaves = NO_LEAVES
     foliage = species.foliage
     if foliage and foliage.is_borne(key.season):
         leaf_area_m2 = _LEAF_AREA_INDEX * np.pi / 4 * width_m * width_m
         leaves = foliage_mesh(rng, foliage, second, leaf_area_m2)
     return (
-        crooked(_cone(foot_m, key.height_m)),
-        crooked(_raised(tubes(first, _BRANCH_SIDES, every=_EVERY), base_m)),
-        crooked(_raised(tubes(second, _BRANCH_SIDES, every=_EVERY), base_m)),
-        crooked(_raised(leaves, base_m)),
+        bend(_cone(foot_m, key.height_m)),
+        bend(_raise(tubes(first, _BRANCH_SIDES, every=_EVERY), base_m)),
+        bend(_raise(tubes(second, _BRANCH_SIDES, every=_EVERY), base_m)),
+        bend(_raise(leaves, base_m)),
     )
 
 
-def _crooked(height_m: float, drawn: F8, mesh: Mesh) -> Mesh:
-    """Return a sapling that leans, bows and extends towards the light; its stem keeps its sections and height."""
+def _bend(height_m: float, drawn: F8, mesh: Mesh) -> Mesh:
+    """Return a sapling that leans, bows and extends towards the light.
+
+    Its stem keeps its sections and height.
+    """
     vertices_m = mesh.vertices_m.astype(np.float64)
     at_m = vertices_m
     if len(vertices_m) == 4 * len(mesh.faces):  # leaves are moved, not stretched
@@ -229,7 +238,7 @@ def _crooked(height_m: float, drawn: F8, mesh: Mesh) -> Mesh:
     return Mesh(vertices_m.astype(np.float32), mesh.faces)
 
 
-def _raised(mesh: Mesh, by_m: float) -> Mesh:
+def _raise(mesh: Mesh, by_m: float) -> Mesh:
     return Mesh(mesh.vertices_m + np.array([0.0, 0.0, by_m], np.float32), mesh.faces)
 
 
@@ -263,7 +272,10 @@ class ShrubKey:
 def shrub_meshes(
     seed: int, key: ShrubKey, *, table: Mapping[str, Shrub] | None = None
 ) -> tuple[Mesh, Mesh, Mesh]:
-    """Meshes of `SHRUB_PARTS`, origin on the ground and z up, with its kind's leaf area index on the covered ground."""
+    """Meshes of `SHRUB_PARTS`, origin on the ground and z up.
+
+    They have the leaf area index of their kind on the covered ground.
+    """
     shrub = (table or flora().shrubs)[key.species]
     size = round(key.height_m * 1e3), round(key.width_m * 1e3)
     rng = generator(seed, Growth.SHRUB, shrub.number, key.variant, *size)

@@ -123,7 +123,10 @@ class Habit(Section):
 
 
 class StemForm(Section):
-    """Deviations of stems from a straight and round form: means over trees; all 0 for straight, round stems."""
+    """Deviations of stems from a straight and round form: means over trees.
+
+    Straight, round stems have 0 in all.
+    """
 
     bow: Annotated[float, Field(ge=0, le=0.1)] = 0.0
     """Greatest distance of the bole from the line between foot and crown base, over its length; at most half
@@ -215,19 +218,28 @@ class Species(Plant):
     biomass: Biomass | None = None
 
     def crown_width_m(self, dbh_cm: F8, residual: F8 | None = None) -> F8:
-        """Crown width of forest-grown trees; residuals (n,) are in sigmas, and without them the mean is returned."""
+        """Crown width of forest-grown trees.
+
+        Residuals (n,) are in sigmas, and without them the mean is returned.
+        """
         if residual is None:
             return self.crown_width(dbh_cm)
         sigma = self.spread.crown_width
         return self.crown_width(dbh_cm) * exp(sigma * residual - sigma * sigma / 2)
 
     def crown_base_m(self, dbh_cm: F8, height_m: F8, rivals: tuple[F8, F8], residual: F8 | float = 0.0) -> F8:
-        """Height of the lowest living branch, under `competition`; residuals (n,) of the crown ratio are in sigmas."""
+        """Height of the lowest living branch, under `competition`.
+
+        Residuals (n,) of the crown ratio are in sigmas.
+        """
         logit = self.crown_base(dbh_cm, height_m, *rivals) - self.spread.crown_ratio * residual
         return height_m / (1 + exp(-logit))
 
     def rival_m2(self, dbh_cm: F8) -> F8:
-        """Return competition areas (n, 2) in m2: section at breast height, open-grown crown projection; 0 for dead trees."""
+        """Return competition areas (n, 2) in m2: section at breast height, open-grown crown projection.
+
+        Dead trees have 0.
+        """
         log_a, b = self.open_crown
         sizes_m = np.column_stack([dbh_cm / 100, exp(log_a + b * log(dbh_cm))])
         return np.pi / 4 * np.square(sizes_m) * (self.foliage is not None)
@@ -370,11 +382,14 @@ def _plain(name: str) -> str:
 
 
 def tapers(trees: Trees, *, table: Table | None = None) -> F8:
-    """Return the tapers (n, 13) of trees (n,) `TREE` for `taper_radius_m`; `table` defaults to the program's."""
-    rows = {one.number: one.taper.row for one in (table or flora().trees).values()}
-    own = np.array([rows[number] for number in trees["species"].tolist()]).reshape(-1, 13)
-    own[:, -1] = trees["taper"]
-    return own
+    """Return the tapers (n, 13) of trees (n,) `TREE` for `taper_radius_m`.
+
+    `table` defaults to the program's.
+    """
+    rows = {species.number: species.taper.row for species in (table or flora().trees).values()}
+    taper = np.array([rows[number] for number in trees["species"].tolist()]).reshape(-1, 13)
+    taper[:, -1] = trees["taper"]
+    return taper
 
 
 GROUND_MATERIALS = ("litter", "stone", "dead wood", "grass", "herb", "fern", "dwarf shrub", "moss")

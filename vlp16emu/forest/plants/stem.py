@@ -107,7 +107,7 @@ class StemForms:
 
 def stem_forms(trees: NDArray[np.void], *, table: Table | None = None) -> StemForms:
     """Draw the forms of trees (n,) `TREE`, each from its own seed and the keys of its species."""
-    rows = {one.number: one.stem.row for one in (table or flora().trees).values()}
+    rows = {species.number: species.stem.row for species in (table or flora().trees).values()}
     keys = np.array([rows[number] for number in trees["species"].tolist()]).reshape(-1, 10)
     keys[:, :9] *= (trees["form"] > 0)[:, None]
     bow, butt_deg, fork_share, low, high, ovality, lobes, roots, bark_mm_per_cm, period_mm = keys.T
@@ -147,12 +147,15 @@ def stem_forms(trees: NDArray[np.void], *, table: Table | None = None) -> StemFo
 
 
 def polygon_m2(away_m: F8, step: float) -> F8:
-    """Area (...) of polygons with corners at distances (..., sides) from a point, at even steps in rad around it."""
+    """Area (...) of polygons with corners at distances (..., sides), at even steps around a point."""
     return sin(step) / 2 * (away_m * np.roll(away_m, -1, axis=-1)).sum(axis=-1)
 
 
 def tape_m(away_m: F8) -> F8:
-    """Diameter (n,) by tape of polygons (n, sides) as in `polygon_m2`: the mean width of the hull (Cauchy)."""
+    """Diameter (n,) by tape of polygons (n, sides) as in `polygon_m2`.
+
+    It is the mean width of the hull (Cauchy).
+    """
     sides = away_m.shape[1]
     turn = 2 * np.pi * (np.arange(_DIRECTIONS)[:, None] / _DIRECTIONS - np.arange(sides) / sides)
     return 2 * np.array([(cos(turn) * corners).max(axis=1).mean() for corners in away_m])
@@ -193,7 +196,10 @@ STEM_CIRCLE = np.dtype(  # one circle of a stem or of a first-order branch
 def circles_of(
     trees: Trees, leader: int, part: PlantPart, at_m: F8, radius_m: F8, branch: I8 | int = 0
 ) -> NDArray[np.void]:
-    """Return circles (n, r) `STEM_CIRCLE` of trees (n,): centres (n, r, 3) in the world, radii and branch numbers (n, r)."""
+    """Return circles (n, r) `STEM_CIRCLE` of trees (n,).
+
+    Centres (n, r, 3) in the world, radii and branch numbers (n, r).
+    """
     circles = np.zeros(radius_m.shape, STEM_CIRCLE)
     circles["tree"] = trees["id"][:, None]
     circles["leader"] = leader
@@ -237,8 +243,8 @@ class Stems:
         self.sides = _SIDES[np.searchsorted(_THICKER_M, trees["dbh_m"])]
 
     def _radius_m(self, which: I8 | slice, above_m: F8) -> F8:
-        own = self.trees[which]
-        return taper_radius_m(self._taper[which], own["dbh_m"], own["height_m"], above_m)
+        trees = self.trees[which]
+        return taper_radius_m(self._taper[which], trees["dbh_m"], trees["height_m"], above_m)
 
     @property
     def tip_radius_m(self) -> F8:
@@ -246,10 +252,13 @@ class Stems:
         return self._radius_m(slice(None), self.trees["height_m"][:, None])[:, 0]
 
     def axis_m(self, above_m: F8, which: I8 | slice = slice(None)) -> F8:
-        """Points (k, r, 3) of the axes of selected stems (k,), by default all, relative to their feet, at heights (k, r)."""
-        own = self.trees[which]
-        slope = tan(np.radians(own["lean_deg"]))
-        towards = np.radians(own["lean_towards_deg"])
+        """Points (k, r, 3) of the axes of selected stems (k,) at heights (k, r), relative to their feet.
+
+        By default all stems are selected.
+        """
+        trees = self.trees[which]
+        slope = tan(np.radians(trees["lean_deg"]))
+        towards = np.radians(trees["lean_towards_deg"])
         lean = (slope * np.array([cos(towards), sin(towards)])).T
         aside_m = self.forms.of(which).aside_m(above_m)
         return np.concatenate([above_m[..., None] * lean[:, None] + aside_m, above_m[..., None]], axis=2)
@@ -263,7 +272,7 @@ class Stems:
         return middle_m
 
     def leaders(self, shares: F8) -> tuple[F8, F8]:
-        """Heights over the foot and radii (m, k) of second leaders at shares (k,) of the way from fork to tip.
+        """Heights over the foot and radii (m, k) of second leaders at shares (k,) from fork to tip.
 
         Together with the first leader they have the section of an unforked stem.
         """
@@ -276,7 +285,10 @@ class Stems:
         return above_m, radius_m
 
     def circles(self) -> NDArray[np.void]:
-        """Circles (k,) `STEM_CIRCLE` along stems and their second leaders, tree by tree, from the ground to the tip."""
+        """Circles (k,) `STEM_CIRCLE` along stems and their second leaders.
+
+        They go tree by tree, from the ground to the tip.
+        """
         above_m = np.column_stack([self.above_ground_m[:, 1:], self.trees["height_m"]])
         radius_m = np.column_stack([self.radius_m[:, 1:], self.tip_radius_m])
         second_m, thin_m = self.leaders(np.linspace(0.0, 1.0, _LEADER_CIRCLES))
@@ -292,7 +304,10 @@ class Stems:
         return circles[np.lexsort((circles["above_foot_m"], circles["leader"], circles["tree"]))]
 
     def angles(self, which: I8 | slice, sides: int) -> F8:
-        """Angles (k, sides) of a ring's vertices around the axes of selected stems (k,), from east, counter-clockwise."""
+        """Angles (k, sides) of a ring's vertices around the axes of selected stems (k,).
+
+        They count from east, counter-clockwise.
+        """
         return (
             np.radians(self.trees["crown_azimuth_deg"][which])[:, None] + np.arange(sides) * 2 * np.pi / sides
         )
@@ -412,7 +427,10 @@ def lean_rotation(lean_deg: F8, towards_deg: F8) -> F8:
 def stem_meshes(
     trees: Trees, origin_m: F8, height_m: HeightField, *, table: Table | None = None
 ) -> list[Mesh]:
-    """Meshes of `STEM_PARTS` of a tile's trees, tree by tree, relative to the tile's origin (3,), with surface roots."""
+    """Meshes of `STEM_PARTS` of a tile's trees, tree by tree, with surface roots.
+
+    They are relative to the tile's origin (3,).
+    """
     stems = Stems(trees, table=table)
     # Each foot is in the ground all around the flare, including lobes.
     flare_m = _WIDEST * stems.radius_m[:, :1]
@@ -439,7 +457,7 @@ def stems_above_ground(trees: Trees, *, table: Table | None = None) -> list[Mesh
 
 
 def stem_slopes(axis: Callable[[F8], F8], above_m: F8) -> F8:
-    """Return the slopes of axes, east and north (n, r, 2), in metres per metre of height at heights (n, r)."""
+    """Return the slopes of axes, east and north (n, r, 2) in m per m, at heights (n, r)."""
     return (axis(above_m + _STEP_M) - axis(above_m - _STEP_M))[..., :2] / (2 * _STEP_M)
 
 
@@ -455,15 +473,17 @@ def _meshes(stems: Stems, foot_m: F8) -> list[Mesh]:
     leader = pipe_faces(_LEADER_SIDES, len(_LEADER_RINGS))
     meshes: dict[int, tuple[Mesh, Mesh]] = {}
     for count in np.unique(stems.sides):
-        own = np.flatnonzero(stems.sides == count)
+        with_sides = np.flatnonzero(stems.sides == count)
         sides = int(count)
-        above_m = stems.above_ground_m[own]
-        away_m = stems.outlines(own, sides)
-        pipes_m = _pipes(partial(stems.axis_m, which=own), above_m, away_m, stems.angles(own, sides))
+        above_m = stems.above_ground_m[with_sides]
+        away_m = stems.outlines(with_sides, sides)
+        pipes_m = _pipes(
+            partial(stems.axis_m, which=with_sides), above_m, away_m, stems.angles(with_sides, sides)
+        )
         flare = pipe_faces(sides, stems.flare_rings, top=False)
         upper = pipe_faces(sides, above_m.shape[1] - stems.flare_rings + 1, bottom=False)
         shared = 1 + sides * (stems.flare_rings - 1)
-        for tree, points_m in zip(own.tolist(), pipes_m, strict=True):
+        for tree, points_m in zip(with_sides.tolist(), pipes_m, strict=True):
             top_m = np.concatenate([points_m[shared:], tip_m[tree : tree + 1]])
             stem = [*([(second[tree], leader)] if tree in second else []), (top_m, upper)]
             pieces = (Mesh((at_m + foot_m[tree]).astype(np.float32), faces) for at_m, faces in stem)
@@ -483,7 +503,10 @@ def _leaders(stems: Stems) -> F8:
 
 
 def _pipes(axis: Callable[[F8], F8], above_m: F8, away_m: F8, angle: F8) -> F8:
-    """Vertices (n, 1 + rings * sides, 3): centre of the bottom, and rings across the axis at `away_m` (n, rings, sides)."""
+    """Vertices (n, 1 + rings * sides, 3).
+
+    They are the centre of the bottom, and rings across the axis at `away_m` (n, rings, sides).
+    """
     n, rings, sides = away_m.shape
     east, north = np.moveaxis(stem_slopes(axis, above_m), -1, 0)
     tilt = np.degrees(atan2(hypot(east, north), 1.0))

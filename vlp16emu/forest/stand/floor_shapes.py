@@ -1,15 +1,19 @@
-"""Shapes and labels of things on the ground: stones, dead wood, tufts of grass and low plants, all of unit size.
+"""Shapes and labels of things on the ground.
 
-They are grown once per variant and scaled where they are placed. The look of plants is an assumption, after
-pictures in floras; leaves are kites, two triangles each.
+Stones, dead wood, tufts of grass and low plants, all of unit size.
+
+They are grown once per variant and scaled where they are placed. Numbers and labels of each kind are rows of
+`floor.toml`. Leaves are kites, two triangles each.
 """
 
-from collections.abc import Callable
+import tomllib
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import partial
+from functools import cache
+from importlib import resources
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,19 +22,116 @@ from vlp16emu.elementary import cos, hypot, matvec, norm, sin
 from vlp16emu.forest.plants.branches import merged
 from vlp16emu.forest.plants.species import GROUND_MATERIALS
 from vlp16emu.forest.purpose import Growth
-from vlp16emu.forest.stand.placed import PlacedThings
+from vlp16emu.forest.stand.placement import PlacedThings
 from vlp16emu.random import generator
 from vlp16emu.types import F8, I8, SURFACE, Mesh, PlantPart, Semantic
 from vlp16emu.world.vectors import closed_body, unit
 
 Generator = np.random.Generator
+Mask = NDArray[np.bool_]
+Row = Mapping[str, Any]
+
+FLOOR_VARIANTS = 6  # different shapes of each kind
+STUMP_DEPTH = 0.5  # depth of a stump in the ground over its height above it
 _UP = np.array([0.0, 0.0, 1.0])
+_ROUND_SIDES = 16  # sides of logs and stumps
+_REFLECTANCE_SPREAD = 0.08  # half-range between things
+_ICOSAHEDRON = (  # faces, counter-clockwise seen from outside; corners as in `_icosphere`
+    *((0, 8, 4), (5, 0, 2), (2, 0, 4), (7, 3, 1), (8, 1, 6)),
+    *((4, 8, 6), (1, 3, 6), (10, 1, 8), (10, 0, 5), (8, 0, 10)),
+    *((10, 7, 1), (5, 7, 10), (11, 7, 5), (5, 2, 11), (3, 7, 11)),
+    *((4, 6, 9), (9, 2, 4), (9, 6, 3), (9, 11, 2), (3, 11, 9)),
+)
 
 
-def fern(rng: Generator) -> Mesh:
-    """Nine fronds that rise from a crown and arch outwards, with eight pairs of pinnae each."""
-    fronds = 9
-    pairs = 8
+class FloorKind(StrEnum):
+    """Kind of thing on the ground, other than shrubs and trees."""
+
+    STONE = "stone"
+    LOG = "log"
+    STUMP = "stump"
+    TUFT = "tuft"
+    HERB = "herb"
+    FERN = "fern"
+    DWARF_SHRUB = "dwarf_shrub"
+    MOSS_CUSHION = "moss_cushion"
+    LITTER_HEAP = "litter_heap"
+    BROKEN_LOG = "broken_log"
+    BROKEN_STUMP = "broken_stump"
+    ROOT_PLATE = "root_plate"
+
+
+@dataclass(frozen=True, slots=True)
+class FloorKey:
+    """Key of a shape; with the seed it determines the shape."""
+
+    kind: FloorKind
+    variant: int
+    large: bool = False  # True for a stone so large that its faces would be visible
+
+
+@cache
+def floor() -> dict[str, dict[str, dict[str, Any]]]:
+    """Return the rows of `floor.toml`: shapes by kind, and numbers of layers by section of a scene."""
+    text = resources.files(__package__).joinpath("floor.toml").read_text(encoding="utf-8")
+    return tomllib.loads(text)
+
+
+def shape_row(kind: FloorKind) -> dict[str, Any]:
+    """Return the row of a kind."""
+    return floor()["shapes"][kind.value]
+
+
+def is_ground(kind: FloorKind) -> bool:
+    """Return True for a kind that is part of the ground."""
+    return bool(shape_row(kind)["semantic"] == "GROUND")
+
+
+def floor_meshes(seed: int, key: FloorKey) -> tuple[Mesh]:
+    """Grow the one mesh of a shape.
+
+    A stone spans -0.5 to 0.5 in z, and its outline seen from above has the area of a circle of diameter
+    1. A log, or a piece of a broken log, lies along x from -0.5 to 0.5 with mean diameter 1. A stump
+    is 1 high over the ground and 1 wide at the top. A root plate of diameter and thickness 1 stands across x,
+    with its
+    roots at -x and the butt of its log at the origin. All others are 1 high and have their foot at the
+    origin.
+    """
+    rng = generator(seed, Growth.FLOOR_SHAPE, list(FloorKind).index(key.kind), key.variant)
+    row = shape_row(key.kind)
+    if key.large:
+        row = row | {"splits": row["large_splits"]}
+    return (_FORMS[row["form"]](rng, row),)
+
+
+def floor_things(
+    kind: FloorKind,
+    keep: Mask,
+    world_T: F8,
+    draws: F8,
+    *,
+    species: I8 | None = None,
+    large: Mask | None = None,
+) -> PlacedThings:
+    """Label the things (n,) selected by `keep`; draws (n, 2 or more) choose variant and brightness."""
+    variants = (FLOOR_VARIANTS * draws[keep, 0]).astype(int).tolist()
+    larges = [False] * len(variants) if large is None else large[keep].tolist()
+    keys = [FloorKey(kind, *pair) for pair in zip(variants, larges, strict=True)]
+    shape = shape_row(kind)
+    rows = np.zeros((len(variants), 1), SURFACE)
+    rows["semantic"] = Semantic[shape["semantic"]]
+    rows["part"] = PlantPart[shape["part"]]
+    rows["material"] = GROUND_MATERIALS.index(shape["material"])
+    rows["reflectance"] = shape["reflectance"] + _REFLECTANCE_SPREAD * (2 * draws[keep, 1:2] - 1)
+    if species is not None:
+        rows["species"] = species[keep, None]
+    return PlacedThings(keys, world_T[keep], rows, is_ground=is_ground(kind))
+
+
+def _fern(rng: Generator, row: Row) -> Mesh:
+    """Fronds that rise from a crown and arch outwards, with pairs of pinnae."""
+    fronds = row["fronds"]
+    pairs = row["pairs"]
     towards = 2 * np.pi * (np.arange(fronds) + rng.uniform(-0.3, 0.3, fronds)) / fronds
     t = np.linspace(0.2, 1.0, pairs)
     rise = rng.uniform(0.75, 1.0, (fronds, 1)) * sin(0.64 * np.pi * t)
@@ -42,19 +143,19 @@ def fern(rng: Generator) -> Mesh:
     return _kites(np.concatenate([at, at]), np.concatenate(sides), 0.4)
 
 
-def herb(rng: Generator) -> Mesh:
-    """Nine shoots with a whorl of four leaves each."""
-    shoots = 9
-    leaves = 4
+def _herb(rng: Generator, row: Row) -> Mesh:
+    """Shoots with a whorl of leaves each."""
+    shoots = row["shoots"]
+    leaves = row["leaves"]
     at = np.column_stack([_in_disc(rng, shoots, 0.4), rng.uniform(0.55, 1.0, shoots)])[:, None]
     towards = 2 * np.pi * (np.arange(leaves) / leaves + rng.random((shoots, 1)))
     leaf = np.stack([cos(towards), sin(towards), rng.uniform(-0.4, 0.4, towards.shape)], axis=-1)
     return _kites(at - 0.2 * rng.random((shoots, leaves, 1)) * _UP, 0.17 * leaf, 0.6)
 
 
-def dwarf_shrub(rng: Generator) -> Mesh:
+def _dwarf_shrub(rng: Generator, row: Row) -> Mesh:
     """Small leaves throughout a dome, denser near its outside."""
-    leaves = 90
+    leaves = row["leaves"]
     direction = unit(rng.normal(0.0, 1.0, (leaves, 3)))
     direction[:, 2] = np.abs(direction[:, 2])
     at = direction * np.sqrt(rng.uniform(0.15, 0.8, (leaves, 1))) * [0.5, 0.5, 1.0]
@@ -62,9 +163,9 @@ def dwarf_shrub(rng: Generator) -> Mesh:
     return _kites(at, 0.15 * unit(leaf), 0.6)
 
 
-def moss_cushion(rng: Generator) -> Mesh:
+def _moss_cushion(rng: Generator, row: Row) -> Mesh:
     """Bumpy dome, open below, with its rim in the ground."""
-    sides = 12
+    sides = row["sides"]
     away = np.array([0.22, 0.38, 0.5])
     high = np.array([0.9, 0.6, -0.4])
     angle = 2 * np.pi * np.arange(sides) / sides
@@ -81,10 +182,10 @@ def moss_cushion(rng: Generator) -> Mesh:
     return _unit(vertices, np.concatenate(faces))
 
 
-def litter_heap(rng: Generator) -> Mesh:
-    """Leaves on top of each other, and three twigs."""
-    leaves = 16
-    twigs = 3
+def _litter_heap(rng: Generator, row: Row) -> Mesh:
+    """Leaves on top of each other, and twigs."""
+    leaves = row["leaves"]
+    twigs = row["twigs"]
     at = np.column_stack([_in_disc(rng, leaves + twigs, 0.36), rng.uniform(0.1, 0.9, leaves + twigs)])
     towards = rng.uniform(0, 2 * np.pi, leaves + twigs)
     tilt = rng.uniform(-0.8, 0.8, leaves + twigs)
@@ -119,124 +220,10 @@ def _unit(vertices: F8, faces: I8) -> Mesh:
     return Mesh(vertices.astype(np.float32), faces.astype(np.uint32))
 
 
-Mask = NDArray[np.bool_]
-FLOOR_VARIANTS = 6  # different shapes of each kind
-STUMP_DEPTH = 0.5  # depth of a stump in the ground over its height above it
-_STONE_SPLITS = 2  # subdivisions of an icosahedron: 320 and 1280 faces
-_LARGE_STONE_SPLITS = 3
-_ICOSAHEDRON = (  # faces, counter-clockwise seen from outside; corners as in `_icosphere`
-    *((0, 8, 4), (5, 0, 2), (2, 0, 4), (7, 3, 1), (8, 1, 6)),
-    *((4, 8, 6), (1, 3, 6), (10, 1, 8), (10, 0, 5), (8, 0, 10)),
-    *((10, 7, 1), (5, 7, 10), (11, 7, 5), (5, 2, 11), (3, 7, 11)),
-    *((4, 6, 9), (9, 2, 4), (9, 6, 3), (9, 11, 2), (3, 11, 9)),
-)
-# number of sines that shape a stone, and their amplitude over the radius; assumption
-_LOBES = 6
-_LOBE_HEIGHT = 0.05
-_ROUND_SIDES = 16  # sides of logs and stumps
-LOG_TAPER = 0.2
-"""Relative difference of a log's end diameters from its mean diameter; assumption: 1 cm per metre and broken
-tips."""
-_LOG_BOW = 0.5
-"""Bow of a log, one sigma over its diameter; the S-shaped bend has half of it: assumptions."""
-_PIECE_TAPER = 0.1  # taper and bow of half a log
-_PIECE_BOW = 0.15
-_LOG_SPLINTERS = 0.05
-_STUMP_SPLINTERS = 0.45
-"""Half-range of the splinters at ends over the length of a log's piece, and over a broken stump's height;
-assumptions."""
-_PLATE_SIDES = 20
-_PLATE_ROOTS = 10
-_PLATE_PROFILE = ((-0.8, 0.4), (-0.55, 0.75), (-0.25, 1.0), (0.0, 0.9), (0.15, 0.5))
-"""Profile of a root plate: position along the log over the plate's thickness, and distance from the axis over
-the radius. The root side is a paraboloid, as for birch (Forests 12(1), 2021, 20: elliptic); the stem side,
-once level ground, is flat."""
-_PLATE_BUMPS = 0.08  # half-range of the surface over the thickness; assumption
-_REFLECTANCE = {
-    "stone": 0.30,
-    "dead wood": 0.40,
-    "litter": 0.30,
-    "moss": 0.35,
-    **dict.fromkeys(("grass", "herb", "fern", "dwarf shrub"), 0.45),
-}
-"""Reflectance at 903 nm: rock, weathered wood as oak bark, dry leaves as the ground, green leaves as shrubs;
-assumptions."""
-_REFLECTANCE_SPREAD = 0.08  # half-range between things, as for the bark of trees; assumption
-_BLADES = 22  # blades of a tuft
-_BLADE_AREA = 0.012  # mean one-sided area of a blade over the square of the tuft's height; assumption
-
-
-class FloorKind(StrEnum):
-    """Kind of thing on the ground, other than shrubs and trees."""
-
-    STONE = "stone"
-    LOG = "log"
-    STUMP = "stump"
-    TUFT = "tuft"
-    HERB = "herb"
-    FERN = "fern"
-    DWARF_SHRUB = "dwarf_shrub"
-    MOSS_CUSHION = "moss_cushion"
-    LITTER_HEAP = "litter_heap"
-    BROKEN_LOG = "broken_log"
-    BROKEN_STUMP = "broken_stump"
-    ROOT_PLATE = "root_plate"
-
-
-GROUND_KINDS = frozenset({FloorKind.MOSS_CUSHION, FloorKind.LITTER_HEAP})  # kinds that are part of the ground
-
-
-@dataclass(frozen=True, slots=True)
-class FloorKey:
-    """Key of a shape; with the seed it determines the shape."""
-
-    kind: FloorKind
-    variant: int
-    large: bool = False  # True for a stone so large that its faces would be visible
-
-
-def floor_meshes(seed: int, key: FloorKey) -> tuple[Mesh]:
-    """Grow the one mesh of a shape.
-
-    A stone spans -0.5 to 0.5 in z, and its outline seen from above has the area of a circle of diameter
-    1. A log, or a piece of a broken log, lies along x from -0.5 to 0.5 with mean diameter 1. A stump
-    is 1 high over the ground and 1 wide at the top. A root plate of diameter and thickness 1 stands across x,
-    with its
-    roots at -x and the butt of its log at the origin. All others are 1 high and have their foot at the
-    origin.
-    """
-    rng = generator(seed, Growth.FLOOR_SHAPE, list(FloorKind).index(key.kind), key.variant)
-    return (_stone(rng, _LARGE_STONE_SPLITS) if key.large else _SHAPES[key.kind].grow(rng),)
-
-
-def labelled(
-    kind: FloorKind,
-    keep: Mask,
-    world_T: F8,
-    draws: F8,
-    *,
-    species: I8 | None = None,
-    large: Mask | None = None,
-) -> PlacedThings:
-    """Label the things (n,) selected by `keep`; draws (n, 2 or more) choose variant and brightness."""
-    variants = (FLOOR_VARIANTS * draws[keep, 0]).astype(int).tolist()
-    larges = [False] * len(variants) if large is None else large[keep].tolist()
-    keys = [FloorKey(kind, *how) for how in zip(variants, larges, strict=True)]
-    own = _SHAPES[kind]
-    rows = np.zeros((len(variants), 1), SURFACE)
-    rows["semantic"] = own.semantic
-    rows["part"] = own.part
-    rows["material"] = GROUND_MATERIALS.index(own.material)
-    rows["reflectance"] = _REFLECTANCE[own.material] + _REFLECTANCE_SPREAD * (2 * draws[keep, 1:2] - 1)
-    if species is not None:
-        rows["species"] = species[keep, None]
-    return PlacedThings(keys, world_T[keep], rows, is_ground=kind in GROUND_KINDS)
-
-
-def _stone(rng: Generator, splits: int = _STONE_SPLITS) -> Mesh:
-    sphere, faces = _icosphere(splits)
-    waves = rng.normal(0.0, 2.5, (3, _LOBES))
-    lobes = _LOBE_HEIGHT * sin(matvec(waves.T, sphere) + rng.uniform(0, 2 * np.pi, _LOBES))
+def _stone(rng: Generator, row: Row) -> Mesh:
+    sphere, faces = _icosphere(row["splits"])
+    waves = rng.normal(0.0, 2.5, (3, row["lobes"]))
+    lobes = row["lobe_height"] * sin(matvec(waves.T, sphere) + rng.uniform(0, 2 * np.pi, row["lobes"]))
     vertices = sphere * (1 + lobes.sum(axis=1, keepdims=True))
     low, high = vertices[:, 2].min(), vertices[:, 2].max()
     vertices[:, 2] = (vertices[:, 2] - low) / (high - low) - 0.5
@@ -249,9 +236,9 @@ def _outline_m2(points: F8) -> float:
     """Return the area of the convex hull of points (n, 2), by Andrew's monotone chain."""
     ordered = points[np.lexsort(points.T)].tolist()
     area = 0.0
-    for way in (ordered, ordered[::-1]):
+    for points_of_side in (ordered, ordered[::-1]):
         chain: list[list[float]] = []
-        for x, y in way:
+        for x, y in points_of_side:
             while len(chain) > 1:
                 (ax, ay), (bx, by) = chain[-2:]
                 if (bx - ax) * (y - ay) > (by - ay) * (x - ax):
@@ -281,23 +268,24 @@ def _icosphere(splits: int) -> tuple[F8, NDArray[np.uint32]]:
     return vertices, faces.astype(np.uint32)
 
 
-def _log(rng: Generator, taper: float = LOG_TAPER, bow: float = _LOG_BOW, *, splinters: float = 0.0) -> Mesh:
+def _log(rng: Generator, row: Row) -> Mesh:
     """Tapering trunk with broken ends, bowed to one side, its thick end at -x."""
     along = np.linspace(-0.5, 0.5, 9)
-    rings, ends = _drum(rng, along, 0.5 * (1 - 2 * taper * along), slant=0.01)
-    if splinters:
+    rings, ends = _drum(rng, along, 0.5 * (1 - 2 * row["taper"] * along), slant=0.01)
+    if row["splinters"]:
         for end in (0, -1):
-            rings[end, :, 2] += splinters * rng.uniform(-1, 1, _ROUND_SIDES)
-    mesh = closed_body(rings, ends)
+            rings[end, :, 2] += row["splinters"] * rng.uniform(-1, 1, _ROUND_SIDES)
+    mesh = closed(rings, ends)
     vertices = np.ascontiguousarray(mesh.vertices_m[:, [2, 0, 1]])
-    (aside, sway) = rng.normal(0.0, bow, 2) * [1.0, 0.4]
+    aside, sway = rng.normal(0.0, row["bow"], 2) * [1.0, 0.4]
     x = vertices[:, 0]
     vertices[:, 1] += aside * (1 / 3 - 4 * x * x) + sway * sin(2 * np.pi * x)
     return Mesh(vertices, mesh.faces)
 
 
-def _stump(rng: Generator, *, splinters: float = 0.0) -> Mesh:
+def _stump(rng: Generator, row: Row) -> Mesh:
     """Foot of a felled tree, with its root flare; with `splinters`, the top is jagged and hollow."""
+    splinters = row["splinters"]
     heights = np.array([-STUMP_DEPTH, 0.0, 0.3, 1.0])
     rings, ends = _drum(rng, heights, 0.5 * np.array([1.6, 1.45, 1.15, 1.0]), slant=0.06)
     if splinters:
@@ -306,17 +294,18 @@ def _stump(rng: Generator, *, splinters: float = 0.0) -> Mesh:
     return closed_body(rings, ends)
 
 
-def _root_plate(rng: Generator) -> Mesh:
+def _root_plate(rng: Generator, row: Row) -> Mesh:
     """Irregular disc of soil with protruding roots."""
-    sides = _PLATE_SIDES
-    (along, away) = np.array(_PLATE_PROFILE).T
+    sides = row["sides"]
+    roots: int = row["roots"]
+    along, away = np.array(row["profile"]).T
     angle = 2 * np.pi * np.arange(sides) / sides
     rim = 1 + sum(s * cos(n * angle + rng.uniform(0, 2 * np.pi)) for n, s in ((2, 0.1), (3, 0.08), (7, 0.05)))
     radius = 0.5 * away[:, None] * rim
-    z = along[:, None] + _PLATE_BUMPS * rng.uniform(-1, 1, (len(along), sides))
+    z = along[:, None] + row["bumps"] * rng.uniform(-1, 1, (len(along), sides))
     soil = np.stack([radius * cos(angle), radius * sin(angle), z], axis=-1)
-    pieces = [closed_body(soil, np.array([[0.0, 0.0, -0.95], [0.0, 0.0, 0.2]]))]
-    for towards in rng.uniform(0, 2 * np.pi, _PLATE_ROOTS).tolist():
+    pieces = [closed(soil, np.array([[0.0, 0.0, -0.95], [0.0, 0.0, 0.2]]))]
+    for towards in rng.uniform(0, 2 * np.pi, roots).tolist():
         foot = rng.uniform(0.2, 0.4)
         tip = rng.uniform(0.35, 0.65)
         ends = np.array([[foot, -0.45], [tip, rng.uniform(-1.4, -0.6)]])
@@ -330,7 +319,10 @@ def _root_plate(rng: Generator) -> Mesh:
 
 
 def _drum(rng: Generator, at: F8, radius: F8, *, slant: float) -> tuple[F8, F8]:
-    """Rings (r, sides, 3) about the z axis and centres (2, 3) of the ends, with weathered ribs and slanted ends."""
+    """Rings (r, sides, 3) about the z axis and centres (2, 3) of the ends.
+
+    They have weathered ribs and slanted ends.
+    """
     sides = _ROUND_SIDES
     angle = 2 * np.pi * np.arange(_ROUND_SIDES) / _ROUND_SIDES
     ribs = sum(0.04 * cos(n * angle + rng.uniform(0, 2 * np.pi)) for n in (2, 3, 5))
@@ -345,9 +337,9 @@ def _drum(rng: Generator, at: F8, radius: F8, *, slant: float) -> tuple[F8, F8]:
     return rings, rings[[0, -1]].mean(axis=1)
 
 
-def _tuft(rng: Generator) -> Mesh:
+def _tuft(rng: Generator, row: Row) -> Mesh:
     """Blades that start together and bend outwards: a quad from the foot, and one to the tip."""
-    n = _BLADES
+    n: int = row["blades"]
     towards = rng.uniform(0, 2 * np.pi, n)
     lean = rng.uniform(0.05, 0.45, n)
     length = rng.uniform(0.6, 1.0, n)
@@ -362,7 +354,7 @@ def _tuft(rng: Generator) -> Mesh:
     tip[:, 2] /= tip[:, 2].max()
     # Width from the tuft's leaf area, for blades that narrow to a fifth above the knee.
     lower, upper = (float(norm(b - a).sum()) for a, b in ((base, knee), (knee, tip)))
-    half_width = _BLADE_AREA * _BLADES / (2 * lower + 1.2 * upper)
+    half_width = row["blade_area"] * n / (2 * lower + 1.2 * upper)
     half = half_width * across
     narrow = 0.2 * half_width * across
     corners = [base - half, base + half, knee + half, knee - half, tip + narrow, tip - narrow]
@@ -371,30 +363,16 @@ def _tuft(rng: Generator) -> Mesh:
     return Mesh(vertices, faces.astype(np.uint32))
 
 
-class _Shape(NamedTuple):
-    """Appearance of a kind; the material of the ground is litter and soil."""
-
-    grow: Callable[[Generator], Mesh]
-    semantic: Semantic
-    part: PlantPart
-    material: str
-
-
-_WOOD = Semantic.DEADWOOD, PlantPart.STEM, "dead wood"
-_LEAVES = Semantic.GRASS, PlantPart.LEAF
-_SHAPES = {
-    FloorKind.STONE: _Shape(_stone, Semantic.STONE, PlantPart.NONE, "stone"),
-    FloorKind.LOG: _Shape(_log, *_WOOD),
-    FloorKind.STUMP: _Shape(_stump, *_WOOD),
-    FloorKind.TUFT: _Shape(_tuft, *_LEAVES, "grass"),
-    FloorKind.HERB: _Shape(herb, *_LEAVES, "herb"),
-    FloorKind.FERN: _Shape(fern, *_LEAVES, "fern"),
-    FloorKind.DWARF_SHRUB: _Shape(dwarf_shrub, *_LEAVES, "dwarf shrub"),
-    FloorKind.MOSS_CUSHION: _Shape(moss_cushion, Semantic.GROUND, PlantPart.NONE, "moss"),
-    FloorKind.LITTER_HEAP: _Shape(litter_heap, Semantic.GROUND, PlantPart.NONE, "litter"),
-    FloorKind.BROKEN_LOG: _Shape(
-        partial(_log, taper=_PIECE_TAPER, bow=_PIECE_BOW, splinters=_LOG_SPLINTERS), *_WOOD
-    ),
-    FloorKind.BROKEN_STUMP: _Shape(partial(_stump, splinters=_STUMP_SPLINTERS), *_WOOD),
-    FloorKind.ROOT_PLATE: _Shape(_root_plate, Semantic.DEADWOOD, PlantPart.ROOT_FLARE, "litter"),
+_FORMS: dict[str, Callable[[Generator, Row], Mesh]] = {
+    "dwarf_shrub": _dwarf_shrub,
+    "fern": _fern,
+    "herb": _herb,
+    "litter_heap": _litter_heap,
+    "log": _log,
+    "moss_cushion": _moss_cushion,
+    "root_plate": _root_plate,
+    "stone": _stone,
+    "stump": _stump,
+    "tuft": _tuft,
 }
+"""Functions of the forms in `floor.toml`."""

@@ -1,4 +1,7 @@
-"""A forest without edge: tiles of ground and stems, with instanced crowns and things, around any path; and its cache."""
+"""A forest without edge: tiles of ground and stems, with instanced crowns and things, around any path.
+
+Tiles and shapes are cached.
+"""
 
 import math
 from collections.abc import Callable
@@ -17,7 +20,7 @@ from vlp16emu.forest.settings import Woods
 from vlp16emu.forest.stand.floor_shapes import FloorKey, floor_meshes
 from vlp16emu.forest.stand.given_stand import GivenStand
 from vlp16emu.forest.stand.inventory import far_stems
-from vlp16emu.forest.stand.placed import PlacedThings, Tile, distinct, packed, plant_surfaces
+from vlp16emu.forest.stand.placement import PlacedThings, Tile, distinct, plant_surfaces, tile_of
 from vlp16emu.forest.stand.points import Land
 from vlp16emu.forest.stand.scatter import layers_of
 from vlp16emu.forest.stand.stand import TREE, Stand, foot_discs
@@ -42,7 +45,10 @@ T = TypeVar("T")
 
 
 def _by_tile(kind: str, name: str, make: Callable[[int, int], T]) -> Callable[[int, int], T]:
-    """Cache the result for each tile (ix, iy); `name` is the digest of all other inputs, empty for no cache."""
+    """Cache the result for each tile (ix, iy).
+
+    `name` is the digest of all other inputs, empty for no cache.
+    """
     return lambda ix, iy: recall(name and f"{name} {kind} {ix} {iy}", lambda: make(ix, iy))
 
 
@@ -84,7 +90,7 @@ class ForestWorld:
         self._loose_stems = loose_stems
         self._reach_m = reach_m
         self._layers = layers_of(section, land, stems.species)
-        per_ha = stems.per_ha + sum(one.pattern.per_ha for one in self._layers if not one.kind.is_ground)
+        per_ha = stems.per_ha + sum(layer.pattern.per_ha for layer in self._layers if not layer.is_ground)
         if per_ha > _DENSEST_PER_HA:
             found = f"found {per_ha:.0f} trees and things per hectare"
             raise GeometryError("forest", found, f"at most {_DENSEST_PER_HA}")
@@ -114,7 +120,10 @@ class ForestWorld:
         )
 
     def window(self, track_m: F8) -> TiledWindow:
-        """Return the window within reach of sensor positions (n, 3); raises GeometryError if they are too far from the path."""
+        """Return the window within reach of sensor positions (n, 3).
+
+        Raises GeometryError if they are too far from the path.
+        """
         names = self._in_view(track_m)
         tiles = [self._tile(*name) for name in names]
         index_of = dict[ShapeKey, int]()
@@ -123,9 +132,9 @@ class ForestWorld:
         return TiledWindow(
             origin_m=np.round(track_m.mean(axis=0)),
             shapes=tuple(index_of),
-            shape=np.concatenate([own[tile.shape] for own, tile in zip(index, tiles, strict=True)]).astype(
-                np.int32
-            ),
+            shape=np.concatenate(
+                [number[tile.shape] for number, tile in zip(index, tiles, strict=True)]
+            ).astype(np.int32),
             world_T_shape=np.concatenate([tile.world_T_shape for tile in tiles]),
             first_surface=np.concatenate(
                 [begin + tile.first_surface for begin, tile in zip(begins, tiles, strict=False)]
@@ -138,11 +147,14 @@ class ForestWorld:
         )
 
     def shape_name(self, key: ShapeKey) -> str:
-        """Return the cache name of a shape: for tiles it depends on the whole forest, for others on seed and plants alone."""
+        """Return the cache name of a shape.
+
+        For tiles it depends on the whole forest, for others on seed and plants alone.
+        """
         if not self.name:
             return ""
-        own = isinstance(key, TileKey | StemKey | IvyKey)
-        return f"{self.name if own else f'{self.seed} {self._plants_name}'} {key!r}"
+        is_of_forest = isinstance(key, TileKey | StemKey | IvyKey)
+        return f"{self.name if is_of_forest else f'{self.seed} {self._plants_name}'} {key!r}"
 
     def _far_tile(self, ix: int, iy: int) -> FarTile:
         """Describe a tile for the far medium, without swaying trees."""
@@ -151,10 +163,10 @@ class ForestWorld:
         corner_m = np.array([origin_m[0], origin_m[1], 2.0 * np.round(origin_m[2] / 2.0)])
         edge_m = np.arange(-2, 83) * 0.25
         x, y = np.meshgrid(origin_m[0] + edge_m, origin_m[1] + edge_m, indexing="ij")
-        own = np.flatnonzero(tile.far)[1:]  # without the first, the tile's own shape
-        keys, shape = distinct([tile.keys[which] for which in tile.shape[own].tolist()])
+        far = np.flatnonzero(tile.far)[1:]  # without the first, the tile's own shape
+        keys, shape = distinct([tile.keys[which] for which in tile.shape[far].tolist()])
         begins = np.append(np.unique(tile.first_surface), len(tile.surfaces))
-        rows = tile.first_surface[own]
+        rows = tile.first_surface[far]
         # One placement of each shape, for the number of its parts.
         some = rows[np.unique(shape, return_index=True)[1]]
         ends = begins[np.searchsorted(begins, some, side="right")]
@@ -162,17 +174,17 @@ class ForestWorld:
             self.models.far_parts(key) or tile.surfaces["part"][row:end]
             for key, row, end in zip(keys, some, ends, strict=True)
         ]
-        trees = self._grown(ix, iy)
+        trees = self._grown_trees(ix, iy)
         stems = far_stems(trees[:0] if self._loose_stems else trees, 1, table=self.plants.trees)
         modelled = self.models.far_stems(
-            [keys[i] for i in shape], tile.world_T_shape[own], tile.first_surface[own]
+            [keys[i] for i in shape], tile.world_T_shape[far], tile.first_surface[far]
         )
         return FarTile(
             corner_m=corner_m,
             keys=keys,
             shape=shape,
-            world_T_shape=tile.world_T_shape[own],
-            first_surface=tile.first_surface[own],
+            world_T_shape=tile.world_T_shape[far],
+            first_surface=tile.first_surface[far],
             first_part=np.cumsum([0, *map(len, parts)]),
             part=np.concatenate([np.zeros(0, np.uint8), *parts]),
             stems=np.concatenate([stems, modelled]),
@@ -218,7 +230,7 @@ class ForestWorld:
         number += len(trees)
         is_modelled = self.models.has(trees)
         grown = trees[~is_modelled]
-        modelled = self.models.placed(trees[is_modelled], is_exact=self._loose_stems)
+        modelled = self.models.place(trees[is_modelled], is_exact=self._loose_stems)
         crowns = [self._crown(*name) for name in grown[["cohort", "crown_class", "crown_variant"]].tolist()]
         world_T = prototypes.crown_placements(grown, crowns)
         rows = plant_surfaces(grown, prototypes.CROWN_PARTS, self.plants)
@@ -243,22 +255,24 @@ class ForestWorld:
             if len(placed.trees):
                 placed.trees["id"] = numbers
             number += len(placed.keys)
-        tile = packed(key, tile_origin_m(ix, iy, self.height_m), rooted, groups, self.plants)
+        tile = tile_of(key, tile_origin_m(ix, iy, self.height_m), rooted, groups, self.plants)
         is_leaf = tile.surfaces["part"] == PlantPart.LEAF
         tile.surfaces["texture"] = np.where(is_leaf, 0.0, self.section.texture)
         tile.surfaces["roughness"] = np.where(is_leaf, self.section.leaf_roughness or 0.0, 0.0)
         return tile
 
-    def _grown(self, ix: int, iy: int) -> Trees:
+    def _grown_trees(self, ix: int, iy: int) -> Trees:
         trees = self._trees(ix, iy)
         return trees[~self.models.has(trees)]
 
     def _grow_stems(self, key: TileKey) -> list[Mesh]:
         origin_m = tile_origin_m(key.ix, key.iy, self.height_m)
-        return stem_meshes(self._grown(key.ix, key.iy), origin_m, self.height_m, table=self.plants.trees)
+        return stem_meshes(
+            self._grown_trees(key.ix, key.iy), origin_m, self.height_m, table=self.plants.trees
+        )
 
     def _grow_ivy(self, key: TileKey) -> list[Mesh]:
-        trees = self._grown(key.ix, key.iy)
+        trees = self._grown_trees(key.ix, key.iy)
         origin_m = tile_origin_m(key.ix, key.iy, self.height_m)
         return ivy_meshes(
             trees, self._ivy_m(trees), origin_m, seed=self.seed, tile=key, table=self.plants.trees

@@ -78,13 +78,13 @@ def read_stem_list(
     names = table.texts("species")
     species = [known([name], all_species, table.where(row, "species"))[0] for row, name in enumerate(names)]
     trees = np.zeros(len(table), TREE)
-    trees["species"] = [one.number for one in species]
+    trees["species"] = [kind.number for kind in species]
     trees["list_line"] = table.lines
     trees["x_m"] = table.numbers("x_m") - origin_m[0]
     trees["y_m"] = table.numbers("y_m") - origin_m[1]
     trees["dbh_m"] = table.numbers("dbh_m")
     trees["height_m"] = _with_heights(table, species)
-    kinds = [one for one in all_species.values() if one.number in set(trees["species"].tolist())]
+    kinds = [kind for kind in all_species.values() if kind.number in set(trees["species"].tolist())]
     _set_crowns(trees, table, kinds, seed)
     _set_looks(trees, kinds, seed)
     trees["lean_deg"] = np.nan_to_num(table.numbers("lean_deg"))
@@ -98,19 +98,19 @@ def read_stem_list(
 def _with_heights(table: Table, species: list[Species]) -> F8:
     dbh_cm = 100 * table.numbers("dbh_m")
     height_m = table.numbers("height_m")
-    of = np.array([one.number for one in species])
+    number = np.array([kind.number for kind in species])
     unknown = np.isnan(height_m)
-    for one in {one.number: one for one in species}.values():
-        missing = (of == one.number) & unknown
-        measured = (of == one.number) & ~unknown
+    for kind in {kind.number: kind for kind in species}.values():
+        missing = (number == kind.number) & unknown
+        measured = (number == kind.number) & ~unknown
         if missing.any() and not measured.any():
-            found = f"no tree of {one.name} has a height"
+            found = f"no tree of {kind.name} has a height"
             raise GeometryError(
                 f"{table.path}: height_m", found, "one at least, to draw its height curve through"
             )
         if missing.any():
             mean_cm = float(np.sqrt(np.mean(np.square(dbh_cm[measured]))))
-            curve_m = one.height_curve(dbh_cm[missing], mean_cm, float(height_m[measured].mean()))
+            curve_m = kind.height_curve(dbh_cm[missing], mean_cm, float(height_m[measured].mean()))
             height_m[missing] = np.maximum(curve_m, _COLUMNS["height_m"].low)
     return height_m
 
@@ -129,24 +129,26 @@ def _set_crowns(trees: Trees, table: Table, kinds: list[Species], seed: int) -> 
         generator(seed, Growth.GIVEN_TREE, 1).standard_normal((len(trees), 4))
     ).T
     rival_m2 = np.zeros((len(trees), 2))
-    for one in kinds:
-        own = trees["species"] == one.number
-        rival_m2[own] = one.rival_m2(dbh_cm[own])
-        trees["taper"][own] = np.where(np.isnan(trees["taper"]), one.taper_of(taper), trees["taper"])[own]
+    for kind in kinds:
+        is_kind = trees["species"] == kind.number
+        rival_m2[is_kind] = kind.rival_m2(dbh_cm[is_kind])
+        trees["taper"][is_kind] = np.where(np.isnan(trees["taper"]), kind.taper_of(taper), trees["taper"])[
+            is_kind
+        ]
     pressure = np.zeros((2, len(trees)))
     for i, near in enumerate(cKDTree(xy_m).query_ball_point(xy_m, RIVALS_M)):
         larger = (dbh_cm[near] > dbh_cm[i])[None]
         pressure[:, i : i + 1] = competition(
             rival_m2[near], np.pi * RIVALS_M * RIVALS_M, larger, np.ones_like(larger)
         )
-    for one in kinds:
-        own = trees["species"] == one.number
-        no_base, no_width = (own & np.isnan(trees[name]) for name in ("crown_base_m", "crown_width_m"))
+    for kind in kinds:
+        is_kind = trees["species"] == kind.number
+        no_base, no_width = (is_kind & np.isnan(trees[name]) for name in ("crown_base_m", "crown_width_m"))
         rivals = (pressure[0][no_base], pressure[1][no_base])
-        trees["crown_base_m"][no_base] = one.crown_base_m(
+        trees["crown_base_m"][no_base] = kind.crown_base_m(
             dbh_cm[no_base], height_m[no_base], rivals, ratio[no_base]
         )
-        trees["crown_width_m"][no_width] = one.crown_width_m(dbh_cm[no_width], wide[no_width])
+        trees["crown_width_m"][no_width] = kind.crown_width_m(dbh_cm[no_width], wide[no_width])
 
 
 def _check(table: Table, trees: Trees) -> None:
@@ -156,7 +158,8 @@ def _check(table: Table, trees: Trees) -> None:
     slenderness = trees["height_m"] / trees["dbh_m"]
     if (middle := float(np.median(slenderness))) < LEAST_SLENDERNESS:
         i = int(slenderness.argmin())
-        found = f"found {100 * trees['dbh_m'][i]:g} cm at a height of {trees['height_m'][i]:g} m; half of all trees are less than {middle:.0f} times as high as thick"
+        size = f"{100 * trees['dbh_m'][i]:g} cm at a height of {trees['height_m'][i]:g} m"
+        found = f"found {size}; half of all trees are less than {middle:.0f} times as high as thick"
         expected = f"{LEAST_SLENDERNESS:g} times or more (is the DBH in mm?)"
         raise GeometryError(table.where(i, "dbh_m"), found, expected)
     if (above := np.flatnonzero(trees["crown_base_m"] >= trees["height_m"])).size:
@@ -168,7 +171,8 @@ def _check(table: Table, trees: Trees) -> None:
     places = places_m(trees, "xy")
     if pairs := sorted(cKDTree(places).query_pairs(_APART_M)):
         first, second = pairs[0]
-        found = f"the place of line {table.lines[first]}, ({places[second, 0]:g}, {places[second, 1]:g}) m in the scene"
+        place = f"({places[second, 0]:g}, {places[second, 1]:g}) m in the scene"
+        found = f"the place of line {table.lines[first]}, {place}"
         raise GeometryError(table.where(second), found, f"trees at least {_APART_M:g} m apart")
 
 
@@ -184,7 +188,9 @@ _log = logging.getLogger(__name__)
 
 
 class GivenStand:
-    """Trees of a list, tile by tile; missing values, such as the azimuth of a crown about its stem, are drawn by the seed.
+    """Trees of a list, tile by tile.
+
+    Missing values, such as the azimuth of a crown about its stem, are drawn by the seed.
 
     A crown is a prototype for the list's trees of that species and diameter class, scaled to the tree. Each
     tree has the leaf area index of its species on its own crown projection, as the ground area of a tree does
@@ -197,8 +203,10 @@ class GivenStand:
         self._source = Path(section.stem_list)
         plants = land.plants
         trees = read_stem_list(self._source, plants.trees, section.origin_m, land.seed)
-        self._species = [one for one in plants.trees.values() if one.number in set(trees["species"].tolist())]
-        self.species = [one.name for one in self._species]
+        self._species = [
+            kind for kind in plants.trees.values() if kind.number in set(trees["species"].tolist())
+        ]
+        self.species = [kind.name for kind in self._species]
         self._season = section.season
         self._dead_branches = section.dead_branches
         if section.crooked_stems:
@@ -206,8 +214,8 @@ class GivenStand:
         trees = _clear_of_path(section, trees, plants.trees, land.path)
         trees["z_m"] = land.height_m(trees["x_m"], trees["y_m"])
         tile = np.floor(places_m(trees, "xy") / TILE_M).astype(np.int64)
-        tiles, of, count = np.unique(tile, axis=0, return_inverse=True, return_counts=True)
-        self._tiles = {(ix, iy): trees[of.ravel() == i] for i, (ix, iy) in enumerate(tiles.tolist())}
+        tiles, tile_of, count = np.unique(tile, axis=0, return_inverse=True, return_counts=True)
+        self._tiles = {(ix, iy): trees[tile_of.ravel() == i] for i, (ix, iy) in enumerate(tiles.tolist())}
         self.per_ha = float(count.max()) / (TILE_M * TILE_M / 10_000)  # greatest density of a tile
         self._prototypes = _prototypes(trees)
         self._all = trees
@@ -218,7 +226,8 @@ class GivenStand:
         if (gap_m - self._all["crown_width_m"] / 2 > reach_m).all():
             i = int(gap_m.argmin())
             x_m, y_m = self._all["x_m"][i], self._all["y_m"][i]
-            found = f"no tree in sight, the nearest at ({x_m:.1f}, {y_m:.1f}) m in the scene, {gap_m[i]:.1f} m from the path"
+            nearest = f"the nearest at ({x_m:.1f}, {y_m:.1f}) m in the scene"
+            found = f"no tree in sight, {nearest}, {gap_m[i]:.1f} m from the path"
             expected = f"one {reach_m:g} m from it at most (a list in map coordinates needs an origin_m)"
             raise GeometryError(str(self._source), found, expected)
 
@@ -228,10 +237,10 @@ class GivenStand:
 
     def crown(self, cohort: int, crown_class: int, variant: int) -> CrownKey:
         """Return the key of the crown prototype of a diameter class and crown ratio."""
-        own = self._species[cohort]
+        species = self._species[cohort]
         dbh_m, height_m, base_m, width_m = self._prototypes[cohort, crown_class, variant]
-        sizes = dbh_m, height_m, base_m, width_m, own.leaf_area_index * math.pi / 4 * width_m * width_m
-        return CrownKey(own.name, variant, *sizes, self._season, self._dead_branches)
+        sizes = dbh_m, height_m, base_m, width_m, species.leaf_area_index * math.pi / 4 * width_m * width_m
+        return CrownKey(species.name, variant, *sizes, self._season, self._dead_branches)
 
 
 def _set_looks(trees: Trees, kinds: list[Species], seed: int) -> None:
@@ -240,22 +249,27 @@ def _set_looks(trees: Trees, kinds: list[Species], seed: int) -> None:
     trees["crown_azimuth_deg"] = 360 * uniform[:, 0]
     trees["crown_variant"] = np.digitize(1 - trees["crown_base_m"] / trees["height_m"], _CROWN_RATIOS)
     trees["crown_class"] = np.round(log(trees["dbh_m"] / _CLASS_BASE_M) / log(_CLASS_RATIO))
-    for cohort, one in enumerate(kinds):
-        own = trees["species"] == one.number
-        trees["cohort"][own] = cohort
-        trees["bark_reflectance"][own] = one.bark_reflectance
-        trees["leaf_reflectance"][own] = one.leaf_reflectance
+    for cohort, kind in enumerate(kinds):
+        is_kind = trees["species"] == kind.number
+        trees["cohort"][is_kind] = cohort
+        trees["bark_reflectance"][is_kind] = kind.bark_reflectance
+        trees["leaf_reflectance"][is_kind] = kind.leaf_reflectance
     trees["bark_reflectance"] += BARK_SPREAD * (2 * uniform[:, 1] - 1)
     trees["leaf_reflectance"] += LEAF_SPREAD * (2 * uniform[:, 2] - 1)
 
 
 def listed_trees(section: Plot, seed: int) -> Trees:
-    """Return all trees (n,) `TREE` of a plot's list, also those on the path; errors as in `read_stem_list`."""
+    """Return all trees (n,) `TREE` of a plot's list, also those on the path.
+
+    Errors as in `read_stem_list`.
+    """
     return read_stem_list(Path(section.stem_list), flora(section.species_file).trees, section.origin_m, seed)
 
 
 def stems_in_the_way(section: Plot, seed: int) -> tuple[F8, F8]:
-    """Positions (n, 2) of stems at the foot and above head height, and the distances (n,) that the path must keep from them.
+    """Positions (n, 2) of stems at the foot and above head height, and distances (n,).
+
+    The path must keep these distances from them.
 
     Raises GeometryError for a faulty list.
     """
@@ -292,8 +306,8 @@ def _prototypes(trees: Trees) -> dict[tuple[int, int, int], tuple[float, ...]]:
     """DBH, height, crown base and crown width of the mean tree of each cohort, crown class and variant."""
     kinds = np.column_stack([trees["cohort"], trees["crown_class"], trees["crown_variant"]]).astype(np.int64)
     size = np.column_stack([trees[name] for name in ("dbh_m", "height_m", "crown_base_m", "crown_width_m")])
-    names, of = np.unique(kinds, axis=0, return_inverse=True)
+    names, name_of = np.unique(kinds, axis=0, return_inverse=True)
     return {
-        (c, k, v): tuple(size[of.ravel() == i].mean(axis=0).tolist())
+        (c, k, v): tuple(size[name_of.ravel() == i].mean(axis=0).tolist())
         for i, (c, k, v) in enumerate(names.tolist())
     }

@@ -1,4 +1,7 @@
-"""Ground truth of standing trees: one row per tree, computed from the scanned meshes; circles along stems and branches."""
+"""Ground truth of standing trees: one row per tree, computed from the scanned meshes.
+
+Circles along stems and branches.
+"""
 
 import csv
 from collections.abc import Sequence
@@ -73,7 +76,10 @@ _DECIMALS = 4  # decimals of numbers in a file: a tenth of a millimetre, a tenth
 def inventory(
     trees: Trees, crowns: Sequence[CrownKey], *, seed: int, table: Table | None = None
 ) -> NDArray[np.void]:
-    """Return the inventory (n,) `INVENTORY` of trees (n,) `TREE`, in order; crowns are prototypes grown from the seed."""
+    """Return the inventory (n,) `INVENTORY` of trees (n,) `TREE`, in order.
+
+    Crowns are prototypes grown from the seed.
+    """
     table = table or flora().trees
     rows = np.zeros(len(trees), INVENTORY)
     for name in COPIED:
@@ -92,9 +98,9 @@ def inventory(
         )
     rows["biomass_kg"] = np.nan
     for species in table.values():
-        own = trees["species"] == species.number
-        sizes = (trees[name][own] for name in ("dbh_m", "height_m", "crown_base_m", "taper"))
-        rows["biomass_kg"][own] = species.biomass_kg(*sizes)
+        is_species = trees["species"] == species.number
+        sizes = (trees[name][is_species] for name in ("dbh_m", "height_m", "crown_base_m", "taper"))
+        rows["biomass_kg"][is_species] = species.biomass_kg(*sizes)
     return rows
 
 
@@ -136,15 +142,18 @@ def volume_m3(mesh: Mesh) -> float:
 def _measure_crowns(
     rows: NDArray[np.void], span_m: F8, trees: Trees, crowns: Sequence[CrownKey], seed: int, table: Table
 ) -> None:
-    """Fill in wood and leaves, prototype by prototype, scaled for each tree; widen the boxes (n, 2, 3) to include them."""
+    """Fill in wood and leaves, prototype by prototype, scaled for each tree.
+
+    Widen the boxes (n, 2, 3) to include them.
+    """
     wide, long = crown_scale(trees, crowns)
     rows["wood_m3"] = rows["stem_m3"]
     foot_T_crown = crown_placements(trees, crowns)
     foot_T_crown[:, :, 3] -= places_m(trees)
-    own: dict[CrownKey, list[int]] = {}
+    trees_of: dict[CrownKey, list[int]] = {}
     for i, key in enumerate(crowns):
-        own.setdefault(key, []).append(i)
-    for key, which in own.items():
+        trees_of.setdefault(key, []).append(i)
+    for key, which in trees_of.items():
         rows["wood_m3"][which] += crown_wood_m3(seed, key, table=table) * np.square(wide[which]) * long[which]
         meshes = crown_meshes(seed, key, table=table)
         corners_m = hull_m(np.concatenate([mesh.vertices_m for mesh in meshes]).astype(np.float64))
@@ -179,14 +188,16 @@ def hull_m(points_m: F8) -> F8:
 def branch_circles(
     trees: Trees, crowns: Sequence[CrownKey], *, seed: int, table: Table | None = None
 ) -> NDArray[np.void]:
-    """Circles (k,) `STEM_CIRCLE` along the branches of the first order, tree by tree, each from the stem's axis to its tip.
+    """Circles (k,) `STEM_CIRCLE` along the branches of the first order, tree by tree.
+
+    Each goes from the stem's axis to its tip.
 
     The crowns of trees (n,) `TREE` are prototypes grown from the seed and scaled; a circle has the area of
     the scaled branch's section.
     """
     prototypes = {key: crown_branches(seed, key, table=table) for key in dict.fromkeys(crowns)}
     found = [np.zeros(0, STEM_CIRCLE)]
-    for one, key, world_T_crown in zip(trees[:, None], crowns, crown_placements(trees, crowns), strict=True):
+    for tree, key, world_T_crown in zip(trees[:, None], crowns, crown_placements(trees, crowns), strict=True):
         number = 1
         both = PlantPart.BRANCH_FIRST_ORDER, PlantPart.DEAD_BRANCH
         for part, branches in zip(both, prototypes[key], strict=True):
@@ -198,30 +209,41 @@ def branch_circles(
             radius_m = branches.node_radius_m * np.sqrt(determinant(world_A) / longer)
             at_m = matvec(world_A, nodes_m) + world_T_crown[:, 3]
             numbers = number + np.arange(len(nodes_m))
-            circles = circles_of(one, 1, part, at_m, radius_m, numbers[:, None])
-            circles["above_foot_m"] = circles["z_m"] - one["z_m"]
+            circles = circles_of(tree, 1, part, at_m, radius_m, numbers[:, None])
+            circles["above_foot_m"] = circles["z_m"] - tree["z_m"]
             number += len(circles)
             found.append(circles.ravel())
     return np.concatenate(found)
 
 
 def far_stems(trees: Trees, first_row: int, *, table: Table | None = None) -> NDArray[np.void]:
-    """Stems of n trees as `STEM`, with circles in place of polygons, then second leaders; rows start at `first_row`."""
-    own = Stems(trees, table=table)
+    """Stems of n trees as `STEM`, with circles in place of polygons, then second leaders.
+
+    Rows start at `first_row`.
+    """
+    stems_of_trees = Stems(trees, table=table)
     foot_m = places_m(trees)
-    above_m = np.column_stack([own.above_ground_m, trees["height_m"]])
-    first = profiles(foot_m, own.axis_m(above_m), np.column_stack([own.radius_m, own.tip_radius_m]), 1)
+    above_m = np.column_stack([stems_of_trees.above_ground_m, trees["height_m"]])
+    first = profiles(
+        foot_m,
+        stems_of_trees.axis_m(above_m),
+        np.column_stack([stems_of_trees.radius_m, stems_of_trees.tip_radius_m]),
+        1,
+    )
     first["flare_m"] = FLARE_TOP_M / first["axis"][:, 2]
     first["row"] = first_row + 2 * np.arange(len(trees))[:, None] + [0, 1]
-    above_m, radius_m = own.leaders(np.linspace(0.0, 1.0, above_m.shape[1]))
-    second = profiles(foot_m[own.forked], own.leader_axis_m(above_m), radius_m, 0)
+    above_m, radius_m = stems_of_trees.leaders(np.linspace(0.0, 1.0, above_m.shape[1]))
+    second = profiles(foot_m[stems_of_trees.forked], stems_of_trees.leader_axis_m(above_m), radius_m, 0)
     second["flare_m"] = -1.0
-    second["row"] = first["row"][own.forked]
+    second["row"] = first["row"][stems_of_trees.forked]
     return np.concatenate([first, second])
 
 
 def profiles(foot_m: F8, middle_m: F8, radius_m: F8, begin: int) -> NDArray[np.void]:
-    """Return `STEM`s of circles (n, 16) with centres (n, 16, 3) relative to feet (n, 3); `begin` is the first used circle."""
+    """Return `STEM`s of circles (n, 16) with centres (n, 16, 3) relative to feet (n, 3).
+
+    `begin` is the first used circle.
+    """
     stems = np.zeros(len(foot_m), STEM)
     from_m = middle_m[:, begin]
     axis = unit(middle_m[:, -1] - from_m)

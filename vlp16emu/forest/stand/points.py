@@ -63,11 +63,15 @@ class PointPattern:
 def scattered(*, seed: int, purpose: Growth, per_ha: float) -> PointPattern:
     """Scatter independent points (Poisson process)."""
     mean = per_ha * TILE_M * TILE_M / 10_000
-    return PointPattern(per_ha, lambda ix, iy: _sown(generator(seed, purpose, ix, iy), ix, iy, mean))
+    return PointPattern(
+        per_ha, lambda ix, iy: _poisson_points(generator(seed, purpose, ix, iy), ix, iy, mean)
+    )
 
 
 def patchy(*, seed: int, purpose: Growth, even_per_ha: float, patchy_per_ha: float) -> PointPattern:
-    """Scatter points, a part of them in patches (Cox process), like plants that spread by runners or follow light.
+    """Scatter points, a part of them in patches (Cox process).
+
+    Plants that spread by runners or follow light stand like that.
 
     The density in patches follows the square of normal noise: a quarter of the ground has less than a tenth
     of the mean, and a twelfth more than three times the mean. `even_per_ha` points are independent of
@@ -79,7 +83,7 @@ def patchy(*, seed: int, purpose: Growth, even_per_ha: float, patchy_per_ha: flo
     def points(ix: int, iy: int) -> F8:
         # A Poisson process as dense as the densest patch, thinned to the density at each point.
         mean = most_per_ha * TILE_M * TILE_M / 10_000
-        draws = _sown(generator(seed, purpose, ix, iy), ix, iy, mean, columns=3)
+        draws = _poisson_points(generator(seed, purpose, ix, iy), ix, iy, mean, columns=3)
         x, y = np.ascontiguousarray(draws[:, :2].T)
         noise = np.empty(len(x))
         sum_of_waves(noise, x, y, band, 0.0, 0.0)
@@ -90,7 +94,9 @@ def patchy(*, seed: int, purpose: Growth, even_per_ha: float, patchy_per_ha: flo
 
 
 def hard_core(*, seed: int, purpose: Growth, per_ha: float) -> PointPattern:
-    """Thin Poisson candidates with random priorities by a hard-core distance: Matern's second process (Matern 1960).
+    """Thin Poisson candidates with random priorities by a hard-core distance.
+
+    This is Matern's second process (Matern 1960).
 
     A candidate survives if no candidate of higher priority is within the hard-core distance.
     """
@@ -102,22 +108,24 @@ def hard_core(*, seed: int, purpose: Growth, per_ha: float) -> PointPattern:
 
     @lru_cache(maxsize=_TILES_KEPT)
     def candidates(ix: int, iy: int) -> F8:
-        found = _sown(generator(seed, purpose, ix, iy), ix, iy, intensity * TILE_M * TILE_M, columns=3)
+        found = _poisson_points(
+            generator(seed, purpose, ix, iy), ix, iy, intensity * TILE_M * TILE_M, columns=3
+        )
         found.flags.writeable = False
         return found
 
     def points(ix: int, iy: int) -> F8:
-        own = candidates(ix, iy)
+        points_here = candidates(ix, iy)
         rivals = around(ix, iy, candidates)
-        dx, dy = (own[:, None, axis] - rivals[:, axis] for axis in (0, 1))
-        beaten = (dx * dx + dy * dy < distance_m * distance_m) & (rivals[:, 2] < own[:, None, 2])
-        return own[~beaten.any(axis=1), :2]
+        dx, dy = (points_here[:, None, axis] - rivals[:, axis] for axis in (0, 1))
+        beaten = (dx * dx + dy * dy < distance_m * distance_m) & (rivals[:, 2] < points_here[:, None, 2])
+        return points_here[~beaten.any(axis=1), :2]
 
     return PointPattern(per_ha, points)
 
 
 def clustered(section: Clusters, *, seed: int, purpose: Growth, per_ha: float) -> PointPattern:
-    """Scatter clumps by a Poisson process, with members normally distributed about the centre (Thomas process).
+    """Scatter clumps by a Poisson process, with members around a centre (Thomas process).
 
     Members beyond the neighbouring tile, at most one in 1e4, are lost.
     """
@@ -125,7 +133,7 @@ def clustered(section: Clusters, *, seed: int, purpose: Growth, per_ha: float) -
     @lru_cache(maxsize=_TILES_KEPT)
     def members(ix: int, iy: int) -> F8:
         rng = generator(seed, purpose, ix, iy)
-        middles = _sown(rng, ix, iy, per_ha / section.per_cluster * TILE_M * TILE_M / 10_000)
+        middles = _poisson_points(rng, ix, iy, per_ha / section.per_cluster * TILE_M * TILE_M / 10_000)
         each = rng.poisson(section.per_cluster, len(middles))
         return np.repeat(middles, each, axis=0) + rng.normal(0.0, section.sigma_m, (each.sum(), 2))
 
@@ -175,22 +183,25 @@ def planted(
 def pattern_of(section: Pattern, land: Land, *, purpose: Growth, per_ha: float) -> PointPattern:
     """Make a point pattern; the density refers to all the ground, but points are only off the trails."""
     share = land.trails.free_share if land.trails else 1.0
-    how: dict[str, Any] = {"seed": land.seed, "purpose": purpose, "per_ha": per_ha / share}
+    options: dict[str, Any] = {"seed": land.seed, "purpose": purpose, "per_ha": per_ha / share}
     match section:
         case Clusters():
-            pattern = clustered(section, **how)
+            pattern = clustered(section, **options)
         case Plantation():
-            pattern = planted(section, free_share=share, **how)
+            pattern = planted(section, free_share=share, **options)
         case Scattered(kind=kind):
-            pattern = hard_core(**how) if kind == "hard_core" else scattered(**how)
+            pattern = hard_core(**options) if kind == "hard_core" else scattered(**options)
     if (trails := land.trails) is None or share == 1:
         return pattern
     off_trails = pattern.per_ha * share
     return PointPattern(off_trails, lambda ix, iy: (xy_m := pattern.points(ix, iy))[trails.are_free(xy_m)])
 
 
-def _sown(rng: np.random.Generator, ix: int, iy: int, mean: float, columns: int = 2) -> F8:
-    """Random numbers (n, columns) in [0, 1), the first two scaled to positions on a tile; n is `mean` on average."""
+def _poisson_points(rng: np.random.Generator, ix: int, iy: int, mean: float, columns: int = 2) -> F8:
+    """Random numbers (n, columns) in [0, 1), the first two scaled to positions on a tile.
+
+    The mean of n is `mean`.
+    """
     draws = rng.random((rng.poisson(mean), columns))
     draws[:, :2] = (draws[:, :2] + np.array([ix, iy])) * TILE_M
     return draws

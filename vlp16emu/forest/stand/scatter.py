@@ -29,15 +29,15 @@ from vlp16emu.forest.plants.prototypes import (
 )
 from vlp16emu.forest.plants.species import BARK_SPREAD, LEAF_SPREAD, known
 from vlp16emu.forest.purpose import Growth
-from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS, LOG_TAPER, FloorKind, labelled
-from vlp16emu.forest.stand.placed import (
+from vlp16emu.forest.stand.floor_shapes import FloorKind, Row, floor, floor_things, is_ground, shape_row
+from vlp16emu.forest.stand.placement import (
     PlacedThings,
+    about_vertical,
+    along_slope,
     between,
-    laid,
+    concatenated,
     placements,
     plant_surfaces,
-    together,
-    turned,
 )
 from vlp16emu.forest.stand.points import Land, PointPattern, patchy, pattern_of, scattered
 from vlp16emu.forest.stand.stand import REGENERATION, TREE, class_scale
@@ -47,36 +47,8 @@ from vlp16emu.settings import Section
 from vlp16emu.types import F8, I8, HeightField, Semantic
 from vlp16emu.world.vectors import places_m
 
-_CLASS_RATIO = 1.4  # ratio of the heights of neighbouring prototypes: none is scaled by more than a fifth
-_ROOM_SHARE = 0.15
-_MOST_ROOM_M = 0.5
-"""Distance of a sapling from a tree, bark to bark, over its height, and its upper limit: assumption; none
-grows through the foot of another."""
-_FOOT_SHARE = 0.1  # radius of the foot of a shrub's stems over its width
-
-
+Generator = np.random.Generator
 Mask = NDArray[np.bool_]
-
-
-@dataclass(frozen=True, slots=True)
-class LayerKind:
-    """Recipe for the things of a section of a scene."""
-
-    name: str  # key of the section
-    purpose: Growth  # purpose of its random numbers
-    draws: tuple[int, ...]  # numbers drawn for each thing, in groups
-    lay: Callable[
-        ..., PlacedThings
-    ]  # makes things from the layer, trunks, positions (n, 2) and draws (n, draws)
-    shape: FloorKind | None = None  # shape of ground cover
-    spread: float = 1.0  # width over height, for a tuft already in its shape; assumption
-    reach_m: float = math.inf
-    """Greatest distance from the path: farther away the beam is wider than such a plant; assumption."""
-
-    @property
-    def is_ground(self) -> bool:
-        """True if it is part of the ground: without instance numbers, and too low for the far medium."""
-        return self.shape in GROUND_KINDS
 
 
 class Layer:
@@ -90,14 +62,18 @@ class Layer:
         self, section: Section, land: Land, *, season: settings.Season = "leaf_on", canopy: Sequence[str] = ()
     ) -> None:
         self.section: Any = section
-        self.kind = _KINDS[type(section)]
+        self.name, self._lay = _LAYERS[type(section)]
+        self.purpose = Growth[self.name.upper()]
+        self.row = floor()["layers"][self.name]
+        self.shape = FloorKind(self.row["shape"]) if "shape" in self.row else None  # of ground cover
+        self.is_ground = self.shape is not None and is_ground(self.shape)
         self.season = season
         self.land = land
         self.species: Sequence[Any] = []  # species of the plants, living or dead
         plants = land.plants
         match section:
             case settings.Regeneration():
-                names = section.species or [one for one in canopy if plants.trees[one].foliage]
+                names = section.species or [name for name in canopy if plants.trees[name].foliage]
                 if section.stems_per_ha and not names:
                     found = "found none, and only dead trees above"
                     raise GeometryError("regeneration.species", found, "names of species")
@@ -105,22 +81,44 @@ class Layer:
             case settings.Shrubs():
                 self.species = known(section.species, plants.shrubs, "shrubs.species")
             case settings.Logs() | settings.Stumps():
-                self.species = known(section.species or canopy, plants.trees, f"{self.kind.name}.species")
-        self.pattern = _pattern(
-            section, self.kind, land
-        )  # before things on the path and in trunks are left out
+                self.species = known(section.species or canopy, plants.trees, f"{self.name}.species")
+        self.pattern = self._pattern()  # before things on the path and in trunks are left out
 
     def place(self, ix: int, iy: int, trunks: F8) -> PlacedThings:
-        """Place the things of a tile clear of trunks (m, 3): x, y and radius at the ground of stems on it and its neighbours."""
-        near = tile_distance_m((ix, iy), self.land.path) < self.kind.reach_m
+        """Place the things of a tile clear of trunks (m, 3).
+
+        Trunks are x, y and radius at the ground of the stems on it and its neighbours.
+        """
+        near = tile_distance_m((ix, iy), self.land.path) < self.row.get("reach_m", math.inf)
         xy_m = self.pattern.points(ix, iy) if near else np.zeros((0, 2))
-        rng = generator(self.land.seed, self.kind.purpose, ix, iy, 1)
-        return self.kind.lay(
-            self, trunks, xy_m, *(rng.random((len(xy_m), count)) for count in self.kind.draws)
-        )
+        return self._lay(self, trunks, xy_m, generator(self.land.seed, self.purpose, ix, iy, 1))
+
+    def _pattern(self) -> PointPattern:
+        """Make the point pattern: herbs, ferns and dwarf shrubs grow in patches, other things anywhere."""
+        where: Any = {"seed": self.land.seed, "purpose": self.purpose}
+        match self.section:
+            case settings.Regeneration(stems_per_ha=per_ha) | settings.Shrubs(per_ha=per_ha):
+                return pattern_of(self.section.pattern, self.land, purpose=self.purpose, per_ha=per_ha)
+            case settings.Cover():
+                spread = self.row["spread"]
+                even, in_patches = plants_per_ha(self.section, spread, patches=not self.is_ground)
+                if in_patches:
+                    return patchy(**where, even_per_ha=even, patchy_per_ha=in_patches)
+            case settings.Grass(tufts_per_m2=per_m2):
+                even = 10_000 * per_m2
+            case settings.Stones(cover=cover):
+                # Overlaps counted once, scattered discs of mean area a and density d leave exp(-a d) of the
+                # plane bare (Boolean model; Chiu et al., Stochastic Geometry, section 3.1).
+                even = -log1p(-cover) / _stone_area_m2() * 10_000
+            case settings.Logs(per_ha=per_ha) | settings.Stumps(per_ha=per_ha):
+                even = per_ha
+        return scattered(**where, per_ha=even)
 
     def are_clear(self, trunks: F8, xy_m: F8, reach_m: F8, foot_m: F8) -> Mask:
-        """Return a mask (n,) of points (n, 2) that keep `reach_m` (n,) away from the path, and `foot_m` (n,) from all trunks."""
+        """Return a mask of points (n, 2) that are clear of path and trunks.
+
+        They keep `reach_m` (n,) away from the path, and `foot_m` (n,) from all trunks.
+        """
         free = np.asarray(self.land.path.distance_m(xy_m) - reach_m >= self.land.path.clearance_m)
         dx, dy = (xy_m[:, None, axis] - trunks[:, axis] for axis in (0, 1))
         gap_m = foot_m[:, None] + trunks[:, 2]
@@ -130,25 +128,28 @@ class Layer:
 
 def layers_of(section: settings.Woods, land: Land, canopy: Sequence[str]) -> list[Layer]:
     """Return the layers of all plants and things under the trees, in the order of their numbers."""
-    sections = (getattr(section, kind.name) for kind in _KINDS.values())
-    layers = [Layer(own, land, season=section.season, canopy=canopy) for own in sections]
+    sections = (getattr(section, name) for name, _ in _LAYERS.values())
+    layers = [Layer(each, land, season=section.season, canopy=canopy) for each in sections]
     return [layer for layer in layers if layer.pattern.per_ha]
 
 
-def _lay_plants(layer: Layer, trunks: F8, xy_m: F8, draws: F8) -> PlacedThings:
+def _lay_plants(layer: Layer, trunks: F8, xy_m: F8, rng: Generator) -> PlacedThings:
     """Place young trees, or bushes of several stems."""
-    own = layer.section
+    row = layer.row
+    draws = rng.random((len(xy_m), 6))
     kind = (len(layer.species) * draws[:, 1]).astype(int)
-    is_shrub = isinstance(own, settings.Shrubs)
+    is_shrub = isinstance(layer.section, settings.Shrubs)
     if is_shrub:
-        low_m, high_m, wide = np.array([(*one.height_m, one.width_share) for one in layer.species])[kind].T
+        low_m, high_m, wide = np.array([(*plant.height_m, plant.width_share) for plant in layer.species])[
+            kind
+        ].T
         height_m = low_m + (high_m - low_m) * draws[:, 0]
         width_m = height_m * wide
-        foot_m = _FOOT_SHARE * width_m
+        foot_m = row["foot"] * width_m
     else:
-        height_m = between(own.height_m, draws[:, 0])
+        height_m = between(layer.section.height_m, draws[:, 0])
         width_m = CROWN_WIDTH_SHARE * height_m
-        foot_m = height_m / SLENDERNESS / 2 + np.minimum(_ROOM_SHARE * height_m, _MOST_ROOM_M)
+        foot_m = height_m / SLENDERNESS / 2 + np.minimum(row["room"] * height_m, row["most_room_m"])
     keep = layer.are_clear(trunks, xy_m, width_m / 2, foot_m)
     xy_m = xy_m[keep]
     height_m = height_m[keep]
@@ -159,22 +160,22 @@ def _lay_plants(layer: Layer, trunks: F8, xy_m: F8, draws: F8) -> PlacedThings:
     plants["z_m"] = layer.land.height_m(*xy_m.T)
     plants["height_m"] = height_m
     plants["crown_azimuth_deg"] = 360 * draws[:, 2]
-    plants["crown_class"] = np.round(log(height_m) / log(_CLASS_RATIO))
+    plants["crown_class"] = np.round(log(height_m) / log(row["class_ratio"]))
     plants["crown_variant"] = VARIANTS * draws[:, 3]
-    looks = [(one.number, one.bark_reflectance, one.leaf_reflectance) for one in layer.species]
+    looks = [(plant.number, plant.bark_reflectance, plant.leaf_reflectance) for plant in layer.species]
     plants["species"], bark, leaf = np.array(looks)[kind].T
     plants["bark_reflectance"] = bark + (2 * draws[:, 4] - 1) * BARK_SPREAD
     plants["leaf_reflectance"] = leaf + (2 * draws[:, 5] - 1) * LEAF_SPREAD
-    prototype_m = [class_scale(_CLASS_RATIO, number) for number in plants["crown_class"].tolist()]
+    prototype_m = [class_scale(row["class_ratio"], number) for number in plants["crown_class"].tolist()]
     size = np.repeat((height_m / np.array(prototype_m))[:, None], 3, axis=1)
-    world_T = placements(places_m(plants), turned(plants["crown_azimuth_deg"]), size)
+    world_T = placements(places_m(plants), about_vertical(plants["crown_azimuth_deg"]), size)
     prototypes = zip(
         (layer.species[i] for i in kind), plants["crown_variant"].tolist(), prototype_m, strict=True
     )
     if is_shrub:
         shrubs = [
-            ShrubKey(one.name, variant, m, one.width_share * m, layer.season)
-            for one, variant, m in prototypes
+            ShrubKey(plant.name, variant, m, plant.width_share * m, layer.season)
+            for plant, variant, m in prototypes
         ]
         return PlacedThings(
             shrubs, world_T, plant_surfaces(plants, SHRUB_PARTS, layer.land.plants, Semantic.SHRUB)
@@ -183,33 +184,12 @@ def _lay_plants(layer: Layer, trunks: F8, xy_m: F8, draws: F8) -> PlacedThings:
     plants["dbh_m"] = np.maximum(height_m - BREAST_HEIGHT_M, 0.0) / SLENDERNESS
     plants["crown_base_m"] = CROWN_BASE_SHARE * height_m
     plants["crown_width_m"] = CROWN_WIDTH_SHARE * height_m
-    saplings = [SaplingKey(one.name, variant, m, layer.season) for one, variant, m in prototypes]
+    saplings = [SaplingKey(plant.name, variant, m, layer.season) for plant, variant, m in prototypes]
     return PlacedThings(saplings, world_T, plant_surfaces(plants, SAPLING_PARTS, layer.land.plants), plants)
 
 
 _STATIONS = np.linspace(-0.5, 0.5, 9)
 """Stations along a log at which the ground and the distance from the path are sampled."""
-_SUNK = 0.25  # share of its half height that a sound log has sunk into the ground; assumption
-_DECAY = (0.3, 1.0)
-"""Range of decay of a rotten log: from round to oval, the third of five classes, to lying wholly on the
-ground (decay class system for coarse woody debris in Ann. For. Sci. 67(8), 2010, f09374, table I)."""
-_DECAYED_LOWER = 0.5
-_DECAYED_WIDER = 0.2
-_DECAYED_SUNK = 0.5
-"""Decrease of height and increase of width of a log's section at decay 1, and its extra sinking;
-assumptions."""
-_BREAK_AT = (0.35, 0.65)
-_BREAK_GAP = (0.02, 0.1)
-_BREAK_TURN = np.radians(12.0)
-"""Range of the position of a break and of its gap, over the length, and half-range of the angle between the
-pieces; assumptions."""
-_PLATE_M = 1.0
-_PLATE_PER_DIAMETER = 4.0
-"""Diameter of a root plate: intercept, and slope over the mean diameter of the log; assumption."""
-_PLATE_THICKNESS = 0.25  # over its diameter; assumption
-_PLATE_AXIS = 0.3
-"""Height of the butt over the ground over the plate's diameter; the plate's lower part is in its pit;
-assumption."""
 _PLATE_STATIONS = np.linspace(-0.4, 0.4, 5)
 """Stations across a plate at which the distance from the path and from trunks is sampled."""
 
@@ -233,32 +213,37 @@ class _Pieces:
         return _line_m(self.xy_m, self.towards, self.length_m[:, None] * _STATIONS)
 
 
-def _lay_logs(layer: Layer, trunks: F8, xy_m: F8, draws: F8, fate: F8) -> PlacedThings:
+def _lay_logs(layer: Layer, trunks: F8, xy_m: F8, rng: Generator) -> PlacedThings:
     """Place trunks along the ground, some with their root plate, some broken in two, some rotten."""
-    own = layer.section
-    diameter_m = between(own.diameter_m, draws[:, 0])
-    is_uprooted = fate[:, 0] < own.uprooted
-    is_broken = fate[:, 1] < own.broken
+    section = layer.section
+    row = layer.row
+    draws = rng.random((len(xy_m), 8))
+    fate = rng.random((len(xy_m), 7))
+    diameter_m = between(section.diameter_m, draws[:, 0])
+    is_uprooted = fate[:, 0] < section.uprooted
+    is_broken = fate[:, 1] < section.broken
     # A log with a standing root plate is young.
-    decay = np.where((fate[:, 2] < own.decayed) & ~is_uprooted, between(_DECAY, fate[:, 3]), 0.0)
+    is_rotten = (fate[:, 2] < section.decayed) & ~is_uprooted
+    decay = np.where(is_rotten, between(row["decay"], fate[:, 3]), 0.0)
+    plate_m = row["plate_m"] + row["plate_per_diameter"] * diameter_m
     whole = _Pieces(
         log=np.arange(len(xy_m)),
         is_top=np.zeros(len(xy_m), np.bool_),
         xy_m=xy_m,
         towards=2 * np.pi * draws[:, 2],
-        length_m=between(own.length_m, draws[:, 1]),
-        wide_m=diameter_m * (1 + _DECAYED_WIDER * decay),
-        high_m=diameter_m * (1 - _DECAYED_LOWER * decay),
-        sunk=_SUNK + _DECAYED_SUNK * decay,
-        plate_m=np.where(is_uprooted, _PLATE_M + _PLATE_PER_DIAMETER * diameter_m, 0.0),
+        length_m=between(section.length_m, draws[:, 1]),
+        wide_m=diameter_m * (1 + row["decayed_wider"] * decay),
+        high_m=diameter_m * (1 - row["decayed_lower"] * decay),
+        sunk=row["sunk"] + row["decayed_sunk"] * decay,
+        plate_m=np.where(is_uprooted, plate_m, 0.0),
     )
-    pieces = _broken(whole, is_broken, fate[:, 4:])
-    world_T = _laid_down(pieces, layer.land.height_m)
+    pieces = _break_in_two(whole, is_broken, fate[:, 4:], row)
+    world_T = _on_ground(pieces, layer.land.height_m, row["plate_axis"])
     along_m = pieces.along_m()
     sideways = pieces.towards + np.pi / 2
     across_m = _line_m(along_m[:, 0], sideways, pieces.plate_m[:, None] * _PLATE_STATIONS)
     keep = _are_clear(layer, trunks, along_m, pieces.wide_m / 2)
-    keep &= _are_clear(layer, trunks, across_m, _PLATE_THICKNESS * pieces.plate_m)
+    keep &= _are_clear(layer, trunks, across_m, row["plate_thickness"] * pieces.plate_m)
     keep = np.bincount(pieces.log, ~keep, len(xy_m))[pieces.log] == 0
     species = _sampled_species(layer, draws)[pieces.log]
     looks = draws[pieces.log]
@@ -267,30 +252,31 @@ def _lay_logs(layer: Layer, trunks: F8, xy_m: F8, draws: F8, fate: F8) -> Placed
     has_plate = pieces.plate_m > 0
     # Plates stand at the butts, across the logs.
     along = world_T[:, :, 0] / pieces.length_m[:, None]
-    across = laid(pieces.towards, along[:, 2] / hypot(along[:, 0], along[:, 1]))
-    size = pieces.plate_m[:, None] * [_PLATE_THICKNESS, 1.0, 1.0]
+    across = along_slope(pieces.towards, along[:, 2] / hypot(along[:, 0], along[:, 1]))
+    size = pieces.plate_m[:, None] * [row["plate_thickness"], 1.0, 1.0]
     butt_T = placements(world_T[:, :, 3] - world_T[:, :, 0] / 2, across, size)
-    return together(
+    return concatenated(
         [
-            labelled(FloorKind.LOG, keep & ~in_two, world_T, log_looks, species=species),
-            labelled(FloorKind.BROKEN_LOG, keep & in_two, world_T, log_looks, species=species),
-            labelled(FloorKind.ROOT_PLATE, keep & has_plate, butt_T, looks[:, [7, 5]], species=species),
+            floor_things(FloorKind.LOG, keep & ~in_two, world_T, log_looks, species=species),
+            floor_things(FloorKind.BROKEN_LOG, keep & in_two, world_T, log_looks, species=species),
+            floor_things(FloorKind.ROOT_PLATE, keep & has_plate, butt_T, looks[:, [7, 5]], species=species),
         ]
     )
 
 
-def _lay_stumps(layer: Layer, trunks: F8, xy_m: F8, draws: F8) -> PlacedThings:
-    own = layer.section
+def _lay_stumps(layer: Layer, trunks: F8, xy_m: F8, rng: Generator) -> PlacedThings:
+    section = layer.section
+    draws = rng.random((len(xy_m), 8))
     species = _sampled_species(layer, draws)
-    diameter_m = between(own.diameter_m, draws[:, 0])
-    height_m = between(own.height_m, draws[:, 1])
+    diameter_m = between(section.diameter_m, draws[:, 0])
+    height_m = between(section.height_m, draws[:, 1])
     keep = layer.are_clear(trunks, xy_m, 0.8 * diameter_m, 0.8 * diameter_m)
     place_m = np.column_stack([xy_m, layer.land.height_m(*xy_m.T)])
     size = np.column_stack([diameter_m, diameter_m, height_m])
-    world_T = placements(place_m, turned(360 * draws[:, 2]), size)
-    is_broken = draws[:, 6] < own.broken
+    world_T = placements(place_m, about_vertical(360 * draws[:, 2]), size)
+    is_broken = draws[:, 6] < section.broken
     kinds = (FloorKind.STUMP, keep & ~is_broken), (FloorKind.BROKEN_STUMP, keep & is_broken)
-    return together([labelled(*kind, world_T, draws[:, 4:], species=species) for kind in kinds])
+    return concatenated([floor_things(*kind, world_T, draws[:, 4:], species=species) for kind in kinds])
 
 
 def _sampled_species(layer: Layer, draws: F8) -> I8:
@@ -298,23 +284,25 @@ def _sampled_species(layer: Layer, draws: F8) -> I8:
     return numbers[(len(numbers) * draws[:, 3]).astype(int)]
 
 
-def _broken(whole: _Pieces, is_broken: Mask, draws: F8) -> _Pieces:
+def _break_in_two(whole: _Pieces, is_broken: Mask, draws: F8, row: Row) -> _Pieces:
     """Break some of the logs (n,) in two; draws (n, 3) give position, gap and angle."""
     log = np.append(whole.log, np.flatnonzero(is_broken))
     is_top = np.arange(len(log)) >= len(whole.log)
     towards = whole.towards[log]
     whole_m = whole.length_m[log]
-    at = between(_BREAK_AT, draws[log, 0])
-    gap = between(_BREAK_GAP, draws[log, 1])
+    at = between(row["break_at"], draws[log, 0])
+    gap = between(row["break_gap"], draws[log, 1])
     share = np.where(is_top, 1 - at - gap, np.where(is_broken[log], at, 1.0))
     middle = np.where(is_top, at / 2, -0.5 + share / 2)
-    thick = np.where(is_broken[log], 1 - 2 * LOG_TAPER * middle, 1.0)
+    taper = shape_row(FloorKind.LOG)["taper"]
+    thick = np.where(is_broken[log], 1 - 2 * taper * middle, 1.0)
     length_m = share * whole_m
     xy_m = _line_m(whole.xy_m[log], towards, (np.where(is_top, at + gap - 0.5, middle) * whole_m)[:, None])[
         :, 0
     ]
     # The upper piece is turned about its lower end.
-    towards = towards + np.where(is_top, _BREAK_TURN * (2 * draws[log, 2] - 1), 0.0)
+    turn = np.radians(row["break_turn_deg"])
+    towards = towards + np.where(is_top, turn * (2 * draws[log, 2] - 1), 0.0)
     xy_m[is_top] = _line_m(xy_m[is_top], towards[is_top], length_m[is_top, None] / 2)[:, 0]
     wide_m = thick * whole.wide_m[log]
     high_m = thick * whole.high_m[log]
@@ -322,22 +310,22 @@ def _broken(whole: _Pieces, is_broken: Mask, draws: F8) -> _Pieces:
     return _Pieces(log, is_top, xy_m, towards, length_m, wide_m, high_m, whole.sunk[log], plate_m)
 
 
-def _laid_down(pieces: _Pieces, height_m: HeightField) -> F8:
+def _on_ground(pieces: _Pieces, height_m: HeightField, plate_axis: float) -> F8:
     """`world_T_shape` (n, 3, 4) of pieces on the ground; butts with root plates are raised."""
     station_m = pieces.length_m[:, None] * _STATIONS
     ground_m = height_m(*np.moveaxis(pieces.along_m(), -1, 0))
     # Least-squares line through the ground at evenly spaced stations.
     slope = (ground_m * station_m).sum(axis=1) / (np.square(station_m)).sum(axis=1)
     rest_m = (1 - pieces.sunk) * pieces.high_m / 2
-    lift_m = np.maximum(_PLATE_AXIS * pieces.plate_m - rest_m, 0.0)
+    lift_m = np.maximum(plate_axis * pieces.plate_m - rest_m, 0.0)
     z_m = ground_m.mean(axis=1) + rest_m + lift_m / 2
-    world_R_log = laid(pieces.towards, slope - lift_m / pieces.length_m)
+    world_R_log = along_slope(pieces.towards, slope - lift_m / pieces.length_m)
     size = np.column_stack([pieces.length_m, pieces.wide_m, pieces.high_m])
     return placements(np.column_stack([pieces.xy_m, z_m]), world_R_log, size)
 
 
 def _are_clear(layer: Layer, trunks: F8, line_m: F8, radius_m: F8) -> Mask:
-    """Return a mask of lines of positions (n, k, 2) that keep a radius (n,) clear of the path and of trunks."""
+    """Return a mask of lines (n, k, 2) that keep a radius (n,) clear of the path and of trunks."""
     reach_m = np.repeat(radius_m, line_m.shape[1])
     clear = layer.are_clear(trunks, line_m.reshape(-1, 2), reach_m, reach_m).reshape(line_m.shape[:2])
     return np.asarray(clear.all(axis=1))
@@ -352,18 +340,57 @@ def _line_m(xy_m: F8, towards: F8, along_m: F8) -> F8:
 _SQRT_2_PI = 2.50662827463100050242
 _TAIL = 0.13533528323661269189  # exp(-2): limit between the approximations of the middle and the tails
 _MIDDLE = (
-    (-5.99633501014107895267e1, 9.80010754185999661536e1, -5.66762857469070293439e1, 1.39312609387279679503e1, -1.23916583867381258016e0),
-    (1.0, 1.95448858338141759834e0, 4.67627912898881538453e0, 8.63602421390890590575e1, -2.25462687854119370527e2, 2.00260212380060660359e2, -8.20372256168333339912e1, 1.59056225126211695515e1, -1.18331621121330003142e0),
-)  # fmt: skip
+    (
+        -5.99633501014107895267e1,
+        9.80010754185999661536e1,
+        -5.66762857469070293439e1,
+        1.39312609387279679503e1,
+        -1.23916583867381258016e0,
+    ),
+    (
+        1.0,
+        1.95448858338141759834e0,
+        4.67627912898881538453e0,
+        8.63602421390890590575e1,
+        -2.25462687854119370527e2,
+        2.00260212380060660359e2,
+        -8.20372256168333339912e1,
+        1.59056225126211695515e1,
+        -1.18331621121330003142e0,
+    ),
+)
 _TAILS = (
-    (4.05544892305962419923e0, 3.15251094599893866154e1, 5.71628192246421288162e1, 4.40805073893200834700e1, 1.46849561928858024014e1, 2.18663306850790267539e0, -1.40256079171354495875e-1, -3.50424626827848203418e-2, -8.57456785154685413611e-4),
-    (1.0, 1.57799883256466749731e1, 4.53907635128879210584e1, 4.13172038254672030440e1, 1.50425385692907503408e1, 2.50464946208309415979e0, -1.42182922854787788574e-1, -3.80806407691578277194e-2, -9.33259480895457427372e-4),
-)  # fmt: skip
+    (
+        4.05544892305962419923e0,
+        3.15251094599893866154e1,
+        5.71628192246421288162e1,
+        4.40805073893200834700e1,
+        1.46849561928858024014e1,
+        2.18663306850790267539e0,
+        -1.40256079171354495875e-1,
+        -3.50424626827848203418e-2,
+        -8.57456785154685413611e-4,
+    ),
+    (
+        1.0,
+        1.57799883256466749731e1,
+        4.53907635128879210584e1,
+        4.13172038254672030440e1,
+        1.50425385692907503408e1,
+        2.50464946208309415979e0,
+        -1.42182922854787788574e-1,
+        -3.80806407691578277194e-2,
+        -9.33259480895457427372e-4,
+    ),
+)
 """Numerators and denominators, highest power first (Moshier, Cephes Mathematical Library, ndtri.c)."""
 
 
 def normal_quantile(probability: F8) -> F8:
-    """Return standard normal quantiles of probabilities (n,) from 1e-13 to 1 - 1e-13, with a relative error of 1e-15."""
+    """Return standard normal quantiles of probabilities (n,) from 1e-13 to 1 - 1e-13.
+
+    The relative error is 1e-15.
+    """
     off = probability - 0.5
     square = off * off
     above, below = (np.polyval(np.array(coefficients), square) for coefficients in _MIDDLE)
@@ -375,23 +402,14 @@ def normal_quantile(probability: F8) -> F8:
     return np.where(tail < _TAIL, np.copysign(far, off), middle)
 
 
-_STONE_M = (0.1, 1.5)  # range of the length of a stone; assumption
-_STONE_MEDIAN_M = 0.22
-_STONE_SIGMA = 0.6
-"""Parameters of the log-normal distribution of lengths, before truncation at both ends; assumptions."""
-_STONE_SHARES = (0.0944070172326103, 0.999311242465033)
-"""Shares of the untruncated distribution below the least and the greatest length."""
-_STONE_BURIED = (0.3, 0.6)  # range of the buried share of a stone's height; assumption
-_STONE_WIDTH, _STONE_HEIGHT = 0.8, 0.6  # width and height over length; assumptions
-_LARGE_STONE_M = (
-    0.4  # longer stones have four times the faces; the faces of shorter ones are off by less than 3 mm
-)
 _MOST_IN_PATCHES_PER_M2 = 4.0  # mean density; with more plants in patches a tile could run out of numbers
 _SLOPE_M = 0.2  # distance to either side for the slope under a cushion or heap
 
 
 def plants_per_ha(section: settings.Cover, spread: float, *, patches: bool) -> tuple[float, float]:
-    """Plants per hectare, even ones and ones in patches, to cover a share c of the ground, overlaps counted once.
+    """Plants per hectare, even ones and ones in patches, to cover a share c of the ground.
+
+    Overlaps count once.
 
     Discs of area a in patches of mean density d leave (1 + 2 a d)^(-1/2) of the plane bare: the mean of
     exp(-a d n^2) over normal noise n. It is assumed to be 1 / (1 + c (1 - c)): most plants are in patches at
@@ -407,89 +425,73 @@ def plants_per_ha(section: settings.Cover, spread: float, *, patches: bool) -> t
     return 10_000 * even / area_m2, 10_000 * patchy / area_m2
 
 
-def _pattern(section: Section, kind: LayerKind, land: Land) -> PointPattern:
-    """Make the point pattern of a layer: herbs, ferns and dwarf shrubs grow in patches, other things anywhere."""
-    match section:
-        case settings.Regeneration() | settings.Shrubs():
-            per_ha = section.per_ha if isinstance(section, settings.Shrubs) else section.stems_per_ha
-            return pattern_of(section.pattern, land, purpose=kind.purpose, per_ha=per_ha)
-        case settings.Cover():
-            even, in_patches = plants_per_ha(section, kind.spread, patches=not kind.is_ground)
-            if in_patches:
-                return patchy(
-                    seed=land.seed, purpose=kind.purpose, even_per_ha=even, patchy_per_ha=in_patches
-                )
-        case settings.Grass():
-            even = 10_000 * section.tufts_per_m2
-        case settings.Stones():
-            # Overlaps counted once, scattered discs of mean area a and density d leave exp(-a d) of the plane
-            # bare (Boolean model; Chiu et al., Stochastic Geometry, section 3.1).
-            even = -log1p(-section.cover) / _stone_area_m2() * 10_000
-        case settings.Logs() | settings.Stumps():
-            even = section.per_ha
-    return scattered(seed=land.seed, purpose=kind.purpose, per_ha=even)
-
-
 @cache
 def _stone_area_m2() -> float:
-    """Mean area of a stone from above: its section at the ground, or its outline if its widest part is above."""
-    low, high = _STONE_BURIED
+    """Mean area of a stone from above.
+
+    It is the section at the ground, or the outline if the widest part is above.
+    """
+    row = floor()["layers"]["stones"]
+    low, high = row["buried"]
     buried = low + (high - low) * (np.arange(1000) + 0.5) / 1000
     seen = 1 - np.square(np.clip(2 * buried - 1, 0, None))  # section of an ellipsoid at a relative height
     length_m = _stone_length_m((np.arange(20_000) + 0.5) / 20_000)
-    return math.pi / 4 * _STONE_WIDTH * float(np.mean(np.square(length_m)) * np.mean(seen))
+    return math.pi / 4 * row["width"] * float(np.mean(np.square(length_m)) * np.mean(seen))
 
 
 def _stone_length_m(probability: F8) -> F8:
-    """Quantiles of the log-normal distribution truncated to `_STONE_M`."""
-    low, high = _STONE_SHARES
-    return _STONE_MEDIAN_M * exp(_STONE_SIGMA * normal_quantile(low + (high - low) * probability))
+    """Quantiles of the truncated log-normal distribution."""
+    row = floor()["layers"]["stones"]
+    low, high = row["shares"]
+    return row["median_m"] * exp(row["sigma"] * normal_quantile(low + (high - low) * probability))
 
 
-def _lay_stones(layer: Layer, trunks: F8, xy_m: F8, draws: F8) -> PlacedThings:
+def _lay_stones(layer: Layer, trunks: F8, xy_m: F8, rng: Generator) -> PlacedThings:
+    row = layer.row
+    draws = rng.random((len(xy_m), 7))
     length_m = _stone_length_m(draws[:, 0])
-    size = length_m[:, None] * [1.0, _STONE_WIDTH, _STONE_HEIGHT]
+    size = length_m[:, None] * [1.0, row["width"], row["height"]]
     keep = layer.are_clear(trunks, xy_m, length_m / 2, length_m / 2)
-    z_m = layer.land.height_m(*xy_m.T) + (0.5 - between(_STONE_BURIED, draws[:, 1])) * size[:, 2]
-    world_T = placements(np.column_stack([xy_m, z_m]), turned(360 * draws[:, 2]), size)
-    return labelled(FloorKind.STONE, keep, world_T, draws[:, 3:], large=length_m >= _LARGE_STONE_M)
+    z_m = layer.land.height_m(*xy_m.T) + (0.5 - between(row["buried"], draws[:, 1])) * size[:, 2]
+    world_T = placements(np.column_stack([xy_m, z_m]), about_vertical(360 * draws[:, 2]), size)
+    return floor_things(FloorKind.STONE, keep, world_T, draws[:, 3:], large=length_m >= row["large_m"])
 
 
-def _lay_low(layer: Layer, trunks: F8, xy_m: F8, draws: F8) -> PlacedThings:
+def _lay_low(layer: Layer, trunks: F8, xy_m: F8, rng: Generator) -> PlacedThings:
     """Place low ground cover beside the path; moss and litter, which are ground, follow the slope."""
+    assert layer.shape is not None
+    draws = rng.random((len(xy_m), 6))
+    spread = layer.row["spread"]
     height_m = between(layer.section.height_m, draws[:, 0])
-    kind = layer.kind
-    keep = layer.land.path.distance_m(xy_m) < kind.reach_m
-    world_R_thing = turned(360 * draws[:, 1])
-    if kind.is_ground:
+    keep = layer.land.path.distance_m(xy_m) < layer.row["reach_m"]
+    world_R_thing = about_vertical(360 * draws[:, 1])
+    if layer.is_ground:
         x, y = xy_m.T
         east = (layer.land.height_m(x + _SLOPE_M, y) - layer.land.height_m(x - _SLOPE_M, y)) / (2 * _SLOPE_M)
         north = (layer.land.height_m(x, y + _SLOPE_M) - layer.land.height_m(x, y - _SLOPE_M)) / (2 * _SLOPE_M)
         towards = atan2(north, east)
-        world_R_ground = matmul(laid(towards, hypot(east, north)), turned(np.degrees(-towards)))
+        world_R_ground = matmul(
+            along_slope(towards, hypot(east, north)), about_vertical(np.degrees(-towards))
+        )
         world_R_thing = matmul(world_R_ground, world_R_thing)
     else:
-        keep[keep] = layer.are_clear(
-            trunks, xy_m[keep], kind.spread * height_m[keep] / 2, np.zeros(keep.sum())
-        )
+        keep[keep] = layer.are_clear(trunks, xy_m[keep], spread * height_m[keep] / 2, np.zeros(keep.sum()))
     place_m = np.column_stack([xy_m, layer.land.height_m(*xy_m.T)])
-    size = height_m[:, None] * [kind.spread, kind.spread, 1.0]
-    assert kind.shape is not None
-    return labelled(kind.shape, keep, placements(place_m, world_R_thing, size), draws[:, 2:])
+    size = height_m[:, None] * [spread, spread, 1.0]
+    return floor_things(layer.shape, keep, placements(place_m, world_R_thing, size), draws[:, 2:])
 
 
-_KINDS: dict[type[Section], LayerKind] = {  # kinds of layers by section, in the order of their numbers
-    settings.Regeneration: LayerKind("regeneration", Growth.REGENERATION, (6,), _lay_plants),
-    settings.Shrubs: LayerKind("shrubs", Growth.SHRUBS, (6,), _lay_plants),
-    settings.Stones: LayerKind("stones", Growth.STONES, (7,), _lay_stones),
-    settings.Logs: LayerKind("logs", Growth.LOGS, (8, 7), _lay_logs),
-    settings.Stumps: LayerKind("stumps", Growth.STUMPS, (8,), _lay_stumps),
-    settings.Grass: LayerKind("grass", Growth.GRASS, (6,), _lay_low, FloorKind.TUFT, 1.0, 25.0),
-    settings.Herbs: LayerKind("herbs", Growth.HERBS, (6,), _lay_low, FloorKind.HERB, 2.0, 25.0),
-    settings.Ferns: LayerKind("ferns", Growth.FERNS, (6,), _lay_low, FloorKind.FERN, 1.3, 25.0),
-    settings.DwarfShrubs: LayerKind(
-        "dwarf_shrubs", Growth.DWARF_SHRUBS, (6,), _lay_low, FloorKind.DWARF_SHRUB, 1.2, 25.0
-    ),
-    settings.Moss: LayerKind("moss", Growth.MOSS, (6,), _lay_low, FloorKind.MOSS_CUSHION, 8.0, 12.0),
-    settings.Litter: LayerKind("litter", Growth.LITTER, (6,), _lay_low, FloorKind.LITTER_HEAP, 8.0, 12.0),
+_LAYERS: dict[type[Section], tuple[str, Callable[[Layer, F8, F8, Generator], PlacedThings]]] = {
+    settings.Regeneration: ("regeneration", _lay_plants),
+    settings.Shrubs: ("shrubs", _lay_plants),
+    settings.Stones: ("stones", _lay_stones),
+    settings.Logs: ("logs", _lay_logs),
+    settings.Stumps: ("stumps", _lay_stumps),
+    settings.Grass: ("grass", _lay_low),
+    settings.Herbs: ("herbs", _lay_low),
+    settings.Ferns: ("ferns", _lay_low),
+    settings.DwarfShrubs: ("dwarf_shrubs", _lay_low),
+    settings.Moss: ("moss", _lay_low),
+    settings.Litter: ("litter", _lay_low),
 }
+"""Key in a scene, and function that places the things, of each section, in the order of their numbers."""

@@ -92,8 +92,11 @@ class _Cohort:
         """Mean height of trees of these diameters."""
         return self.species.height_curve(dbh_cm, self.share.dbh_cm, self.share.height_m)
 
-    def sized(self, trees: Trees, uniform: F8, residual: F8) -> Trees:
-        """Set species, size and brightness of trees (n,), all but the crown base, from (n, 3) uniform numbers and `residuals`."""
+    def with_sizes(self, trees: Trees, uniform: F8, residual: F8) -> Trees:
+        """Set species, size and brightness of trees (n,), all but the crown base.
+
+        They follow from (n, 3) uniform numbers and `residuals`.
+        """
         species = self.species
         # Quantiles of diameter, scaled to the stand's quadratic mean.
         dbh_cm = truncated_weibull_cm(species.diameters, uniform[:, 0], self.share.dbh_cm) * self._scale
@@ -125,10 +128,13 @@ def competition(
 
 
 def residuals(normal: F8) -> F8:
-    """Residuals (n, 4) of height, crown ratio, crown width and volume in sigmas, correlated as measured; from normals."""
+    """Residuals (n, 4) of height, crown ratio, crown width and volume in sigmas, correlated as measured.
+
+    From normals.
+    """
     z = np.clip(normal, -_MOST_SIGMAS, _MOST_SIGMAS)
-    own = math.sqrt(1 - _WIDTH_BY_HEIGHT * _WIDTH_BY_HEIGHT - _WIDTH_BY_RATIO * _WIDTH_BY_RATIO)
-    z[:, 2] = _WIDTH_BY_HEIGHT * z[:, 0] + _WIDTH_BY_RATIO * z[:, 1] + own * z[:, 2]
+    rest = math.sqrt(1 - _WIDTH_BY_HEIGHT * _WIDTH_BY_HEIGHT - _WIDTH_BY_RATIO * _WIDTH_BY_RATIO)
+    z[:, 2] = _WIDTH_BY_HEIGHT * z[:, 0] + _WIDTH_BY_RATIO * z[:, 1] + rest * z[:, 2]
     return z
 
 
@@ -173,8 +179,8 @@ def density_per_ha(storey: Storey) -> float:
 
 
 def _stem_m2(storey: Storey) -> float:
-    share = np.array([one.share for one in storey.species])
-    stem_m2 = np.pi / 4 * np.square(np.array([one.dbh_cm / 100 for one in storey.species]))
+    share = np.array([row.share for row in storey.species])
+    stem_m2 = np.pi / 4 * np.square(np.array([row.dbh_cm / 100 for row in storey.species]))
     return float(np.average(stem_m2, weights=share))
 
 
@@ -209,17 +215,17 @@ class Stand:
         cover = float(per_ha_m2[:, 2].sum()) / 10_000
         self._ground_per_crown = 1 / max(cover, 1 / _OPEN_GROWN)
         self._crown = cache(self.crown)
-        self._sown = lru_cache(maxsize=_TILES_KEPT)(self._sow)
+        self._kept_trees = lru_cache(maxsize=_TILES_KEPT)(self._sow)
 
     def trees(self, ix: int, iy: int) -> Trees:
         """Trees with their foot in a tile, `TREE` with id still 0, in the order of sowing."""
-        trees, own = self._sown(ix, iy)
+        trees, values = self._kept_trees(ix, iy)
         trees = trees.copy()
-        rivals = around(ix, iy, lambda *tile: self._sown(*tile)[1])
-        dx, dy = (own[:, None, :2] - rivals[:, :2]).transpose(2, 0, 1)
+        rivals = around(ix, iy, lambda *tile: self._kept_trees(*tile)[1])
+        dx, dy = (values[:, None, :2] - rivals[:, :2]).transpose(2, 0, 1)
         apart_m2 = dx * dx + dy * dy
-        gap_m = own[:, None, 2] + rivals[:, 2] + _STEM_GAP_M
-        thicker = rivals[:, 3] > own[:, None, 3]
+        gap_m = values[:, None, 2] + rivals[:, 2] + _STEM_GAP_M
+        thicker = rivals[:, 3] > values[:, None, 3]
         beaten = ((apart_m2 < gap_m * gap_m) & thicker).any(axis=1)
         near = apart_m2 < RIVALS_M * RIVALS_M
         pressure = competition(rivals[:, 4:6], np.pi * RIVALS_M * RIVALS_M, thicker, near)
@@ -228,15 +234,17 @@ class Stand:
             sizes = (
                 100 * trees["dbh_m"][which],
                 trees["height_m"][which],
-                tuple(one[which] for one in pressure),
+                tuple(areas[which] for areas in pressure),
             )
-            trees["crown_base_m"][which] = cohort.species.crown_base_m(*sizes, own[which, 6])
-        kinds, of = np.unique(trees[["cohort", "crown_class"]], return_inverse=True)
+            trees["crown_base_m"][which] = cohort.species.crown_base_m(*sizes, values[which, 6])
+        kinds, kind_of = np.unique(trees[["cohort", "crown_class"]], return_inverse=True)
         crowns = [self._crown(*kind, variant) for kind in kinds.tolist() for variant in range(VARIANTS)]
-        ratios = np.array([1 - key.crown_base_m / key.height_m for key in crowns]).reshape(-1, VARIANTS)[of]
+        ratios = np.array([1 - key.crown_base_m / key.height_m for key in crowns]).reshape(-1, VARIANTS)[
+            kind_of
+        ]
         own_ratio = 1 - trees["crown_base_m"] / trees["height_m"]
         trees["crown_variant"] = np.abs(ratios - own_ratio[:, None]).argmin(axis=1)
-        clear = path_gap_m(trees, own[:, 2], self._land.path) >= self._land.path.clearance_m
+        clear = path_gap_m(trees, values[:, 2], self._land.path) >= self._land.path.clearance_m
         return trees[~beaten & clear]
 
     def _sow(self, ix: int, iy: int) -> tuple[Trees, F8]:
@@ -249,8 +257,8 @@ class Stand:
         trees, ratio = (np.concatenate(column) for column in zip(*storeys, strict=True))
         rival_m2 = np.zeros((len(trees), 2))
         for i, cohort in enumerate(self._all_cohorts):
-            own = trees["cohort"] == i
-            rival_m2[own] = cohort.species.rival_m2(100 * trees["dbh_m"][own])
+            in_cohort = trees["cohort"] == i
+            rival_m2[in_cohort] = cohort.species.rival_m2(100 * trees["dbh_m"][in_cohort])
         return trees, np.column_stack(
             [foot_discs(trees, table=self._land.plants.trees), trees["dbh_m"], rival_m2, ratio]
         )
@@ -276,8 +284,10 @@ class Stand:
         trees["cohort"] = sum(map(len, self._cohorts[:number])) + cohort_of
         residual = residuals(normal[:, 2:])
         for i, cohort in enumerate(cohorts):
-            own = cohort_of == i
-            trees[own] = cohort.sized(trees[own], uniform[own, 2:], residual[own])
+            in_cohort = cohort_of == i
+            trees[in_cohort] = cohort.with_sizes(
+                trees[in_cohort], uniform[in_cohort, 2:], residual[in_cohort]
+            )
         return trees, residual[:, 1]
 
     def crown(self, cohort: int, crown_class: int, variant: int) -> CrownKey:
@@ -286,22 +296,25 @@ class Stand:
         Each species has its leaf area index on its share of the ground, divided among trees by their crown
         projection.
         """
-        own = self._all_cohorts[cohort]
-        dbh_cm = np.array([own.share.dbh_cm * class_scale(_CLASS_RATIO, crown_class)])
-        height_m = own.height_m(dbh_cm)
-        width_m = own.species.crown_width_m(dbh_cm)
-        leaf_area_m2 = own.species.leaf_area_index * self._ground_per_crown * _projection_m2(width_m)
+        row = self._all_cohorts[cohort]
+        dbh_cm = np.array([row.share.dbh_cm * class_scale(_CLASS_RATIO, crown_class)])
+        height_m = row.height_m(dbh_cm)
+        width_m = row.species.crown_width_m(dbh_cm)
+        leaf_area_m2 = row.species.leaf_area_index * self._ground_per_crown * _projection_m2(width_m)
         larger = self._rivals_cm > dbh_cm[:, None]
         rivals = competition(self._rivals_m2, 10_000.0, larger, np.ones_like(larger))
-        base_m = own.species.crown_base_m(dbh_cm, height_m, rivals, _LEVELS[variant])
+        base_m = row.species.crown_base_m(dbh_cm, height_m, rivals, _LEVELS[variant])
         sizes = dbh_cm / 100, height_m, base_m, width_m, leaf_area_m2
         dbh, height, base, width, leaves = (float(size[0]) for size in sizes)
-        how = self._section.season, self._section.dead_branches
-        return CrownKey(own.species.name, variant, dbh, height, base, width, leaves, *how)
+        options = self._section.season, self._section.dead_branches
+        return CrownKey(row.species.name, variant, dbh, height, base, width, leaves, *options)
 
 
 def _sample(pattern: PointPattern, cohorts: list[_Cohort]) -> tuple[F8, F8]:
-    """Diameters (n,) of sample trees of a storey, and for each (n, 3) in m2 per ha `rival_m2` and crown projection."""
+    """Diameters (n,) of sample trees of a storey, and areas (n, 3) in m2 per ha of each.
+
+    The areas are `rival_m2` and the crown projection.
+    """
     whole = sum(cohort.share.share for cohort in cohorts)
     areas_m2 = []
     for cohort in cohorts:

@@ -1,4 +1,7 @@
-"""Tree models from the user: meshes in place of grown trees, scaled to the size of each, and their ground truth."""
+"""Tree models from the user: meshes in place of grown trees, and their ground truth.
+
+A model is scaled to the size of each tree.
+"""
 
 import hashlib
 from collections.abc import Sequence
@@ -18,7 +21,7 @@ from vlp16emu.forest.plants.species import Flora, Species, Trees, flora, known
 from vlp16emu.forest.plants.stem import STEM_CIRCLE, STEM_PARTS, circles_of, lean_rotation
 from vlp16emu.forest.settings import Season, TreeModelFile
 from vlp16emu.forest.stand.inventory import COPIED, INVENTORY, hull_m, profiles, volume_m3
-from vlp16emu.forest.stand.placed import PlacedThings, plant_surfaces, turned
+from vlp16emu.forest.stand.placement import PlacedThings, about_vertical, plant_surfaces
 from vlp16emu.types import F8, I8, Mesh, PlantPart, ShapeKey
 from vlp16emu.world.vectors import places_m
 
@@ -39,17 +42,13 @@ class Cutter:
 
     def __init__(self, vertices_m: Sequence[F8], faces: Sequence[Faces]) -> None:
         first = np.cumsum([0, *map(len, vertices_m)])
-        self.vertices_m = np.concatenate(vertices_m)
-        corners = np.concatenate(
-            [own.astype(np.int64) + begin for own, begin in zip(faces, first, strict=False)]
-        )
-        # Numbers of vertices from 0, equal at equal positions.
-        order = np.lexsort(self.vertices_m.T)
-        apart = (self.vertices_m[order[1:]] != self.vertices_m[order[:-1]]).any(axis=1)
-        number = np.empty(len(order), np.int64)
-        number[order] = np.concatenate([[0], np.cumsum(apart)])
-        self.faces = number[corners]
-        self.vertices_m = self.vertices_m[np.unique(number, return_index=True)[1]]
+        pieces = zip(faces, first, strict=False)
+        corners = np.concatenate([part.astype(np.int64) + begin for part, begin in pieces])
+        every_m = np.concatenate(vertices_m)
+        # Vertices at equal positions are one, in the order of z, y and x.
+        _, kept, number = np.unique(every_m[:, ::-1], axis=0, return_index=True, return_inverse=True)
+        self.vertices_m = every_m[kept]
+        self.faces = number.ravel()[corners]
         z_m = self.vertices_m[self.faces, 2]
         self.faces = self.faces[np.argsort(z_m.min(axis=1), kind="stable")]
         self._low_m = np.sort(z_m.min(axis=1))
@@ -68,23 +67,23 @@ class Cutter:
         end = np.roll(faces, -1, axis=1)
         crosses = above != np.roll(above, -1, axis=1)  # two edges of each face
         low, high = np.minimum(start, end)[crosses], np.maximum(start, end)[crosses]
-        edges, of = np.unique(low * len(self.vertices_m) + high, return_inverse=True)
+        edges, edge_of = np.unique(low * len(self.vertices_m) + high, return_inverse=True)
         if not len(edges):
             return None
         ends_m = self.vertices_m[np.column_stack(np.divmod(edges, len(self.vertices_m)))]
         share = (at_m - ends_m[:, 0, 2]) / (ends_m[:, 1, 2] - ends_m[:, 0, 2])
         points_m = ends_m[:, 0, :2] + share[:, None] * (ends_m[:, 1, :2] - ends_m[:, 0, :2])
-        a, b = of.reshape(-1, 2).T
+        a, b = edge_of.reshape(-1, 2).T
         graph = coo_array((np.ones(len(a), np.int8), (a, b)), shape=(len(edges),) * 2).tocsr()
         _, loop = connected_components(graph, directed=False)
-        shared = np.bincount(of, minlength=len(edges))
+        shared = np.bincount(edge_of, minlength=len(edges))
         closed = np.setdiff1d(loop, loop[shared != 2])
         begins = (int(np.argmax(loop == which)) for which in closed.tolist())
         rings = (points_m[depth_first_order(graph, begin, directed=False)[0]] for begin in begins)
-        return max(map(_measured, rings), key=lambda outline: outline.diameter_m, default=None)
+        return max(map(_outline, rings), key=lambda outline: outline.diameter_m, default=None)
 
 
-def _measured(ring_m: F8) -> Outline:
+def _outline(ring_m: F8) -> Outline:
     from scipy.spatial import ConvexHull, QhullError
 
     at_m = ring_m - ring_m.mean(axis=0)
@@ -146,7 +145,9 @@ class TreeModel:
         self._cut(BREAST_HEIGHT_M)
         self._profile_m = self._circles(low_m - ground_m, high_m - ground_m)
         sheds = species.foliage is not None and not species.foliage.is_borne(season)
-        volumes_m3 = [abs(volume_m3(_used(v - foot_m, f))) for v, f in zip(placed, faces, strict=True)]
+        volumes_m3 = [
+            abs(volume_m3(_used_vertices(v - foot_m, f))) for v, f in zip(placed, faces, strict=True)
+        ]
         self._stem_m3 = sum(volumes_m3[i] for i in stems)
         self._wood_m3 = sum(v for v, part in zip(volumes_m3, parts, strict=True) if part != PlantPart.LEAF)
         rows = list[tuple[int, int, Mesh]]()
@@ -170,7 +171,10 @@ class TreeModel:
         return stems
 
     def outline(self, height_m: float, above_m: float) -> Outline:
-        """Return the stem's section at a height over the foot of the model scaled to `height_m`; its width is as in the file."""
+        """Return the stem's section at a height over the foot of the model scaled to `height_m`.
+
+        Its width is as in the file.
+        """
         return self._cut(above_m * self.height_m / height_m)
 
     def circles(self, trees: Trees) -> NDArray[np.void]:
@@ -197,7 +201,9 @@ class TreeModel:
         """Return the transforms (n, 3, 4) of trees."""
         lean = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])
         across, along = self.scale(trees).T
-        stretched = turned(trees["crown_azimuth_deg"]) * np.column_stack([across, across, along])[:, None]
+        stretched = (
+            about_vertical(trees["crown_azimuth_deg"]) * np.column_stack([across, across, along])[:, None]
+        )
         foot_m = places_m(trees)
         return np.concatenate([matmul(lean, stretched), foot_m[..., None]], axis=2)
 
@@ -232,10 +238,13 @@ class TreeModel:
         row["biomass_kg"] = self.species.biomass_kg(*sizes)[0]
 
     def _keep_measures(self) -> None:
-        """Keep the inputs of a tree's row: corners of the hulls of tree and crown, and leaf faces by their normals."""
-        of = list(zip(self.parts, self.meshes, strict=True))
-        leaves = [mesh for part, mesh in of if part == PlantPart.LEAF]
-        others = [mesh for part, mesh in of if part not in (*STEM_PARTS, PlantPart.LEAF)]
+        """Keep the inputs of a tree's row.
+
+        They are the corners of the hulls of tree and crown, and leaf faces by their normals.
+        """
+        rows = list(zip(self.parts, self.meshes, strict=True))
+        leaves = [mesh for part, mesh in rows if part == PlantPart.LEAF]
+        others = [mesh for part, mesh in rows if part not in (*STEM_PARTS, PlantPart.LEAF)]
         crown = leaves if any(len(mesh.faces) for mesh in leaves) else others
         self._corners_m, self._crown_corners_m = (
             hull_m(np.concatenate([np.zeros((0, 3)), *(mesh.vertices_m for mesh in some)]))
@@ -250,11 +259,15 @@ class TreeModel:
         self._leaf_m2 = [np.bincount(tilt, m2, _TILTS) for m2 in (level_m2, upright_m2)]
 
     def _circles(self, low_m: float, high_m: float) -> F8:
-        """Centres and radii (16, 4) of the stem, denser at the butt; interpolated linearly if it cannot be cut."""
+        """Centres and radii (16, 4) of the stem, denser at the butt.
+
+        They are interpolated linearly where the stem cannot be cut.
+        """
         share = np.square(np.linspace(0.0, 1.0, 16))
         at_m = low_m + share * (high_m - low_m)
         cuts = [
-            self._stem.cut(low_m + own * (high_m - low_m)) for own in share.clip(1e-3, 1.0 - 1e-3).tolist()
+            self._stem.cut(low_m + height * (high_m - low_m))
+            for height in share.clip(1e-3, 1.0 - 1e-3).tolist()
         ]
         there = [i for i, cut in enumerate(cuts) if cut is not None]
         found = np.array([[*cut.middle_m, cut.diameter_m / 2] for cut in cuts if cut is not None])
@@ -262,14 +275,20 @@ class TreeModel:
         return np.column_stack([x_m, y_m, at_m, radius_m])
 
     def _meshes(self, part: PlantPart, vertices_m: F8, faces: Faces) -> list[tuple[int, int, Mesh]]:
-        """Part, part in the far medium and mesh for one part of the file; a stem is split into bole and branches."""
+        """Part, part in the far medium and mesh for one part of the file.
+
+        A stem is split into bole and branches.
+        """
         if part not in STEM_PARTS:
-            return [(part, part, _used(vertices_m, faces))]
+            return [(part, part, _used_vertices(vertices_m, faces))]
         x, y, at_m, radius = self._profile_m.T
         x_m, y_m, radius_m = (np.interp(vertices_m[:, 2], at_m, column) for column in (x, y, radius))
         near = hypot(vertices_m[:, 0] - x_m, vertices_m[:, 1] - y_m) < _BOLE * radius_m + _BOLE_M
         bole = near[faces].all(axis=1)
-        return [(part, EXACT, _used(vertices_m, faces[bole])), (part, part, _used(vertices_m, faces[~bole]))]
+        return [
+            (part, EXACT, _used_vertices(vertices_m, faces[bole])),
+            (part, part, _used_vertices(vertices_m, faces[~bole])),
+        ]
 
     def _cut(self, at_m: float) -> Outline:
         outline = self._cuts(at_m)
@@ -279,7 +298,7 @@ class TreeModel:
         return outline
 
 
-def _used(vertices_m: F8, faces: Faces) -> Mesh:
+def _used_vertices(vertices_m: F8, faces: Faces) -> Mesh:
     used, corners = np.unique(faces, return_inverse=True)
     return Mesh(vertices_m[used].astype(np.float32), corners.reshape(-1, 3).astype(np.uint32))
 
@@ -316,14 +335,16 @@ class TreeModels:
         """Return a mask (n,) of the trees that have a model."""
         return np.isin(trees["species"], self._species)
 
-    def placed(self, trees: Trees, *, is_exact: bool) -> list[PlacedThings]:
+    def place(self, trees: Trees, *, is_exact: bool) -> list[PlacedThings]:
         """Place trees (n,) that all have models, grouped by model; `is_exact` as in `PlacedThings`."""
         placed = []
-        for i, own in self._by_model(trees):
+        for i, trees_of in self._by_model(trees):
             model = self._models[i]
-            keys = [ModelKey(i, model.content)] * len(own)
-            rows = plant_surfaces(own, model.parts, self._plants)
-            placed.append(PlacedThings(keys, model.world_T_model(own), rows, own, is_exact=is_exact))
+            keys = [ModelKey(i, model.content)] * len(trees_of)
+            rows = plant_surfaces(trees_of, model.parts, self._plants)
+            placed.append(
+                PlacedThings(keys, model.world_T_model(trees_of), rows, trees_of, is_exact=is_exact)
+            )
         return placed
 
     def shape(self, key: ModelKey) -> tuple[Mesh, ...]:
@@ -336,9 +357,10 @@ class TreeModels:
 
     def far_stems(self, keys: Sequence[ShapeKey], world_T_shape: F8, rows: I8) -> NDArray[np.void]:
         """Stems as `STEM` of the placements (n,) that are models, by their first surfaces."""
-        of = np.array([key.number if isinstance(key, ModelKey) else -1 for key in keys], np.int64)
+        model_of = np.array([key.number if isinstance(key, ModelKey) else -1 for key in keys], np.int64)
         stems = (
-            model.far_stems(world_T_shape[of == i], rows[of == i]) for i, model in enumerate(self._models)
+            model.far_stems(world_T_shape[model_of == i], rows[model_of == i])
+            for i, model in enumerate(self._models)
         )
         return np.concatenate([np.zeros(0, STEM), *stems])
 
@@ -352,26 +374,29 @@ class TreeModels:
         for name in COPIED:
             rows[name] = trees[name]
         for i, row in enumerate(rows):
-            one = trees[i : i + 1]
-            self._models[self._chosen(one)].measure(row, one)
+            tree = trees[i : i + 1]
+            self._models[self._choose_model(tree)].measure(row, tree)
         return rows
 
     def circles(self, trees: Trees) -> NDArray[np.void]:
         """Circles `STEM_CIRCLE` along the stems of trees that all have models."""
-        own = (self._models[i].circles(own) for i, own in self._by_model(trees))
-        return np.concatenate([np.zeros(0, STEM_CIRCLE), *own])
+        trees_of = (self._models[i].circles(trees_of) for i, trees_of in self._by_model(trees))
+        return np.concatenate([np.zeros(0, STEM_CIRCLE), *trees_of])
 
     def _by_model(self, trees: Trees) -> list[tuple[int, Trees]]:
-        chosen = np.array([self._chosen(trees[i : i + 1]) for i in range(len(trees))], np.int64)
+        chosen = np.array([self._choose_model(trees[i : i + 1]) for i in range(len(trees))], np.int64)
         return [(i, trees[chosen == i]) for i in np.unique(chosen).tolist()]
 
-    def _chosen(self, tree: Trees) -> int:
-        """Choose the model of one tree (1,) by its size, and among equally good ones by its azimuth's last digits."""
+    def _choose_model(self, tree: Trees) -> int:
+        """Choose the model of one tree (1,) by its size.
+
+        Among equally good ones the last digits of its azimuth decide.
+        """
         fits = [i for i, number in enumerate(self._species) if number == tree["species"][0]]
         if len(fits) == 1:
             return fits[0]
         stretch = [
             abs(float(log(across / along))) for i in fits for across, along in self._models[i].scale(tree)
         ]
-        good = [i for i, own in zip(fits, stretch, strict=True) if own <= min(stretch) + log(_ALIKE)]
+        good = [i for i, ratio in zip(fits, stretch, strict=True) if ratio <= min(stretch) + log(_ALIKE)]
         return good[int(tree["crown_azimuth_deg"][0] * 1e6) % len(good)]

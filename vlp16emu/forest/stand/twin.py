@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import norm
 from vlp16emu.foliage.polyline import Polyline
 from vlp16emu.forest.plants.prototypes import SaplingKey
-from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS, FloorKey
+from vlp16emu.forest.stand.floor_shapes import FloorKey, is_ground
 from vlp16emu.forest.tiles import TILE_M, TileKey
 from vlp16emu.types import F8, Mesh, PlantPart, Semantic, ShapeKey, Window
 
@@ -43,7 +43,7 @@ def things_near(
 ) -> list[Thing]:
     """Things within a radius of a path, in the order of the window, without the instances of `trees` (n,)."""
     grounds = (
-        isinstance(key, TileKey) or (isinstance(key, FloorKey) and key.kind in GROUND_KINDS)
+        isinstance(key, TileKey) or (isinstance(key, FloorKey) and is_ground(key.kind))
         for key in window.shapes
     )
     is_thing = ~np.fromiter(grounds, np.bool_)[window.shape]
@@ -72,7 +72,10 @@ _ROOT = "world z up"  # name of the root node
 
 
 def label(row: np.void, species: Mapping[int, str], *, with_part: bool) -> str:
-    """Name one `SURFACE` by its labels, for instance `tree_000123/silver_birch/stem`; ground is just `ground`."""
+    """Name one `SURFACE` by its labels, for instance `tree_000123/silver_birch/stem`.
+
+    Ground is just `ground`.
+    """
     words = [Semantic(row["semantic"]).name.lower()]
     if row["instance"]:
         words[0] += f"_{row['instance']:06d}"
@@ -119,7 +122,7 @@ def write_glb(
             for number, mesh in enumerate(meshes):
                 is_ground = number == 0 and isinstance(window.shapes[which], TileKey)
                 corner_m = window.world_T_shape[placement, :2, 3]
-                shown = _cropped(mesh, corner_m, inside) if is_ground and inside else mesh
+                shown = _crop(mesh, corner_m, inside) if is_ground and inside else mesh
                 if len(shown.faces) and (is_ground or wanted[first + number]):
                     twin.add(placement, number, shown)
     file.write(twin.trimesh.exchange.gltf.export_glb(twin.scene, include_normals=False))
@@ -134,7 +137,7 @@ def _has_part(key: ShapeKey, tiles: Container[tuple[int, int]], inside: Inside) 
     return (key.ix, key.iy) in tiles or bool(inside(np.column_stack([x_m.ravel(), y_m.ravel()])).any())
 
 
-def _cropped(ground: Mesh, corner_m: F8, inside: Inside) -> Mesh:
+def _crop(ground: Mesh, corner_m: F8, inside: Inside) -> Mesh:
     middles_m = ground.vertices_m[ground.faces].mean(axis=1)[:, :2] + corner_m
     used, faces = np.unique(ground.faces[inside(middles_m)], return_inverse=True)
     return Mesh(ground.vertices_m[used], faces.reshape(-1, 3).astype(np.uint32))

@@ -1,4 +1,6 @@
-"""Gusts over a stand, and the response of trees that sway about their foot: sums of spectral lines, for any time.
+"""Gusts over a stand, and the response of trees that sway about their foot.
+
+Both are sums of spectral lines, for any time.
 
 A gust is a sum of cosines of time with the energies of Kaimal's spectrum. It is carried downwind with the
 mean speed (Taylor's frozen turbulence). Each line also has a random wave number across the wind, drawn from a
@@ -141,7 +143,9 @@ def _follow(lines: Lines, s_per_m: float, trees: Trees, cosine: F8, sine: F8, ou
 
 
 def mechanics(trees: Stand, plants: Flora, season: Season) -> tuple[F8, F8]:
-    """Return undamped frequencies (n,) in Hz, and leans (n,), as tangents, per Pa of the wind's shear stress on the canopy.
+    """Return undamped frequencies (n,) in Hz, and leans (n,) per Pa of shear stress on the canopy.
+
+    Leans are tangents.
 
     Frequency: 0.0766 + 3.1219 DBH / height^2, in cm and m (Moore and Maguire, Trees 18, 195-203, 2004; 602
     conifers), lower in leaf. Drag: the canopy absorbs the wind's shear stress, each tree over the ground
@@ -205,7 +209,10 @@ class TreeSway:
         return np.stack([east, north], axis=-1)
 
     def with_sway(self, window: Window, track_m: F8, start_ns: int, stop_ns: int) -> Window:
-        """Return `window`, around positions (n, 3), with the sway of its trees between `start_ns` and `stop_ns`, UTC."""
+        """Return `window` with the sway of its trees between `start_ns` and `stop_ns`, UTC.
+
+        It is the window around positions (n, 3).
+        """
         trees = self._forest.trees(track_m)
         trees = trees[trees["storey"] != REGENERATION]
         trees = trees[np.argsort(trees["id"], kind="stable")]

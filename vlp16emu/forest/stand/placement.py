@@ -45,20 +45,23 @@ def placements(place_m: F8, world_R_thing: F8, size: F8) -> F8:
     return np.concatenate([world_R_thing * size[:, None, :], place_m[:, :, None]], axis=2)
 
 
-def together(groups: Sequence[PlacedThings]) -> PlacedThings:
+def concatenated(groups: Sequence[PlacedThings]) -> PlacedThings:
     """Join groups of things of one layer, in order; none of them are trees."""
-    keys = [key for one in groups for key in one.keys]
-    world_T_shape = np.concatenate([one.world_T_shape for one in groups])
-    return PlacedThings(keys, world_T_shape, np.concatenate([one.surfaces for one in groups]))
+    keys = [key for group in groups for key in group.keys]
+    world_T_shape = np.concatenate([group.world_T_shape for group in groups])
+    return PlacedThings(keys, world_T_shape, np.concatenate([group.surfaces for group in groups]))
 
 
-def turned(azimuth_deg: F8) -> F8:
+def about_vertical(azimuth_deg: F8) -> F8:
     """Rotations (n, 3, 3) about the vertical, counter-clockwise."""
-    return laid(np.radians(azimuth_deg), np.zeros(len(azimuth_deg)))
+    return along_slope(np.radians(azimuth_deg), np.zeros(len(azimuth_deg)))
 
 
-def laid(towards: F8, slope: F8) -> F8:
-    """Rotations (n, 3, 3) that turn the x axis towards an angle from east, rad, on a slope dz/ds; y stays level."""
+def along_slope(towards: F8, slope: F8) -> F8:
+    """Rotations (n, 3, 3) that turn the x axis towards an angle from east, rad, on a slope dz/ds.
+
+    The y axis stays level.
+    """
     flat = 1 / hypot(1, slope)
     c = cos(towards)
     s = sin(towards)
@@ -82,7 +85,7 @@ class Tile:
     low: NDArray[np.bool_]  # (n,) mask of placements that are ground, too low for the far medium
 
 
-def packed(key: TileKey, origin_m: F8, trees: Trees, groups: Sequence[PlacedThings], plants: Flora) -> Tile:
+def tile_of(key: TileKey, origin_m: F8, trees: Trees, groups: Sequence[PlacedThings], plants: Flora) -> Tile:
     """Put a tile together: first its own shape of ground and the stems of `trees`, then all placed groups."""
     ground = np.zeros(1, SURFACE)
     ground["reflectance"] = _LITTER_REFLECTANCE
