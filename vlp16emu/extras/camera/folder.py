@@ -1,8 +1,8 @@
 """Images of a run in a folder, with intrinsics, extrinsics and poses in the forms of other programs."""
 
 import csv
-import shutil
-from collections.abc import Callable, Iterator, Mapping
+from bisect import bisect_left
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -20,11 +20,12 @@ from vlp16emu.extras.camera.mount import AXES, camera_of
 from vlp16emu.extras.camera.reconstruction import reconstruction_files
 from vlp16emu.extras.camera.shot import Photographer, Shot
 from vlp16emu.extras.options import ImageOptions
-from vlp16emu.extras.truth.folder import read_json, tum_rows
+from vlp16emu.extras.truth.folder import read_json
+from vlp16emu.extras.truth.tables import POSES, Rows
 from vlp16emu.extras.truth.truth import rig_of
-from vlp16emu.output import final_name, opening, part_beside, write_json
+from vlp16emu.output import Staged, final_name, opening, write_json
 from vlp16emu.run.emulator import Emulator
-from vlp16emu.types import F4, F8, U2, U4, PlantPart, Poses, Semantic
+from vlp16emu.types import F4, F8, U2, U4, PlantPart, Semantic
 from vlp16emu.units import S_NS, seconds_to_ns
 
 LAYERS = ("rgb", "depth", "semantic", "part", "instance")
@@ -53,7 +54,7 @@ class ImageRun:
 class ImageFolder:
     """A new or empty folder for images; a context manager.
 
-    It is NAME.xxxxxxxx.part until it is complete. After a full disk the images so far stay there.
+    It is `Staged`. After a full disk the images so far stay under its temporary name.
 
     Raises OutputError if the folder has content, or cannot be made; MissingExtraError if pillow is not
     installed.
@@ -71,12 +72,10 @@ class ImageFolder:
         self.taken = list[tuple[int, F8]]()
         """UTC and world_T_camera (4, 4) of each image."""
         with opening(self._where, "a folder that can be written"):
-            self._final = final_name(path)
-            if self._final.exists() and (not self._final.is_dir() or any(self._final.iterdir())):
-                raise OutputError(self._where, "is there already", "a new or empty folder")
-            self._final.parent.mkdir(parents=True, exist_ok=True)
-            self.path = part_beside(self._final)
-            self.path.mkdir()
+            final_name(path).parent.mkdir(parents=True, exist_ok=True)
+            self._staged = Staged(path, self._where, self._check, is_folder=True)
+        self.path = self._staged.path
+        with self._complete("its folders"):
             for layer in LAYERS:
                 (self.path / layer).mkdir()
 
@@ -85,10 +84,15 @@ class ImageFolder:
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if error is None:
-            with self._complete("its name"):
-                self.path.rename(self._final)
-        elif not isinstance(error, RunError):
-            shutil.rmtree(self.path, ignore_errors=True)
+            self._staged.keep()
+        elif isinstance(error, RunError):
+            self._staged.leave()
+        else:
+            self._staged.discard()
+
+    def _check(self, final: Path) -> None:
+        if final.exists() and (not final.is_dir() or any(final.iterdir())):
+            raise OutputError(self._where, "is there already", "a new or empty folder")
 
     @property
     def instances(self) -> int:
@@ -117,7 +121,7 @@ class ImageFolder:
         """Write the files that describe all images."""
         with self._complete("its description"):
             write_json(self.path / "cameras.json", cameras)
-            (self.path / "poses.tum").write_text(_TUM_HEAD + "".join(_tum_row(*one) for one in self.taken))
+            (self.path / "poses.tum").write_text(_TUM_HEAD + POSES.text(_pose_rows(self.taken)))
             rows = "".join(f"{number},{instance}\n" for instance, number in self._number_of.items())
             (self.path / "instances.csv").write_text("number,instance\n" + rows)
             poses = [pose for _, pose in self.taken]
@@ -255,16 +259,58 @@ def _cameras(photographer: Photographer, scene: str, depth: str, images: ImageFo
     }
 
 
-def read_images(folder: Path) -> tuple[dict[str, Any], Lens, Iterator[Shot]]:
-    """Return `cameras.json` of a folder of images, the lens, and its images one after another.
+class StoredShots:
+    """Images of a folder, which are read as they are taken.
 
     Raises InputError if a file is missing or is none of `images`; MissingExtraError if pillow is not
     installed.
     """
-    try:
-        import PIL.Image
-    except ImportError:
-        raise MissingExtraError("pillow", "picture", "reading images") from None
+
+    def __init__(self, folder: Path, rows: Sequence[Mapping[str, Any]], unit_m: float) -> None:
+        try:
+            from PIL import Image
+        except ImportError:
+            raise MissingExtraError("pillow", "picture", "reading images") from None
+        self._image = Image
+        self._folder = folder
+        self._rows = rows
+        self._unit_m = unit_m
+        self._instances = _instances(folder / "instances.csv")
+
+    def __iter__(self) -> Iterator[Shot]:
+        return map(self._shot, self._rows)
+
+    def between(self, start_ns: int, stop_ns: int) -> Iterator[Shot]:
+        """Yield the images from `start_ns` on and before `stop_ns`."""
+        times_ns = (start_ns, stop_ns)
+        start, stop = (bisect_left(self._rows, t_ns, key=lambda row: row["t_ns"]) for t_ns in times_ns)
+        return map(self._shot, self._rows[start:stop])
+
+    def _shot(self, row: Mapping[str, Any]) -> Shot:
+        name = f"{row['file']}.png"
+        depth_m = (self._pixels("depth", row["depth_file"]) * self._unit_m).astype(np.float32)
+        return Shot(
+            row["t_ns"],
+            np.array(row["world_T_camera"]),
+            self._pixels("rgb", name),
+            depth_m,
+            self._pixels("semantic", name),
+            self._pixels("part", name),
+            self._instances[self._pixels("instance", name)],
+        )
+
+    def _pixels(self, layer: str, name: str) -> NDArray[Any]:
+        path = self._folder / layer / name
+        with readable(path, _EXPECTED, InputError):
+            if path.suffix == ".npy":
+                loaded: NDArray[Any] = np.load(path, allow_pickle=False)
+                return loaded
+            with self._image.open(path) as image:
+                return np.array(image)
+
+
+def read_images(folder: Path) -> tuple[dict[str, Any], Lens, StoredShots]:
+    """Return `cameras.json` of a folder of images, the lens, and its images; errors of `StoredShots`."""
     cameras = read_json(folder / "cameras.json", _EXPECTED)
     try:
         known = cameras["intrinsics"]
@@ -275,27 +321,7 @@ def read_images(folder: Path) -> tuple[dict[str, Any], Lens, Iterator[Shot]]:
         unit_m = float(cameras["depth"]["unit_m"])
     except (KeyError, TypeError, AttributeError):
         raise InputError(str(folder / "cameras.json"), "not all of its members", _EXPECTED) from None
-    table = _instances(folder / "instances.csv")
-
-    def pixels(layer: str, name: str) -> NDArray[Any]:
-        path = folder / layer / name
-        with readable(path, _EXPECTED, InputError):
-            if path.suffix == ".npy":
-                loaded: NDArray[Any] = np.load(path, allow_pickle=False)
-                return loaded
-            with PIL.Image.open(path) as image:
-                return np.array(image)
-
-    def shots() -> Iterator[Shot]:
-        for row in rows:
-            name = f"{row['file']}.png"
-            depth_m = (pixels("depth", row["depth_file"]) * unit_m).astype(np.float32)
-            instance = table[pixels("instance", name)]
-            pose = np.array(row["world_T_camera"])
-            classes = pixels("semantic", name), pixels("part", name)
-            yield Shot(row["t_ns"], pose, pixels("rgb", name), depth_m, *classes, instance)
-
-    return cameras, lens, shots()
+    return cameras, lens, StoredShots(folder, rows, unit_m)
 
 
 def _instances(path: Path) -> U4:
@@ -313,5 +339,13 @@ def _in_mm(depth_m: F4) -> U2:
     return np.where(mm <= _MOST_MM, mm, 0.0).astype(np.uint16)
 
 
-def _tum_row(t_ns: int, pose: F8) -> str:
-    return tum_rows(Poses(np.array([t_ns]), pose[None, :3, :3], pose[None, :3, 3]))
+def _pose_rows(taken: Sequence[tuple[int, F8]]) -> Rows:
+    """Return the poses of images as rows, without velocities."""
+    from scipy.spatial.transform import Rotation
+
+    rows = np.zeros(len(taken), POSES.dtype)
+    poses = np.array([pose for _, pose in taken])
+    rows["t_ns"] = [t_ns for t_ns, _ in taken]
+    rows["position_m"] = poses[:, :3, 3]
+    rows["quaternion_xyzw"] = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
+    return rows

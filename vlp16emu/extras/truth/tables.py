@@ -1,0 +1,249 @@
+"""Tables of the ground truth: poses with velocities, inertial unit and receiver, as binary rows and as text."""
+
+from bisect import bisect_left
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.elementary import matvec
+from vlp16emu.engine import Engine
+from vlp16emu.errors import InputError, readable
+from vlp16emu.extras.imu.sampler import ImuSampler
+from vlp16emu.extras.imu.settings import Imu
+from vlp16emu.motion.gnss import Receiver, to_geodetic
+from vlp16emu.motion.pose import Kinematics, Motion
+from vlp16emu.motion.settings import Gps
+from vlp16emu.units import S_NS
+
+Rows = NDArray[np.void]
+"""Rows (n,) of a table, in the order of their times."""
+
+_EXPECTED = "a table of a --truth folder, which earlier versions did not write"
+_LONGEST_BYTES = 2**62  # rows stay on the disk
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A kind of rows, and their text; each has `t_ns`, UTC."""
+
+    dtype: np.dtype[np.void]
+    suffix: str  # of the text
+    header: str
+    formats: Mapping[str, str]  # of the numbers of each field in the text; times are in seconds
+    separator: str = ","
+
+    def text(self, rows: Rows) -> str:
+        """Return a line for each row."""
+        cells = list[list[str]]()
+        for name, form in self.formats.items():
+            for values in np.atleast_2d(rows[name].T).tolist():
+                is_time = name.endswith("_ns")
+                cells.append([seconds_text(one) if is_time else format(one, form) for one in values])
+        return "".join(f"{self.separator.join(line)}\n" for line in zip(*cells, strict=True))
+
+
+def seconds_text(t_ns: int) -> str:
+    """Return an instant in seconds with all nine decimals, which a float cannot represent."""
+    return f"{t_ns // S_NS}.{t_ns % S_NS:09d}"
+
+
+POSES = Table(
+    np.dtype(
+        [
+            ("t_ns", "<i8"),
+            ("position_m", "<f8", 3),  # of the sensor in the world
+            ("quaternion_xyzw", "<f8", 4),  # from the sensor's axes to the world's; w is never negative
+            ("velocity_m_s", "<f8", 3),  # relative to the world, in the sensor's axes, as the next
+            ("rate_rad_s", "<f8", 3),
+        ]
+    ),
+    ".tum",
+    "# t_utc_s x_m y_m z_m qx qy qz qw: world_T_sensor; world east, north, up; sensor x forward, y left, z up\n",
+    {"t_ns": "", "position_m": ".9f", "quaternion_xyzw": ".12f"},
+    " ",
+)
+"""Poses of a sensor; the text is that of the TUM RGB-D benchmark, without velocities."""
+
+FIXES = Table(
+    np.dtype(
+        [
+            ("t_ns", "<i8"),  # a whole second
+            ("valid", "?"),
+            ("cover", "<f8"),  # hidden share of the sky
+            ("true_latitude_deg", "<f8"),
+            ("true_longitude_deg", "<f8"),
+            ("true_height_m", "<f8"),
+            ("true_east_m_s", "<f8"),
+            ("true_north_m_s", "<f8"),
+            ("latitude_deg", "<f8"),
+            ("longitude_deg", "<f8"),
+            ("speed_m_s", "<f8"),
+            ("course_deg", "<f8"),
+        ]
+    ),
+    ".csv",
+    "t_utc_s,valid,cover,true_latitude_deg,true_longitude_deg,true_height_m,true_east_m_s,true_north_m_s,"
+    "latitude_deg,longitude_deg,speed_m_s,course_deg\n",
+    {
+        "t_ns": "",
+        "valid": "d",
+        "cover": ".4f",
+        "true_latitude_deg": ".10f",
+        "true_longitude_deg": ".10f",
+        "true_height_m": ".4f",
+        "true_east_m_s": ".6f",
+        "true_north_m_s": ".6f",
+        "latitude_deg": ".10f",
+        "longitude_deg": ".10f",
+        "speed_m_s": ".6f",
+        "course_deg": ".4f",
+    },
+)
+"""What a receiver measures and reports in each second."""
+
+INERTIAL = np.dtype(
+    [
+        ("t_ns", "<i8"),
+        ("rate_rad_s", "<f8", 3),  # measured, as the next
+        ("force_m_s2", "<f8", 3),  # specific force, acceleration minus gravity
+        ("true_rate_rad_s", "<f8", 3),
+        ("true_force_m_s2", "<f8", 3),
+        ("rate_bias_rad_s", "<f8", 3),
+        ("force_bias_m_s2", "<f8", 3),
+        ("attitude_xyzw", "<f8", 4),  # that the unit reports; zeros if it reports none
+        ("stamp_ns", "<i8"),  # time stamp of the sample, by the unit
+    ]
+)
+_AXES = ("wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2")
+_ATTITUDE = ("qx", "qy", "qz", "qw")
+
+
+def inertial_table(imu: Imu) -> Table:
+    """Return the table of an inertial unit, all in its own axes; the text has what the unit reports."""
+    header = ["t_utc_s", *_AXES, *(f"true_{axis}" for axis in _AXES), *(f"bias_{axis}" for axis in _AXES)]
+    formats = dict.fromkeys((INERTIAL.names or ())[:-2], ".9f")
+    if imu.attitude:
+        header += _ATTITUDE
+        formats["attitude_xyzw"] = ".9f"
+    if imu.is_late:
+        header.append("stamp_utc_s")
+        formats["stamp_ns"] = ""
+    return Table(INERTIAL, ".csv", f"{','.join(header)}\n", formats)
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """Rows of a table at a constant rate, sample i at `zero_ns` + i / `rate_hz`."""
+
+    table: Table
+    rows: Callable[[int, int], Rows]  # returns samples first .. first + count - 1
+    zero_ns: int
+    rate_hz: int
+
+    def between(self, start_ns: int, stop_ns: int) -> Rows:
+        """Return the samples from `start_ns` on and before `stop_ns`."""
+        first = self._count_before(start_ns)
+        count = self._count_before(stop_ns) - first
+        return self.rows(first, count) if count > 0 else np.zeros(0, self.table.dtype)
+
+    def _count_before(self, t_ns: int) -> int:
+        # Sample i lies i * S_NS // rate_hz after sample 0.
+        return -(-(t_ns - self.zero_ns) * self.rate_hz // S_NS)
+
+
+def pose_samples(motion: Motion, start_ns: int, rate_hz: int) -> Samples:
+    """Return the samples of a trajectory."""
+
+    def rows(first: int, count: int) -> Rows:
+        t_ns = start_ns + np.arange(first, first + count, dtype=np.int64) * S_NS // rate_hz
+        return pose_rows(motion.kinematics_at(t_ns))
+
+    return Samples(POSES, rows, start_ns, rate_hz)
+
+
+def pose_rows(true: Kinematics) -> Rows:
+    """Return rows of `POSES`."""
+    from scipy.spatial.transform import Rotation  # here: the import takes 0.1 s, and few runs need it
+
+    rows = np.zeros(len(true.t_ns), POSES.dtype)
+    rows["t_ns"] = true.t_ns
+    rows["position_m"] = true.world_p_body_m
+    rows["quaternion_xyzw"] = Rotation.from_matrix(true.world_R_body).as_quat(canonical=True)
+    rows["velocity_m_s"] = matvec(true.world_R_body.transpose(0, 2, 1), true.world_v_body_m_s)
+    rows["rate_rad_s"] = true.body_w_rad_s
+    return rows
+
+
+def inertial_samples(engine: Engine) -> Samples | None:
+    """Return the samples of the inertial unit of a run; None if it has none."""
+    scenario = engine.scenario
+    imu = engine.parts.imu
+    if scenario.imu is None or imu is None:
+        return None
+    rows = partial(_inertial_rows, imu)
+    return Samples(inertial_table(scenario.imu), rows, scenario.start_ns, scenario.imu.rate_hz)
+
+
+def fix_samples(engine: Engine) -> Samples:
+    """Return the samples of the receiver of a run; sample i is the UTC second i."""
+    return Samples(FIXES, partial(_fix_rows, engine.receiver, engine.scenario.gps), 0, 1)
+
+
+def _inertial_rows(imu: ImuSampler, first: int, count: int) -> Rows:
+    from scipy.spatial.transform import Rotation  # here: it takes 0.1 s, and few runs need it
+
+    read = imu.read(first, count)
+    rows = np.zeros(count, INERTIAL)
+    rows["t_ns"] = read.t_ns
+    rows["rate_rad_s"] = read.angular_rate_rad_s
+    rows["force_m_s2"] = read.specific_force_m_s2
+    rows["true_rate_rad_s"] = read.true_angular_rate_rad_s
+    rows["true_force_m_s2"] = read.true_specific_force_m_s2
+    rows["rate_bias_rad_s"] = read.gyro_bias_rad_s
+    rows["force_bias_m_s2"] = read.accel_bias_m_s2
+    if read.world_R_imu is not None:
+        rows["attitude_xyzw"] = Rotation.from_matrix(read.world_R_imu).as_quat(canonical=True)
+    rows["stamp_ns"] = read.t_ns if read.stamp_ns is None else read.stamp_ns
+    return rows
+
+
+def _fix_rows(receiver: Receiver, gps: Gps, first: int, count: int) -> Rows:
+    rows = []
+    for t_ns in range(first * S_NS, (first + count) * S_NS, S_NS):
+        true = receiver.reading(t_ns)
+        fix = receiver.fix(t_ns)
+        position = to_geodetic(true.antenna_m[None], gps)[0].tolist()
+        east_m_s, north_m_s, _ = true.velocity_m_s.tolist()
+        reported = fix.latitude_deg, fix.longitude_deg, fix.speed_m_s, fix.course_deg
+        rows.append((t_ns, fix.valid, true.cover, *position, east_m_s, north_m_s, *reported))
+    return np.array(rows, FIXES.dtype)
+
+
+class StoredTable:
+    """A table in a folder of ground truth, whose rows stay on the disk.
+
+    Raises InputError if the file is missing or no such table.
+    """
+
+    def __init__(self, path: Path, dtype: np.dtype[np.void]) -> None:
+        self.path = path
+        with readable(path, _EXPECTED, InputError, most_bytes=_LONGEST_BYTES):
+            try:
+                rows: Any = np.load(path, mmap_mode="r", allow_pickle=False)
+            except (ValueError, EOFError) as error:
+                raise InputError(str(path), f"cannot be read ({error})", _EXPECTED) from None
+        if not isinstance(rows, np.ndarray) or rows.dtype != dtype or rows.ndim != 1:
+            raise InputError(str(path), "found another table", _EXPECTED)
+        self.rows: Rows = rows
+
+    def between(self, start_ns: int, stop_ns: int) -> Rows:
+        """Return the rows from `start_ns` on and before `stop_ns`."""
+        start, stop = (
+            bisect_left(self.rows, t_ns, key=lambda row: row["t_ns"]) for t_ns in (start_ns, stop_ns)
+        )
+        return self.rows[start:stop]
