@@ -133,7 +133,7 @@ def test_more_samples_smooth_colours_alone(hall, seen, tmp_path):
         name = next(name for name in smooth if name.parts[0] == layer)
         assert smooth[name] == rough[name]
     (_, _, (a,)), (_, _, shots) = read_images(tmp_path / "images"), read_images(seen)
-    change = np.abs(a.rgb.astype(int) - next(iter(shots)).rgb)
+    change = np.abs(a.rgb.astype(int) - next(shots).rgb)
     assert change.max() > 10
     assert np.median(change) <= 2
 
@@ -142,7 +142,7 @@ def test_depth_as_float32_has_all_digits(hall, seen, tmp_path):
     """Float depth equals the PNG's millimetres to half of one, and the PNG has 0 beyond 65.535 m."""
     write_images(hall, tmp_path / "images", duration_s=0.1, depth="float32")
     (_, _, (exact,)), (_, _, shots) = read_images(tmp_path / "images"), read_images(seen)
-    coarse = next(iter(shots))
+    coarse = next(shots)
     assert exact.depth_m.dtype == np.float32
     assert 0 < np.abs(exact.depth_m - coarse.depth_m).max() < 0.000501
     far = folder_of._in_mm(np.array([0.0, 65.5354, 65.5356, 90.0], np.float32))

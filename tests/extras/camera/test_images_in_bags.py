@@ -117,7 +117,7 @@ def test_the_frame_of_the_camera_is_in_tf(bench):
     pose = matrix(odometry.position, odometry.orientation)
     pose = pose @ matrix(link.transform.translation, link.transform.rotation)
     _, _, shots = read_images(place / "images")
-    np.testing.assert_allclose(pose, next(iter(shots)).world_T_camera, atol=1e-9)
+    np.testing.assert_allclose(pose, next(shots).world_T_camera, atol=1e-9)
     np.testing.assert_allclose(pose[:3, 2], [np.cos(np.radians(5)), 0, -np.sin(np.radians(5))], atol=1e-9)
 
 

@@ -12,7 +12,7 @@ from vlp16emu.elementary import inverse, matvec
 from vlp16emu.errors import PacketError
 from vlp16emu.extras.bag.bag_file import BagFile
 from vlp16emu.extras.imu.sampler import GRAVITY_M_S2
-from vlp16emu.extras.truth.tables import Rows
+from vlp16emu.extras.truth.tables import Rows, columns
 from vlp16emu.extras.truth.truth import given_mount, transform
 from vlp16emu.packets import (
     DATA_PAYLOAD,
@@ -177,7 +177,7 @@ class TrueMessages:
         self._sensor_T_base = None if body is None or np.array_equal(body, np.eye(4)) else inverse(body)
 
     def fixed(self, t_ns: int) -> None:
-        """Write the fixed transforms from `base_link` to sensors, inertial unit and antenna; a spinning device has none."""
+        """Write the fixed transforms from `base_link` to all devices; a spinning device has none."""
         mounts = [given_mount(unit, "body_T_sensor") for unit in self._rig["units"]]
         placed = dict(zip(self._frames, mounts, strict=True))
         if mounts[0] is not None:
@@ -198,34 +198,31 @@ class TrueMessages:
         if self._sensor_T_base is not None and len(poses):
             poses = _moved_to_base(poses, self._sensor_T_base)
         topic = "/ground_truth/odom"
-        for row in poses:
-            t_ns = int(row["t_ns"])
-            pose = row["position_m"].tolist(), row["quaternion_xyzw"].tolist()
-            twist = row["velocity_m_s"].tolist(), row["rate_rad_s"].tolist()
+        names = ("t_ns", "position_m", "quaternion_xyzw", "velocity_m_s", "rate_rad_s")
+        for t_ns, *pose_and_rates in columns(poses, *names):
+            pose = tuple(pose_and_rates[:2])
+            rates = tuple(pose_and_rates[2:])
+            what = self._child, (pose, _EXACT), (rates, _EXACT)
             header = self._bag.header(t_ns, "map", topic)
-            what = self._child, (pose, _EXACT), (twist, _EXACT)
             self._bag.write(topic, t_ns, "nav_msgs/msg/Odometry", header, *what)
             moved = self._bag.header(t_ns, "map", "/tf"), self._child, pose
             self._bag.write("/tf", t_ns, "tf2_msgs/msg/TFMessage", [moved])
 
     def inertial(self, readings: Rows) -> None:
         """Write measured values at the unit's time stamps, with the covariance of their white noise."""
-        orientation_rad2 = self._attitude_rad2 if self._reports_attitude else _NO_ESTIMATE
-        for row in readings:
-            t_ns = int(row["stamp_ns"])
-            rate = row["rate_rad_s"].tolist(), self._imu[0]
-            force = row["force_m_s2"].tolist(), self._imu[1]
-            what = row["attitude_xyzw"].tolist(), orientation_rad2, *rate, *force
+        attitude_rad2 = self._attitude_rad2 if self._reports_attitude else _NO_ESTIMATE
+        names = ("stamp_ns", "attitude_xyzw", "rate_rad_s", "force_m_s2")
+        for t_ns, attitude, rate, force in columns(readings, *names):
+            what = attitude, attitude_rad2, rate, self._imu[0], force, self._imu[1]
             header = self._bag.header(t_ns, "imu", "/imu/data")
             self._bag.write("/imu/data", t_ns, "sensor_msgs/msg/Imu", header, *what)
 
     def fixes(self, fixes: Rows) -> None:
         """Write latitude, longitude and validity as the receiver reports; its sentences have no altitude."""
-        for row in fixes:
-            t_ns = int(row["t_ns"])
+        names = ("t_ns", "valid", "latitude_deg", "longitude_deg")
+        for t_ns, valid, *position_deg in columns(fixes, *names):
             # Status -1 is none, service 1 is GPS, covariance 1 is approximated.
-            status = int(row["valid"]) - 1, 1
-            what = status, float(row["latitude_deg"]), float(row["longitude_deg"]), math.nan, self._place, 1
+            what = (valid - 1, 1), *position_deg, math.nan, self._place, 1
             header = self._bag.header(t_ns, "gps", "/fix")
             self._bag.write("/fix", t_ns, "sensor_msgs/msg/NavSatFix", header, *what)
 

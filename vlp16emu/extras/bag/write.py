@@ -1,12 +1,14 @@
 """A run, or a capture with or without its truth, as a bag."""
 
 import hashlib
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Any
@@ -66,9 +68,7 @@ class Truth:
     poses: Callable[[int, int], Rows]
     readings: Callable[[int, int], Rows] | None = None  # of the inertial unit
     fixes: Callable[[int, int], Rows] | None = None
-    lens: "Lens | None" = None
-    """Lens of the camera, if the bag has images."""
-    shots: Callable[[int, int], Iterable["Shot"]] = lambda _start_ns, _stop_ns: ()
+    images: "tuple[Lens, Callable[[int, int], Iterable[Shot]]] | None" = None
 
     def write_to(self, to: TrueMessages, start_ns: int, stop_ns: int) -> None:
         """Write all messages from `start_ns` on and before `stop_ns`."""
@@ -77,8 +77,10 @@ class Truth:
             to.inertial(self.readings(start_ns, stop_ns))
         if self.fixes is not None:
             to.fixes(self.fixes(start_ns, stop_ns))
-        for shot in self.shots(start_ns, stop_ns) if self.lens is not None else ():
-            to.image(self.lens, shot)
+        if self.images is not None:
+            lens, shots = self.images
+            for shot in shots(start_ns, stop_ns):
+                to.image(lens, shot)
 
 
 class BagSink(PacketSink):
@@ -179,7 +181,10 @@ def _sha256(file: Path) -> str:
 def bag_of_run(
     path: Path, engine: Engine, rate_hz: int, options: BagOptions | None = None
 ) -> Iterator[list[BagSink]]:
-    """Open a bag for the packets and the ground truth of a run, with poses at `rate_hz`; errors of `BagFile` and `written_beside`."""
+    """Open a bag for the packets and the ground truth of a run, with poses at `rate_hz`.
+
+    Raises the errors of `BagFile` and `written_beside`.
+    """
     options = options or BagOptions()
     units = engine.parts.units
     frames = _frames(len(units))
@@ -211,7 +216,7 @@ def _truth_of_run(engine: Engine, rate_hz: int) -> Truth:
 
         photographer = Photographer(engine)
         shots = partial(_shots_of_run, photographer, scenario.start_ns)
-        truth = replace(truth, lens=photographer.lens, shots=shots)
+        truth = replace(truth, images=(photographer.lens, shots))
     return truth
 
 
@@ -278,8 +283,8 @@ def write_bag(
     if truth is not None:
         first_ns = min(one.first_ns for one in clocks)
         true = _truth_of_folder(truth, [every.index(one) for one in units], len(every), first_ns)
-    if true is not None and images is not None:
-        true = _with_images(true, images)
+        if images is not None:
+            true = _with_images(true, images, first_ns)
 
     with (
         written_beside(out, options.slam, lambda: _rig(true, capture, units[0], frames[0])),
@@ -303,7 +308,10 @@ def write_bag(
 
 
 def _rig(true: Truth | None, capture: Path, unit: CapturedUnit, frame: str) -> Rig:
-    """Return the sensors of the ground truth; without it the unit of the capture, at the rotor speed of its first packets."""
+    """Return the sensors of the ground truth.
+
+    Without it the unit of the capture is returned, at the rotor speed of its first packets.
+    """
     if true:
         return Rig.of(true.rig, true.scenario, frame)
     with CaptureReader(capture, unit) as reader:
@@ -361,9 +369,16 @@ def _truth_of_folder(folder: Path, taken: Sequence[int], units: int, first_ns: i
     return truth
 
 
-def _with_images(truth: Truth, folder: Path) -> Truth:
-    """Add the images of a folder, and their camera."""
+def _with_images(truth: Truth, folder: Path, first_ns: int) -> Truth:
+    """Add the images of a folder from `first_ns` on, and their camera."""
     from vlp16emu.extras.camera.folder import read_images
 
     cameras, lens, shots = read_images(folder)
-    return replace(truth, rig={**truth.rig, "camera": cameras["rig"]}, lens=lens, shots=shots.between)
+    times_ns = [row["t_ns"] for row in cameras["images"]]
+    later = islice(shots, bisect_left(times_ns, first_ns), None)
+
+    def between(start_ns: int, stop_ns: int) -> Iterator["Shot"]:
+        """Read the next images; spans follow one another from `first_ns` on."""
+        return islice(later, bisect_left(times_ns, stop_ns) - bisect_left(times_ns, start_ns))
+
+    return replace(truth, rig={**truth.rig, "camera": cameras["rig"]}, images=(lens, between))

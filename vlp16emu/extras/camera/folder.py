@@ -1,8 +1,7 @@
 """Images of a run in a folder, with intrinsics, extrinsics and poses in the forms of other programs."""
 
 import csv
-from bisect import bisect_left
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -13,6 +12,7 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from vlp16emu.errors import InputError, MissingExtraError, OutputError, RunError, readable
 from vlp16emu.extras.camera.lens import Lens
@@ -21,7 +21,7 @@ from vlp16emu.extras.camera.reconstruction import reconstruction_files
 from vlp16emu.extras.camera.shot import Photographer, Shot
 from vlp16emu.extras.options import ImageOptions
 from vlp16emu.extras.truth.folder import read_json
-from vlp16emu.extras.truth.tables import POSES, Rows
+from vlp16emu.extras.truth.tables import POSES
 from vlp16emu.extras.truth.truth import rig_of
 from vlp16emu.output import Staged, final_name, opening, write_json
 from vlp16emu.run.emulator import Emulator
@@ -74,8 +74,7 @@ class ImageFolder:
         with opening(self._where, "a folder that can be written"):
             final_name(path).parent.mkdir(parents=True, exist_ok=True)
             self._staged = Staged(path, self._where, self._check, is_folder=True)
-        self.path = self._staged.path
-        with self._complete("its folders"):
+            self.path = self._staged.path
             for layer in LAYERS:
                 (self.path / layer).mkdir()
 
@@ -121,13 +120,22 @@ class ImageFolder:
         """Write the files that describe all images."""
         with self._complete("its description"):
             write_json(self.path / "cameras.json", cameras)
-            (self.path / "poses.tum").write_text(_TUM_HEAD + POSES.text(_pose_rows(self.taken)))
+            (self.path / "poses.tum").write_text(_TUM_HEAD + self._poses())
             rows = "".join(f"{number},{instance}\n" for instance, number in self._number_of.items())
             (self.path / "instances.csv").write_text("number,instance\n" + rows)
             poses = [pose for _, pose in self.taken]
             for file, text in reconstruction_files(lens, poses, self.depth_suffix).items():
                 (self.path / file).parent.mkdir(parents=True, exist_ok=True)
                 (self.path / file).write_text(text)
+
+    def _poses(self) -> str:
+        """Return the lines of `poses.tum`; the rows have no velocities."""
+        t_ns, poses = zip(*self.taken, strict=True)
+        T = np.array(poses)
+        quaternions = Rotation.from_matrix(T[:, :3, :3]).as_quat(canonical=True)
+        return POSES.text(
+            POSES.rows({"t_ns": t_ns, "position_m": T[:, :3, 3], "quaternion_xyzw": quaternions})
+        )
 
     @property
     def depth_suffix(self) -> str:
@@ -259,58 +267,16 @@ def _cameras(photographer: Photographer, scene: str, depth: str, images: ImageFo
     }
 
 
-class StoredShots:
-    """Images of a folder, which are read as they are taken.
+def read_images(folder: Path) -> tuple[dict[str, Any], Lens, Iterator[Shot]]:
+    """Return `cameras.json` of a folder of images, the lens, and its images one after another.
 
     Raises InputError if a file is missing or is none of `images`; MissingExtraError if pillow is not
     installed.
     """
-
-    def __init__(self, folder: Path, rows: Sequence[Mapping[str, Any]], unit_m: float) -> None:
-        try:
-            from PIL import Image
-        except ImportError:
-            raise MissingExtraError("pillow", "picture", "reading images") from None
-        self._image = Image
-        self._folder = folder
-        self._rows = rows
-        self._unit_m = unit_m
-        self._instances = _instances(folder / "instances.csv")
-
-    def __iter__(self) -> Iterator[Shot]:
-        return map(self._shot, self._rows)
-
-    def between(self, start_ns: int, stop_ns: int) -> Iterator[Shot]:
-        """Yield the images from `start_ns` on and before `stop_ns`."""
-        times_ns = (start_ns, stop_ns)
-        start, stop = (bisect_left(self._rows, t_ns, key=lambda row: row["t_ns"]) for t_ns in times_ns)
-        return map(self._shot, self._rows[start:stop])
-
-    def _shot(self, row: Mapping[str, Any]) -> Shot:
-        name = f"{row['file']}.png"
-        depth_m = (self._pixels("depth", row["depth_file"]) * self._unit_m).astype(np.float32)
-        return Shot(
-            row["t_ns"],
-            np.array(row["world_T_camera"]),
-            self._pixels("rgb", name),
-            depth_m,
-            self._pixels("semantic", name),
-            self._pixels("part", name),
-            self._instances[self._pixels("instance", name)],
-        )
-
-    def _pixels(self, layer: str, name: str) -> NDArray[Any]:
-        path = self._folder / layer / name
-        with readable(path, _EXPECTED, InputError):
-            if path.suffix == ".npy":
-                loaded: NDArray[Any] = np.load(path, allow_pickle=False)
-                return loaded
-            with self._image.open(path) as image:
-                return np.array(image)
-
-
-def read_images(folder: Path) -> tuple[dict[str, Any], Lens, StoredShots]:
-    """Return `cameras.json` of a folder of images, the lens, and its images; errors of `StoredShots`."""
+    try:
+        import PIL.Image
+    except ImportError:
+        raise MissingExtraError("pillow", "picture", "reading images") from None
     cameras = read_json(folder / "cameras.json", _EXPECTED)
     try:
         known = cameras["intrinsics"]
@@ -321,7 +287,27 @@ def read_images(folder: Path) -> tuple[dict[str, Any], Lens, StoredShots]:
         unit_m = float(cameras["depth"]["unit_m"])
     except (KeyError, TypeError, AttributeError):
         raise InputError(str(folder / "cameras.json"), "not all of its members", _EXPECTED) from None
-    return cameras, lens, StoredShots(folder, rows, unit_m)
+    table = _instances(folder / "instances.csv")
+
+    def pixels(layer: str, name: str) -> NDArray[Any]:
+        path = folder / layer / name
+        with readable(path, _EXPECTED, InputError):
+            if path.suffix == ".npy":
+                loaded: NDArray[Any] = np.load(path, allow_pickle=False)
+                return loaded
+            with PIL.Image.open(path) as image:
+                return np.array(image)
+
+    def shots() -> Iterator[Shot]:
+        for row in rows:
+            name = f"{row['file']}.png"
+            depth_m = (pixels("depth", row["depth_file"]) * unit_m).astype(np.float32)
+            instance = table[pixels("instance", name)]
+            pose = np.array(row["world_T_camera"])
+            classes = pixels("semantic", name), pixels("part", name)
+            yield Shot(row["t_ns"], pose, pixels("rgb", name), depth_m, *classes, instance)
+
+    return cameras, lens, shots()
 
 
 def _instances(path: Path) -> U4:
@@ -337,15 +323,3 @@ def _in_mm(depth_m: F4) -> U2:
     """Return depth in whole millimetres; 0, as for none, beyond 65.535 m."""
     mm = np.rint(depth_m.astype(np.float64) / _MM)
     return np.where(mm <= _MOST_MM, mm, 0.0).astype(np.uint16)
-
-
-def _pose_rows(taken: Sequence[tuple[int, F8]]) -> Rows:
-    """Return the poses of images as rows, without velocities."""
-    from scipy.spatial.transform import Rotation
-
-    rows = np.zeros(len(taken), POSES.dtype)
-    poses = np.array([pose for _, pose in taken])
-    rows["t_ns"] = [t_ns for t_ns, _ in taken]
-    rows["position_m"] = poses[:, :3, 3]
-    rows["quaternion_xyzw"] = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
-    return rows

@@ -78,7 +78,10 @@ class TruthFolder:
         self.append_rows(name, table, np.zeros(0, table.dtype))
 
     def append_rows(self, name: str, table: Table, rows: Rows) -> None:
-        """Append rows to NAME.npy, whose header counts whole rows at any time, and lines to its text; errors of `append`."""
+        """Append rows to NAME.npy and lines to its text; errors of `append`.
+
+        Both are readable at any time: the header of NAME.npy counts whole rows.
+        """
         self.append(f"{name}{table.suffix}", table.text(rows))
         before = self._rows[name]
         count = before + len(rows)
@@ -145,7 +148,10 @@ def _write_at(file: FileIO, data: bytes, at: int) -> None:
 
 
 def _foreign_entry(folder: Path) -> str | None:
-    """Return the name of an entry that no run writes, if any; a folder without the scenario of an earlier run is not ours."""
+    """Return the name of an entry that no run writes; None if there is none.
+
+    All entries are foreign in a folder without the scenario of an earlier run.
+    """
     present = sorted(folder.iterdir())
     strange = [
         file for file in present if not _FILES.fullmatch(file.name) or not stat.S_ISREG(file.lstat().st_mode)

@@ -1,14 +1,14 @@
-"""Tables of the ground truth: poses with velocities, inertial unit and receiver, as binary rows and as text."""
+"""Tables of the ground truth: poses with velocities, inertial unit and receiver, as rows and as text."""
 
 from bisect import bisect_left
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from vlp16emu.elementary import matvec
 from vlp16emu.engine import Engine
@@ -25,6 +25,7 @@ Rows = NDArray[np.void]
 
 _EXPECTED = "a table of a --truth folder, which earlier versions did not write"
 _LONGEST_BYTES = 2**62  # rows stay on the disk
+_TOGETHER = 4096  # rows of which Python's numbers are in memory; a capture may have a gap of hours
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +38,13 @@ class Table:
     formats: Mapping[str, str]  # of the numbers of each field in the text; times are in seconds
     separator: str = ","
 
+    def rows(self, fields: Mapping[str, ArrayLike]) -> Rows:
+        """Return rows from the values of their fields; fields without values are 0."""
+        rows = np.zeros(np.shape(fields["t_ns"]), self.dtype)
+        for name, values in fields.items():
+            rows[name] = values
+        return rows
+
     def text(self, rows: Rows) -> str:
         """Return a line for each row."""
         cells = list[list[str]]()
@@ -45,6 +53,13 @@ class Table:
                 is_time = name.endswith("_ns")
                 cells.append([seconds_text(one) if is_time else format(one, form) for one in values])
         return "".join(f"{self.separator.join(line)}\n" for line in zip(*cells, strict=True))
+
+
+def columns(rows: Rows, *names: str) -> Iterator[tuple[Any, ...]]:
+    """Yield the values of some fields of each row, as Python's numbers and lists."""
+    for first in range(0, len(rows), _TOGETHER):
+        part = rows[first : first + _TOGETHER]
+        yield from zip(*(part[name].tolist() for name in names), strict=True)
 
 
 def seconds_text(t_ns: int) -> str:
@@ -63,7 +78,8 @@ POSES = Table(
         ]
     ),
     ".tum",
-    "# t_utc_s x_m y_m z_m qx qy qz qw: world_T_sensor; world east, north, up; sensor x forward, y left, z up\n",
+    "# t_utc_s x_m y_m z_m qx qy qz qw: world_T_sensor; world east, north, up; "
+    "sensor x forward, y left, z up\n",
     {"t_ns": "", "position_m": ".9f", "quaternion_xyzw": ".12f"},
     " ",
 )
@@ -170,13 +186,15 @@ def pose_rows(true: Kinematics) -> Rows:
     """Return rows of `POSES`."""
     from scipy.spatial.transform import Rotation  # here: the import takes 0.1 s, and few runs need it
 
-    rows = np.zeros(len(true.t_ns), POSES.dtype)
-    rows["t_ns"] = true.t_ns
-    rows["position_m"] = true.world_p_body_m
-    rows["quaternion_xyzw"] = Rotation.from_matrix(true.world_R_body).as_quat(canonical=True)
-    rows["velocity_m_s"] = matvec(true.world_R_body.transpose(0, 2, 1), true.world_v_body_m_s)
-    rows["rate_rad_s"] = true.body_w_rad_s
-    return rows
+    return POSES.rows(
+        {
+            "t_ns": true.t_ns,
+            "position_m": true.world_p_body_m,
+            "quaternion_xyzw": Rotation.from_matrix(true.world_R_body).as_quat(canonical=True),
+            "velocity_m_s": matvec(true.world_R_body.transpose(0, 2, 1), true.world_v_body_m_s),
+            "rate_rad_s": true.body_w_rad_s,
+        }
+    )
 
 
 def inertial_samples(engine: Engine) -> Samples | None:
@@ -185,8 +203,8 @@ def inertial_samples(engine: Engine) -> Samples | None:
     imu = engine.parts.imu
     if scenario.imu is None or imu is None:
         return None
-    rows = partial(_inertial_rows, imu)
-    return Samples(inertial_table(scenario.imu), rows, scenario.start_ns, scenario.imu.rate_hz)
+    table = inertial_table(scenario.imu)
+    return Samples(table, partial(_inertial_rows, table, imu), scenario.start_ns, scenario.imu.rate_hz)
 
 
 def fix_samples(engine: Engine) -> Samples:
@@ -194,22 +212,23 @@ def fix_samples(engine: Engine) -> Samples:
     return Samples(FIXES, partial(_fix_rows, engine.receiver, engine.scenario.gps), 0, 1)
 
 
-def _inertial_rows(imu: ImuSampler, first: int, count: int) -> Rows:
+def _inertial_rows(table: Table, imu: ImuSampler, first: int, count: int) -> Rows:
     from scipy.spatial.transform import Rotation  # here: it takes 0.1 s, and few runs need it
 
     read = imu.read(first, count)
-    rows = np.zeros(count, INERTIAL)
-    rows["t_ns"] = read.t_ns
-    rows["rate_rad_s"] = read.angular_rate_rad_s
-    rows["force_m_s2"] = read.specific_force_m_s2
-    rows["true_rate_rad_s"] = read.true_angular_rate_rad_s
-    rows["true_force_m_s2"] = read.true_specific_force_m_s2
-    rows["rate_bias_rad_s"] = read.gyro_bias_rad_s
-    rows["force_bias_m_s2"] = read.accel_bias_m_s2
+    fields: dict[str, ArrayLike] = {
+        "t_ns": read.t_ns,
+        "rate_rad_s": read.angular_rate_rad_s,
+        "force_m_s2": read.specific_force_m_s2,
+        "true_rate_rad_s": read.true_angular_rate_rad_s,
+        "true_force_m_s2": read.true_specific_force_m_s2,
+        "rate_bias_rad_s": read.gyro_bias_rad_s,
+        "force_bias_m_s2": read.accel_bias_m_s2,
+        "stamp_ns": read.t_ns if read.stamp_ns is None else read.stamp_ns,
+    }
     if read.world_R_imu is not None:
-        rows["attitude_xyzw"] = Rotation.from_matrix(read.world_R_imu).as_quat(canonical=True)
-    rows["stamp_ns"] = read.t_ns if read.stamp_ns is None else read.stamp_ns
-    return rows
+        fields["attitude_xyzw"] = Rotation.from_matrix(read.world_R_imu).as_quat(canonical=True)
+    return table.rows(fields)
 
 
 def _fix_rows(receiver: Receiver, gps: Gps, first: int, count: int) -> Rows:

@@ -137,8 +137,9 @@ def _single(
 
 
 def timetable(scenario: Scenario, units: Sequence[Unit], start_ns: int, stop_ns: int) -> Iterator[Packet]:
-    """Yield the packets due in a span since the first pulse in order of sending, without bytes, so no ray is cast.
+    """Yield the packets due in a span since the first pulse in order of sending, without casting a ray.
 
+    They have no bytes.
     A sensor without packets yields one for each group of as many firing sequences.
     """
 
@@ -284,7 +285,7 @@ class Truth:
         self._is_whole = True
 
     def up_to(self, since_s: float) -> None:
-        """Write the ground truth up to a time since the first pulse, for a run whose packets are not passed through."""
+        """Write the ground truth up to a time since the first pulse, without packets of a run."""
         until_ns = self._scenario.start_ns + seconds_to_ns(since_s)
         next((packet for packet in self._to_come if packet.due_ns >= until_ns), None)
 
@@ -392,7 +393,10 @@ def _extrinsics(
 
 
 def given_mount(device: dict[str, Any], key: str, *, true: bool = False) -> F8 | None:
-    """Return the extrinsics (4, 4) of a device of `rig.json`, as its user knows them or with `true` the true ones; None if it spins."""
+    """Return the extrinsics (4, 4) of a device of `rig.json`; None if it spins.
+
+    They are as its user knows them, or with `true` the true ones.
+    """
     mount = device[key] if true else device.get(f"given_{key}", device[key])
     return None if "spin_hz" in mount else np.array(mount["matrix"])
 
