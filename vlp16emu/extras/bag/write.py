@@ -59,7 +59,7 @@ _OFTEN_NS = S_NS // 10  # span of ground truth that is written together
 
 
 @dataclass(frozen=True, slots=True)
-class Truth:
+class TruthSource:
     """Ground truth of a run, from its engine or from its files; all from an instant on and before another."""
 
     rig: Mapping[str, Any]  # `rig.json`, with the units that are written
@@ -105,7 +105,7 @@ class BagSink(PacketSink):
         frames: Sequence[str],
         clock_of: Callable[[int, int], PacketClock],
         options: BagOptions,
-        truth: Truth | None,
+        truth: TruthSource | None,
     ) -> None:
         self.bag = BagFile(path)
         self._frames = frames
@@ -201,12 +201,12 @@ def bag_of_run(
         yield [sink]
 
 
-def _truth_of_run(engine: Engine, rate_hz: int) -> Truth:
+def _truth_of_run(engine: Engine, rate_hz: int) -> TruthSource:
     """Return the ground truth of a run, with poses at `rate_hz`."""
     scenario = engine.scenario
     poses = pose_samples(engine.parts.units[0].motion, scenario.start_ns, rate_hz)
     tree = scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
-    truth = Truth(rig_of(scenario, engine.parts), tree, -(-S_NS // rate_hz), poses.between)
+    truth = TruthSource(rig_of(scenario, engine.parts), tree, -(-S_NS // rate_hz), poses.between)
     if (readings := inertial_samples(engine)) is not None:
         truth = replace(truth, readings=readings.between)
     if engine.parts.gps.connected:
@@ -307,7 +307,7 @@ def write_bag(
     }
 
 
-def _rig(true: Truth | None, capture: Path, unit: CapturedUnit, frame: str) -> Rig:
+def _rig(true: TruthSource | None, capture: Path, unit: CapturedUnit, frame: str) -> Rig:
     """Return the sensors of the ground truth.
 
     Without it the unit of the capture is returned, at the rotor speed of its first packets.
@@ -339,7 +339,7 @@ def _check_stamps(capture: Path, clocks: Sequence[UnitClock]) -> None:
             raise CaptureError(str(capture), found, f"0 to {LATEST_NS // S_NS} s; --clock chooses another")
 
 
-def _truth_of_folder(folder: Path, taken: Sequence[int], units: int, first_ns: int) -> Truth:
+def _truth_of_folder(folder: Path, taken: Sequence[int], units: int, first_ns: int) -> TruthSource:
     """Return the ground truth of a run, without images.
 
     Parameters
@@ -361,7 +361,7 @@ def _truth_of_folder(folder: Path, taken: Sequence[int], units: int, first_ns: i
         expected = f"poses from the capture's first pulse on, {first_ns / S_NS:.3f} s"
         raise InputError(str(poses.path), found, expected)
     step_ns = int(t_ns[-1] - t_ns[-2:][0])
-    truth = Truth(rig, scenario, step_ns, poses.between)
+    truth = TruthSource(rig, scenario, step_ns, poses.between)
     if (folder / "imu.npy").exists():
         truth = replace(truth, readings=StoredTable(folder / "imu.npy", INERTIAL).between)
     if (folder / "gnss.npy").exists():
@@ -369,7 +369,7 @@ def _truth_of_folder(folder: Path, taken: Sequence[int], units: int, first_ns: i
     return truth
 
 
-def _with_images(truth: Truth, folder: Path, first_ns: int) -> Truth:
+def _with_images(truth: TruthSource, folder: Path, first_ns: int) -> TruthSource:
     """Add the images of a folder from `first_ns` on, and their camera."""
     from vlp16emu.extras.camera.folder import read_images
 
