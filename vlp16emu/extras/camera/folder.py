@@ -12,7 +12,6 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from vlp16emu.errors import InputError, MissingExtraError, OutputError, RunError, readable
 from vlp16emu.extras.camera.lens import Lens
@@ -21,7 +20,7 @@ from vlp16emu.extras.camera.reconstruction import reconstruction_files
 from vlp16emu.extras.camera.shot import Photographer, Shot
 from vlp16emu.extras.options import ImageOptions
 from vlp16emu.extras.truth.folder import read_json
-from vlp16emu.extras.truth.tables import POSES
+from vlp16emu.extras.truth.tables import POSES, quaternions
 from vlp16emu.extras.truth.truth import rig_of
 from vlp16emu.output import Staged, final_name, opening, write_json
 from vlp16emu.run.emulator import Emulator
@@ -130,12 +129,10 @@ class ImageFolder:
 
     def _poses(self) -> str:
         """Return the lines of `poses.tum`; the rows have no velocities."""
-        t_ns, poses = zip(*self.taken, strict=True)
-        T = np.array(poses)
-        quaternions = Rotation.from_matrix(T[:, :3, :3]).as_quat(canonical=True)
-        return POSES.text(
-            POSES.rows({"t_ns": t_ns, "position_m": T[:, :3, 3], "quaternion_xyzw": quaternions})
-        )
+        t_ns = [at_ns for at_ns, _ in self.taken]
+        T = np.array([pose for _, pose in self.taken])
+        fields = {"t_ns": t_ns, "position_m": T[:, :3, 3], "quaternion_xyzw": quaternions(T[:, :3, :3])}
+        return POSES.text(POSES.rows(fields))
 
     @property
     def depth_suffix(self) -> str:

@@ -18,6 +18,7 @@ from vlp16emu.extras.imu.settings import Imu
 from vlp16emu.motion.gnss import Receiver, to_geodetic
 from vlp16emu.motion.pose import Kinematics, Motion
 from vlp16emu.motion.settings import Gps
+from vlp16emu.types import F8
 from vlp16emu.units import S_NS
 
 Rows = NDArray[np.void]
@@ -25,7 +26,7 @@ Rows = NDArray[np.void]
 
 _EXPECTED = "a table of a --truth folder, which earlier versions did not write"
 _LONGEST_BYTES = 2**62  # rows stay on the disk
-_TOGETHER = 4096  # rows of which Python's numbers are in memory; a capture may have a gap of hours
+_TOGETHER = 4096  # rows that are Python's numbers at a time; a capture may have a gap of hours
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,17 +185,22 @@ def pose_samples(motion: Motion, start_ns: int, rate_hz: int) -> Samples:
 
 def pose_rows(true: Kinematics) -> Rows:
     """Return rows of `POSES`."""
-    from scipy.spatial.transform import Rotation  # here: the import takes 0.1 s, and few runs need it
-
     return POSES.rows(
         {
             "t_ns": true.t_ns,
             "position_m": true.world_p_body_m,
-            "quaternion_xyzw": Rotation.from_matrix(true.world_R_body).as_quat(canonical=True),
+            "quaternion_xyzw": quaternions(true.world_R_body),
             "velocity_m_s": matvec(true.world_R_body.transpose(0, 2, 1), true.world_v_body_m_s),
             "rate_rad_s": true.body_w_rad_s,
         }
     )
+
+
+def quaternions(R: F8) -> F8:
+    """Return rotations (..., 3, 3) as unit quaternions x, y, z, w (..., 4); w is never negative."""
+    from scipy.spatial.transform import Rotation  # here: the import takes 0.1 s, and few runs need it
+
+    return np.asarray(Rotation.from_matrix(R).as_quat(canonical=True))
 
 
 def inertial_samples(engine: Engine) -> Samples | None:
@@ -213,8 +219,6 @@ def fix_samples(engine: Engine) -> Samples:
 
 
 def _inertial_rows(table: Table, imu: ImuSampler, first: int, count: int) -> Rows:
-    from scipy.spatial.transform import Rotation  # here: it takes 0.1 s, and few runs need it
-
     read = imu.read(first, count)
     fields: dict[str, ArrayLike] = {
         "t_ns": read.t_ns,
@@ -227,7 +231,7 @@ def _inertial_rows(table: Table, imu: ImuSampler, first: int, count: int) -> Row
         "stamp_ns": read.t_ns if read.stamp_ns is None else read.stamp_ns,
     }
     if read.world_R_imu is not None:
-        fields["attitude_xyzw"] = Rotation.from_matrix(read.world_R_imu).as_quat(canonical=True)
+        fields["attitude_xyzw"] = quaternions(read.world_R_imu)
     return table.rows(fields)
 
 

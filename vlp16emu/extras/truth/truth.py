@@ -27,6 +27,7 @@ from vlp16emu.extras.truth.tables import (
     inertial_samples,
     pose_rows,
     pose_samples,
+    quaternions,
     seconds_text,
 )
 from vlp16emu.motion.pose import rotation
@@ -409,12 +410,10 @@ def _mount(section: Mount, axes: Callable[[F8], F8]) -> dict[str, Any]:
 
 def transform(R: F8, p_m: F8) -> dict[str, Any]:
     """Return a rigid transform as matrix and as translation and quaternion, for JSON."""
-    from scipy.spatial.transform import Rotation  # here: it takes 0.1 s, and few runs need it
-
     T = np.eye(4)
     T[:3, :3] = R
     T[:3, 3] = p_m
-    quaternion = Rotation.from_matrix(R).as_quat(canonical=True) + 0.0  # no -0.0
+    quaternion = quaternions(R) + 0.0  # no -0.0
     return {"matrix": T.tolist(), "translation_m": p_m.tolist(), "quaternion_xyzw": quaternion.tolist()}
 
 
