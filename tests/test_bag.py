@@ -364,9 +364,9 @@ def test_odometry_of_a_run_has_the_rates_of_its_motion(tmp_path):
     ("file", "content", "message"),
     [
         ("trajectory.npy", None, "trajectory.npy: no such file or directory; expected a table"),
-        ("trajectory.npy", b"x y z", "trajectory.npy: cannot be read"),
-        ("imu.npy", b"", "imu.npy: cannot be read"),
-        ("gnss.npy", "imu.npy", "gnss.npy: found another table"),
+        ("trajectory.npy", b"x y z", "trajectory.npy: no whole table of numpy"),
+        ("imu.npy", b"", "imu.npy: no whole table of numpy"),
+        ("gnss.npy", "imu.npy", "gnss.npy: another table"),
         ("rig.json", b"{", "rig.json: no JSON"),
     ],
 )

@@ -131,8 +131,8 @@ class ImageFolder:
         """Return the lines of `poses.tum`; the rows have no velocities."""
         t_ns = [at_ns for at_ns, _ in self.taken]
         T = np.array([pose for _, pose in self.taken])
-        fields = {"t_ns": t_ns, "position_m": T[:, :3, 3], "quaternion_xyzw": quaternions(T[:, :3, :3])}
-        return POSES.text(POSES.rows(fields))
+        rows = POSES.rows(t_ns, position_m=T[:, :3, 3], quaternion_xyzw=quaternions(T[:, :3, :3]))
+        return POSES.text(rows)
 
     @property
     def depth_suffix(self) -> str:

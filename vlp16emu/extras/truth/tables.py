@@ -1,13 +1,14 @@
 """Tables of the ground truth: poses with velocities, inertial unit and receiver, as rows and as text."""
 
 from bisect import bisect_left
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.lib.format import open_memmap
 from numpy.typing import ArrayLike, NDArray
 
 from vlp16emu.elementary import matvec
@@ -18,7 +19,7 @@ from vlp16emu.extras.imu.settings import Imu
 from vlp16emu.motion.gnss import Receiver, to_geodetic
 from vlp16emu.motion.pose import Kinematics, Motion
 from vlp16emu.motion.settings import Gps
-from vlp16emu.types import F8
+from vlp16emu.types import F8, I8
 from vlp16emu.units import S_NS
 
 Rows = NDArray[np.void]
@@ -39,9 +40,10 @@ class Table:
     formats: Mapping[str, str]  # of the numbers of each field in the text; times are in seconds
     separator: str = ","
 
-    def rows(self, fields: Mapping[str, ArrayLike]) -> Rows:
+    def rows(self, t_ns: Sequence[int] | I8, **fields: ArrayLike) -> Rows:
         """Return rows from the values of their fields; fields without values are 0."""
-        rows = np.zeros(np.shape(fields["t_ns"]), self.dtype)
+        rows = np.zeros(len(t_ns), self.dtype)
+        rows["t_ns"] = t_ns
         for name, values in fields.items():
             rows[name] = values
         return rows
@@ -86,40 +88,24 @@ POSES = Table(
 )
 """Poses of a sensor; the text is that of the TUM RGB-D benchmark, without velocities."""
 
+_OF_FIXES = {
+    "valid": "d",
+    "cover": ".4f",  # hidden share of the sky
+    "true_latitude_deg": ".10f",
+    "true_longitude_deg": ".10f",
+    "true_height_m": ".4f",
+    "true_east_m_s": ".6f",
+    "true_north_m_s": ".6f",
+    "latitude_deg": ".10f",
+    "longitude_deg": ".10f",
+    "speed_m_s": ".6f",
+    "course_deg": ".4f",
+}
 FIXES = Table(
-    np.dtype(
-        [
-            ("t_ns", "<i8"),  # a whole second
-            ("valid", "?"),
-            ("cover", "<f8"),  # hidden share of the sky
-            ("true_latitude_deg", "<f8"),
-            ("true_longitude_deg", "<f8"),
-            ("true_height_m", "<f8"),
-            ("true_east_m_s", "<f8"),
-            ("true_north_m_s", "<f8"),
-            ("latitude_deg", "<f8"),
-            ("longitude_deg", "<f8"),
-            ("speed_m_s", "<f8"),
-            ("course_deg", "<f8"),
-        ]
-    ),
+    np.dtype([("t_ns", "<i8"), *((name, "?" if form == "d" else "<f8") for name, form in _OF_FIXES.items())]),
     ".csv",
-    "t_utc_s,valid,cover,true_latitude_deg,true_longitude_deg,true_height_m,true_east_m_s,true_north_m_s,"
-    "latitude_deg,longitude_deg,speed_m_s,course_deg\n",
-    {
-        "t_ns": "",
-        "valid": "d",
-        "cover": ".4f",
-        "true_latitude_deg": ".10f",
-        "true_longitude_deg": ".10f",
-        "true_height_m": ".4f",
-        "true_east_m_s": ".6f",
-        "true_north_m_s": ".6f",
-        "latitude_deg": ".10f",
-        "longitude_deg": ".10f",
-        "speed_m_s": ".6f",
-        "course_deg": ".4f",
-    },
+    f"t_utc_s,{','.join(_OF_FIXES)}\n",
+    {"t_ns": "", **_OF_FIXES},
 )
 """What a receiver measures and reports in each second."""
 
@@ -186,13 +172,11 @@ def pose_samples(motion: Motion, start_ns: int, rate_hz: int) -> Samples:
 def pose_rows(true: Kinematics) -> Rows:
     """Return rows of `POSES`."""
     return POSES.rows(
-        {
-            "t_ns": true.t_ns,
-            "position_m": true.world_p_body_m,
-            "quaternion_xyzw": quaternions(true.world_R_body),
-            "velocity_m_s": matvec(true.world_R_body.transpose(0, 2, 1), true.world_v_body_m_s),
-            "rate_rad_s": true.body_w_rad_s,
-        }
+        true.t_ns,
+        position_m=true.world_p_body_m,
+        quaternion_xyzw=quaternions(true.world_R_body),
+        velocity_m_s=matvec(true.world_R_body.transpose(0, 2, 1), true.world_v_body_m_s),
+        rate_rad_s=true.body_w_rad_s,
     )
 
 
@@ -220,19 +204,17 @@ def fix_samples(engine: Engine) -> Samples:
 
 def _inertial_rows(table: Table, imu: ImuSampler, first: int, count: int) -> Rows:
     read = imu.read(first, count)
-    fields: dict[str, ArrayLike] = {
-        "t_ns": read.t_ns,
-        "rate_rad_s": read.angular_rate_rad_s,
-        "force_m_s2": read.specific_force_m_s2,
-        "true_rate_rad_s": read.true_angular_rate_rad_s,
-        "true_force_m_s2": read.true_specific_force_m_s2,
-        "rate_bias_rad_s": read.gyro_bias_rad_s,
-        "force_bias_m_s2": read.accel_bias_m_s2,
-        "stamp_ns": read.t_ns if read.stamp_ns is None else read.stamp_ns,
-    }
-    if read.world_R_imu is not None:
-        fields["attitude_xyzw"] = quaternions(read.world_R_imu)
-    return table.rows(fields)
+    return table.rows(
+        read.t_ns,
+        rate_rad_s=read.angular_rate_rad_s,
+        force_m_s2=read.specific_force_m_s2,
+        true_rate_rad_s=read.true_angular_rate_rad_s,
+        true_force_m_s2=read.true_specific_force_m_s2,
+        rate_bias_rad_s=read.gyro_bias_rad_s,
+        force_bias_m_s2=read.accel_bias_m_s2,
+        attitude_xyzw=0.0 if read.world_R_imu is None else quaternions(read.world_R_imu),
+        stamp_ns=read.t_ns if read.stamp_ns is None else read.stamp_ns,
+    )
 
 
 def _fix_rows(receiver: Receiver, gps: Gps, first: int, count: int) -> Rows:
@@ -257,12 +239,11 @@ class StoredTable:
         self.path = path
         with readable(path, _EXPECTED, InputError, most_bytes=_LONGEST_BYTES):
             try:
-                rows: Any = np.load(path, mmap_mode="r", allow_pickle=False)
-            except (ValueError, EOFError) as error:
-                raise InputError(str(path), f"cannot be read ({error})", _EXPECTED) from None
-        if not isinstance(rows, np.ndarray) or rows.dtype != dtype or rows.ndim != 1:
-            raise InputError(str(path), "found another table", _EXPECTED)
-        self.rows: Rows = rows
+                self.rows: Rows = open_memmap(path, mode="r")
+            except ValueError:
+                raise InputError(str(path), "no whole table of numpy", _EXPECTED) from None
+        if self.rows.dtype != dtype or self.rows.ndim != 1:
+            raise InputError(str(path), "another table", _EXPECTED)
 
     def between(self, start_ns: int, stop_ns: int) -> Rows:
         """Return the rows from `start_ns` on and before `stop_ns`."""
