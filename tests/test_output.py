@@ -187,7 +187,10 @@ def test_outputs_of_all_kinds_are_locked(tmp_path, name, kind):
 
 @pytest.mark.parametrize(("name", "kind"), KINDS.items())
 def test_what_takes_the_name_meanwhile_stays(tmp_path, name, kind):
-    """A folder with content that somebody gives the name of an output during the run is not replaced; the output is left beside it."""
+    """A folder that somebody gives the name of an output during the run is not replaced.
+
+    The output is left beside it.
+    """
 
     def meanwhile():
         with kind(tmp_path / name) as output:
@@ -203,7 +206,7 @@ def test_what_takes_the_name_meanwhile_stays(tmp_path, name, kind):
 
 
 def test_what_replaces_an_earlier_output_is_on_the_disk(tmp_path, monkeypatch):
-    """Content is written to the disk before it takes the place of an earlier file or folder; nothing waits for a new one."""
+    """Content is on the disk before it takes the place of an earlier output; a new one does not wait."""
     flushed, flush = [], os.fsync
 
     def noted(descriptor):

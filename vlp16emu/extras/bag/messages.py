@@ -99,7 +99,7 @@ class UnitMessages:
         return t_ns
 
     def check(self) -> U1:
-        """Return the payloads (n, 1206) of the scan so far; PacketError if one of them is no VLP-16 packet."""
+        """Return the payloads (n, 1206) of the scan so far; PacketError if one is no VLP-16 packet."""
         payloads = np.frombuffer(b"".join(payload for _, payload, _ in self._held), np.uint8)
         payloads = payloads.reshape(len(self._held), DATA_PAYLOAD.itemsize)
         if len(payloads):
