@@ -87,7 +87,7 @@ FLOOR_OF = {room: number for number, floor in enumerate(FLOORS) for room in floo
 
 LIBRARIES = {
     # third-party or system module: where it may be imported
-    "ctypes": ("extras/truth/folder.py", "raycast/embree", "sinks/pacing.py"),
+    "ctypes": ("output.py", "raycast/embree", "sinks/pacing.py"),
     "embreex": ("raycast/embree",),
     "pytest": ("pytest.py",),
     "serial": ("extras/bench/",),

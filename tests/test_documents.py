@@ -224,7 +224,7 @@ def test_the_keys_of_the_documents_exist(document, keys):
     """Keys of a scene file that a document names in full are keys of the program."""
     sections = "|".join(sorted({key.partition(".")[0] for key in keys if "." in key}))
     named = set(re.findall(rf"`((?:{sections})\.[a-z0-9_.]+)[^`/]*`", DOCUMENTS[document]))
-    assert {key for key in named if not key.endswith((".csv", ".json"))} <= keys
+    assert {key for key in named if not key.endswith((".csv", ".json", ".npy"))} <= keys
 
 
 @documents

@@ -11,9 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from vlp16emu.errors import OutputError
+from vlp16emu.errors import OutputError, RunError
+from vlp16emu.extras.bag.bag_file import BagFile
+from vlp16emu.extras.camera.folder import ImageFolder
 from vlp16emu.extras.truth.folder import TruthFolder
-from vlp16emu.output import OutputFile
+from vlp16emu.output import OutputFile, write_json
 
 CHILD = """
 import sys
@@ -121,7 +123,7 @@ def refusing(*_, **__):
 
 @pytest.mark.parametrize(
     ("owner", "name", "stand_in"),
-    [(Path, "open", refusing), (Path, "iterdir", refusing), (os, "access", lambda *_: False)],
+    [(os, "open", refusing), (Path, "iterdir", refusing), (os, "access", lambda *_: False)],
 )
 def test_without_the_right_to_write_the_earlier_file_stays(tmp_path, monkeypatch, owner, name, stand_in):
     """A folder that takes no new file, and a file that must not be written, are refused in one line: written straight, the earlier would be lost."""
@@ -158,6 +160,66 @@ def test_what_others_named_like_our_parts_stays(tmp_path, make, name):
     after = (tmp_path / name).lstat()
     assert (after.st_ino, after.st_mode, after.st_size) == (before.st_ino, before.st_mode, before.st_size)
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["x", name])
+
+
+KINDS = {
+    "x": OutputFile,
+    "truth": TruthFolder,
+    "images": lambda path: ImageFolder(path, "mm"),
+    "x.mcap": BagFile,
+    "x.bag": BagFile,
+    "bag": BagFile,
+}
+"""Names of outputs, and what stages them."""
+
+
+@pytest.mark.parametrize(("name", "kind"), KINDS.items())
+def test_outputs_of_all_kinds_are_locked(tmp_path, name, kind):
+    """While a file, a folder or a bag is being written, a second run is refused, and the first is not disturbed."""
+    with kind(tmp_path / name):
+        (part,) = tmp_path.glob(f"{name}.*.part")
+        with pytest.raises(
+            OutputError, match=rf"{name}: is being written by process {os.getpid()}; expected"
+        ):
+            kind(tmp_path / name)
+        assert list(tmp_path.iterdir()) == [part]
+
+
+@pytest.mark.parametrize(("name", "kind"), KINDS.items())
+def test_what_takes_the_name_meanwhile_stays(tmp_path, name, kind):
+    """A folder that somebody gives the name of an output during the run is not replaced.
+
+    The output is left beside it.
+    """
+
+    def meanwhile():
+        with kind(tmp_path / name) as output:
+            (tmp_path / name).mkdir()
+            (tmp_path / name / "mine").write_text("mine")
+            if isinstance(output, OutputFile):
+                output.keep()
+
+    with pytest.raises(RunError, match=rf"{name}: .*; it is left as .*{name}\.[0-9a-f]{{8}}\.part"):
+        meanwhile()
+    assert (tmp_path / name / "mine").read_text() == "mine"
+    assert len(list(tmp_path.glob(f"{name}.*.part"))) == 1
+
+
+def test_what_replaces_an_earlier_output_is_on_the_disk(tmp_path, monkeypatch):
+    """Content is on the disk before it takes the place of an earlier output; a new one does not wait."""
+    flushed, flush = [], os.fsync
+
+    def noted(descriptor):
+        flushed.append(os.path.realpath(f"/proc/self/fd/{descriptor}").rpartition("/")[2].partition(".")[0])
+        flush(descriptor)
+
+    monkeypatch.setattr(os, "fsync", noted)
+    for expected in ([], ["x", "scenario", "imu"]):
+        write(tmp_path / "x")
+        with TruthFolder(tmp_path / "truth") as folder:
+            write_json(folder.path / "scenario.json", {"written_by": "vlp16emu"})
+            folder.append("imu.csv", "one\n")
+        assert sorted(flushed) == sorted(expected)
 
 
 def test_links_in_a_circle_are_refused(tmp_path):

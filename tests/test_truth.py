@@ -17,6 +17,7 @@ from vlp16emu import Emulator
 from vlp16emu.cli.app import run
 from vlp16emu.errors import ScenarioError
 from vlp16emu.extras.clouds.scan import decode
+from vlp16emu.extras.truth.tables import FIXES, POSES, inertial_table
 from vlp16emu.extras.truth.truth import Truth, _resolved, write_truth
 from vlp16emu.motion.gnss import to_geodetic
 from vlp16emu.output import write_json
@@ -184,6 +185,32 @@ def test_the_resolved_scenario_names_its_program_and_takes_settings(walk, tmp_pa
     settings = ["sensor.rpm=1200", "start_utc=2026-05-20T10:00:00+01:00"]
     scenario = load(str(tmp_path / "scenario.json"), settings)
     assert (scenario.sensor.rpm, scenario.start_ns) == (1200, 1_779_267_600_000_000_000)
+
+
+def test_texts_are_those_of_the_tables(tmp_path):
+    """Each table has the rows of its text, for all units, with attitude and stamps; velocities are those of the motion, in the sensor's axes."""
+    settings = {
+        "motion": {"kind": "walk", "way_points_m": [[-8, 0], [4, 0]], "mount": {"yaw_deg": 40.0}},
+        "imu": {"preset": "consumer", "attitude": True, "jitter_s": 0.001},
+        "gps.connected": True,
+        "rig": [{"mount": {"lever_arm_m": [0.0, 0.0, 1.0]}}],
+        "duration_s": 2.0,
+    }
+    emulator = Emulator("static_bench", settings)
+    write_truth(emulator, TruthTo(tmp_path / "t", per_packet=True), start_s=1.0, duration_s=0.2)
+    tables = dict.fromkeys(("trajectory", "trajectory_2", "packets", "packets_2"), POSES)
+    tables |= {"imu": inertial_table(emulator.scenario.imu), "gnss": FIXES}
+    assert {path.stem for path in (tmp_path / "t").glob("*.npy")} == set(tables)
+    for name, table in tables.items():
+        rows = np.load(tmp_path / "t" / f"{name}.npy")
+        assert (tmp_path / "t" / f"{name}{table.suffix}").read_text() == table.header + table.text(rows)
+        assert len(rows) > 0
+    rows = np.load(tmp_path / "t" / "trajectory_2.npy")
+    true = emulator.parts.units[1].motion.kinematics_at(rows["t_ns"])
+    own_m_s = np.einsum("nji,nj->ni", true.world_R_body, true.world_v_body_m_s)
+    assert np.linalg.norm(own_m_s, axis=1).min() > 0.1
+    np.testing.assert_allclose(rows["velocity_m_s"], own_m_s, atol=1e-12)
+    assert np.array_equal(rows["rate_rad_s"], true.body_w_rad_s)
 
 
 def test_a_sensor_without_packets_has_truth(tmp_path):

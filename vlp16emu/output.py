@@ -6,8 +6,10 @@ import json
 import logging
 import os
 import re
+import shutil
 import sys
-from collections.abc import Iterable, Iterator
+import weakref
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO, Self
@@ -19,17 +21,102 @@ STDOUT = Path("-")  # stands for standard output, as for tcpdump and tshark
 
 _LONGEST_NAME_BYTES = 240  # 255 bytes (NAME_MAX of Linux) minus the longest suffix
 _RIGHTS = 0o777
+# Arguments of renameat2(2). Source: linux/fcntl.h and linux/fs.h.
+_AT_FDCWD = -100
+_RENAME_EXCHANGE = 2
 
 _log = logging.getLogger(__name__)
+
+
+class Staged:
+    """A new file or folder under a temporary name, which takes its final name in one step.
+
+    It is NAME.xxxxxxxx.part, beside NAME, and locked until it is kept, left or discarded. An earlier output
+    is unchanged until `keep`, even if the run fails, and is then replaced as a whole by one with its
+    permissions. A link stays a link.
+
+    Parameters
+    ----------
+    path : final name
+    where : name of the output in error lines
+    check : refuses, by its error, an existing output that must not be replaced; called here and in `keep`
+    is_folder : True to make a folder
+
+    Raises OSError if it cannot be made; OutputError if another run writes the same output, or a folder cannot
+    be replaced.
+    """
+
+    def __init__(
+        self, path: Path, where: str, check: Callable[[Path], None], *, is_folder: bool = False
+    ) -> None:
+        self._final = final_name(path)
+        self._where = where
+        self._check = check
+        if is_folder and (self._final.is_mount() or self._final == Path.cwd()):
+            raise OutputError(where, "is a mount point or the working folder", "a folder in it")
+        check(self._final)
+        self.path = part_beside(self._final)
+        if is_folder:
+            self.path.mkdir()
+            self.descriptor = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+        else:  # a new file: none is truncated, and no link is followed
+            self.descriptor = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+        self._close = weakref.finalize(self, os.close, self.descriptor)
+        try:
+            _claim(self.descriptor, self.path, self._final, where)
+        except (OutputError, OSError):  # the latter in a folder that cannot be listed
+            self.discard()
+            raise
+        if self._final.exists() and self._final.is_dir() == is_folder:
+            _take_rights(self.descriptor, self._final.stat())
+
+    def keep(self, made: Path | None = None) -> None:
+        """Give the final name to the output, or to `made`, a file or folder in it.
+
+        An earlier output is removed, and so is what remains in the output beside `made`. Raises RunError if
+        that fails, and the output is left.
+        """
+        made = made or self.path
+        try:
+            self._check(self._final)
+            if self._final.exists():
+                _flush(made)
+                _take_rights(made, self._final.stat())
+            if made.is_dir() and self._final.is_dir():
+                _exchange(made, self._final)
+            else:
+                made.replace(self._final)
+        except (OSError, OutputError) as error:
+            found = error.strerror if isinstance(error, OSError) else error.found
+            raise RunError(f"{self._where}: {found}; it is left as {self.path}") from error
+        finally:
+            self._close()  # not before: it ends the lock
+        self._remove()
+
+    def leave(self) -> None:
+        """Keep an incomplete output under its temporary name."""
+        self._close()
+
+    def discard(self) -> None:
+        """Remove an output that is neither kept nor left."""
+        if self._close.alive:
+            self._remove()
+            self._close()
+
+    def _remove(self) -> None:
+        if self.path.is_dir():
+            shutil.rmtree(self.path, ignore_errors=True)
+        else:
+            with suppress(OSError):
+                self.path.unlink(missing_ok=True)
 
 
 class OutputFile:
     """A file to be written; a context manager.
 
-    It is written as NAME.xxxxxxxx.part, a new file in the same folder, and renamed when it is kept. Until
-    then an earlier file stays, even if the run fails. It gets the permissions of the file that it replaces,
-    and a link stays a link. A pipe or a device is written directly. Raises OutputError if it cannot be
-    opened, is one of the inputs, or is being written by another run.
+    It is `Staged`, and gets its name when it is kept. Standard output, a pipe or a device is written
+    directly. Raises OutputError if it cannot be opened, is one of the inputs, or is being written by another
+    run.
 
     Parameters
     ----------
@@ -43,7 +130,7 @@ class OutputFile:
         self, path: Path, *, where: str | None = None, buffering: int = -1, inputs: Iterable[Path] = ()
     ) -> None:
         self._where = where or str(path)
-        self._final: Path | None = None
+        self._staged: Staged | None = None
         spare(inputs, path)
         with opening(self._where, "a file that can be written"):
             if path == STDOUT:
@@ -51,8 +138,10 @@ class OutputFile:
             elif path.exists() and not path.is_file():  # opening a folder fails, with the system's reason
                 self.file = path.open("wb", buffering)
             else:
-                self._final = final_name(path)
-                self.file = _new_file(self._final, self._where, buffering)
+                self._staged = staged = Staged(path, self._where, _check_writable)
+                self.file = open(  # noqa: SIM115  # `Path.open` takes no opener
+                    staged.path, "wb", buffering, opener=lambda *_: os.dup(staged.descriptor)
+                )
 
     def __enter__(self) -> Self:
         return self
@@ -63,7 +152,7 @@ class OutputFile:
     @property
     def place(self) -> str:
         """Name of the file until it is kept."""
-        return self._where if self._final is None else str(self.file.name)
+        return self._where if self._staged is None else str(self._staged.path)
 
     @contextmanager
     def writing(self) -> Iterator[BinaryIO]:
@@ -72,20 +161,18 @@ class OutputFile:
             yield self.file
             self.keep()
         except OSError as error:
-            left = "the file is not complete" if self._final is None else "no file is written"
+            left = "the file is not complete" if self._staged is None else "no file is written"
             raise RunError(f"{self._where}: {error.strerror or error}; {left}") from error
 
     def keep(self) -> None:
-        """Close the file and rename it to its final name.
+        """Close the file and give it its final name.
 
         Raises OSError if buffered data cannot be written; RunError if it cannot be renamed.
         """
         self.file.flush()
         try:
-            if self._final is not None:
-                Path(self.file.name).replace(self._final)  # before closing, which ends the lock
-        except OSError as error:
-            raise RunError(f"{self._where}: {error.strerror}; it is left as {self.file.name}") from error
+            if self._staged is not None:
+                self._staged.keep()
         finally:
             self.file.close()
 
@@ -93,14 +180,13 @@ class OutputFile:
         """Close an incomplete file that is worth keeping; it stays at `place`."""
         with suppress(OSError):  # disk full; already reported
             self.file.close()
+        if self._staged is not None:
+            self._staged.leave()
 
     def discard(self) -> None:
-        """Close and remove a file that is not kept."""
-        if self.file.closed:
-            return
-        with suppress(OSError):
-            if self._final is not None:
-                Path(self.file.name).unlink()
+        """Close and remove a file that is neither kept nor left."""
+        if self._staged is not None:
+            self._staged.discard()
         self.leave()
 
 
@@ -178,34 +264,47 @@ def part_beside(final: Path) -> Path:
     return final.with_name(f"{_stem(final)}.{os.urandom(4).hex()}.part")
 
 
-def _new_file(final: Path, where: str, buffering: int) -> BinaryIO:
-    """Open a new file beside `final`, with the permissions of the existing one."""
-    before = final.stat() if final.exists() else None
-    if before and not os.access(final, os.W_OK):
+def _check_writable(final: Path) -> None:
+    """Raise PermissionError for an existing file that must not be written."""
+    if final.exists() and not os.access(final, os.W_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-    part = part_beside(final)
-    file = part.open("xb", buffering)  # never truncates a file or follows a link
-    try:
-        claim(file.fileno(), part, final, where)
-    except (OutputError, OSError):  # the latter in a folder that cannot be listed
-        part.unlink()
-        file.close()
-        raise
-    if before:
-        take_rights(file.fileno(), before)
-    return file
 
 
-def take_rights(opened: int, before: os.stat_result) -> None:
+def _take_rights(made: int | Path, before: os.stat_result) -> None:
     """Copy owner, group and mode from the file or folder that is replaced, as far as allowed."""
     for owner, group in ((-1, before.st_gid), (before.st_uid, -1)):
         with suppress(OSError):  # only root may change the owner
-            os.fchown(opened, owner, group)
+            os.chown(made, owner, group)
     with suppress(OSError):
-        os.fchmod(opened, before.st_mode & _RIGHTS)
+        os.chmod(made, before.st_mode & _RIGHTS)  # noqa: PTH101  # also of a descriptor
 
 
-def claim(opened: int, part: Path, final: Path, where: str) -> None:
+def _flush(made: Path) -> None:
+    """Write a file, or the files of a folder, to the disk: a power failure must not cost the earlier ones."""
+    for path in made.rglob("*") if made.is_dir() else (made,):
+        if path.is_file():
+            with path.open("ab") as file:  # may be read by nobody, as the earlier one
+                os.fsync(file.fileno())
+
+
+def _exchange(one: Path, other: Path) -> None:
+    """Swap the names of two folders in one step, or in three on a file system that cannot."""
+    import ctypes  # here: few runs replace a folder
+
+    swap = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
+    if swap and swap(_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE) == 0:
+        return
+    aside = part_beside(other)
+    other.rename(aside)
+    try:
+        one.rename(other)
+    except OSError:
+        aside.rename(other)
+        raise
+    aside.rename(one)
+
+
+def _claim(opened: int, part: Path, final: Path, where: str) -> None:
     """Lock a new file or folder; refuse it if another run is writing the same final name."""
     lock(opened, where)
     ours = re.compile(rf"{re.escape(_stem(final))}\.[0-9a-f]{{8}}\.part")

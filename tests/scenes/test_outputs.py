@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 
 from vlp16emu.extras.clouds.cloud import CAPTURE_COLUMNS, RETURN_NAMES, SCENE_COLUMNS, TRUTH_COLUMNS
+from vlp16emu.extras.imu.settings import Imu
 from vlp16emu.extras.truth.slots import LEAF_OR_WOOD, SLOT_COLUMNS
-from vlp16emu.extras.truth.truth import _GNSS_COLUMNS, _IMU_COLUMNS, ATTITUDE, STAMP
+from vlp16emu.extras.truth.tables import FIXES, POSES, inertial_table
 from vlp16emu.forest.plants.species import flora
 from vlp16emu.forest.stand.given_stand import _COLUMNS
 from vlp16emu.forest.stand.inventory import INVENTORY
@@ -15,6 +16,7 @@ from vlp16emu.scenario import load, scene_files, schema
 from vlp16emu.tables import LARGEST
 from vlp16emu.types import PlantPart, Semantic
 
+INERTIAL = inertial_table(Imu(attitude=True, jitter_s=0.001))
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 
 
@@ -69,14 +71,25 @@ def test_the_columns_of_points_are_given_in_each_format(number, columns):
     ("heading", "columns"),
     [
         ("Labels", [column.name for column in TRUTH_COLUMNS]),
-        ("imu.csv", [*_IMU_COLUMNS, *ATTITUDE, STAMP]),
-        ("gnss.csv", list(_GNSS_COLUMNS)),
+        ("imu.csv", INERTIAL.header.rstrip().split(",")),
+        ("gnss.csv", FIXES.header.rstrip().split(",")),
         ("returns.parquet", list(SLOT_COLUMNS)),
     ],
 )
 def test_the_columns_of_the_truth_are_given(heading, columns):
     """Each column of labels and of the files of the truth has its line."""
     assert [name for row in table(heading) for name in names(row[0])] == columns
+
+
+@pytest.mark.parametrize(("number", "table_"), [(0, POSES), (1, INERTIAL), (2, FIXES)])
+def test_the_fields_of_the_tables_are_given(number, table_):
+    """Each field of the binary tables has its line, with its type."""
+    rows = table("Tables of the ground truth", number)
+    given = {name: kind for fields, kind, _ in rows for name in names(fields)}
+    kinds = {"<i8": "int64", "<f8": "float64", "|b1": "bool"}
+    dtypes = {name: table_.dtype[name] for name in table_.dtype.names}
+    shapes = {name: f" x {kind.shape[0]}" if kind.shape else "" for name, kind in dtypes.items()}
+    assert given == {name: kinds[kind.base.str] + shapes[name] for name, kind in dtypes.items()}
 
 
 def test_labels_and_their_numbers_are_given():

@@ -10,22 +10,28 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from vlp16emu.errors import OutputError, RunError
-from vlp16emu.extras.truth.folder import TruthFolder, tum_rows
+from vlp16emu.extras.truth.folder import TruthFolder
+from vlp16emu.extras.truth.tables import POSES, pose_rows
+from vlp16emu.motion.pose import Kinematics
 from vlp16emu.output import write_json
-from vlp16emu.types import Poses
+
+
+def tum(t_ns, turns, positions_m):
+    """Text of poses at rest."""
+    at_rest = np.zeros((4, len(t_ns), 3))
+    return POSES.text(pose_rows(Kinematics(np.array(t_ns), turns, np.array(positions_m), *at_rest)))
 
 
 def test_rows_hold_every_nanosecond_and_rotation():
     """Times keep nine decimals, which no float of today does; quaternions have length 1 and qw >= 0, and give the rotation back, half turns too."""
-    poses = Poses(np.array([1_781_254_795_000_000_001]), np.eye(3)[None], np.array([[1.0, -2.0, 0.5]]))
-    assert tum_rows(poses) == (
+    assert tum([1_781_254_795_000_000_001], np.eye(3)[None], [[1.0, -2.0, 0.5]]) == (
         "1781254795.000000001 1.000000000 -2.000000000 0.500000000 "
         "0.000000000000 0.000000000000 0.000000000000 1.000000000000\n"
     )
     turns = Rotation.concatenate(
         [Rotation.random(200, rng=np.random.default_rng(5)), Rotation.from_rotvec(np.pi * np.eye(3))]
     )
-    text = tum_rows(Poses(np.arange(203), turns.as_matrix(), np.zeros((203, 3))))
+    text = tum(np.arange(203), turns.as_matrix(), np.zeros((203, 3)))
     quaternions = np.array([line.split()[4:] for line in text.splitlines()], float)
     assert (quaternions[:, 3] >= 0).all()
     np.testing.assert_allclose(np.linalg.norm(quaternions, axis=1), 1.0, atol=1e-11)
@@ -72,6 +78,26 @@ def test_on_a_full_disk_the_last_line_is_whole(tmp_path):
     with TruthFolder(tmp_path / "more") as folder, whole_or_none, files_of_at_most(25):
         write_json(folder.path / "rig.json", {"key": "of more than 25 letters"})
     assert list((tmp_path / "more").iterdir()) == []
+
+
+def test_a_table_has_whole_rows_at_any_time(tmp_path):
+    """While it grows, and when half a row found room on a full disk, numpy reads the rows so far."""
+    rows = np.zeros(3, POSES.dtype)
+    rows["t_ns"] = [1, 2, 3]
+    with TruthFolder(tmp_path / "t") as folder:
+        folder.begin_rows("trajectory", POSES)
+        assert len(np.load(folder.path / "trajectory.npy")) == 0
+        folder.append_rows("trajectory", POSES, rows[:2])
+        assert np.array_equal(np.load(folder.path / "trajectory.npy"), rows[:2])
+        assert (folder.path / "trajectory.tum").read_text() == POSES.header + POSES.text(rows[:2])
+        most = (folder.path / "trajectory.npy").stat().st_size + 20
+        with (
+            pytest.raises(RunError, match=r"trajectory\.npy: File too large; it ends with a whole row"),
+            files_of_at_most(most),
+        ):
+            folder.append_rows("trajectory", POSES, rows[2:])
+    (left,) = tmp_path.glob("t.*.part")
+    assert np.array_equal(np.load(left / "trajectory.npy"), rows[:2])
 
 
 def test_two_runs_into_one_folder_are_refused(tmp_path):

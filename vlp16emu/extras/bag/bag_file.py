@@ -2,17 +2,15 @@
 
 import heapq
 import logging
-import shutil
 import sqlite3
 from collections.abc import Iterable
-from contextlib import ExitStack
 from importlib.util import find_spec
 from itertools import count
 from pathlib import Path
 from typing import Any, Self
 
 from vlp16emu.errors import MissingExtraError, OutputError, RunError
-from vlp16emu.output import final_name, part_beside
+from vlp16emu.output import Staged, opening
 from vlp16emu.units import S_NS
 
 _log = logging.getLogger(__name__)
@@ -73,21 +71,20 @@ class BagFile:
         self._store = get_typestore(Stores.ROS1_NOETIC if self.is_ros1 else Stores.ROS2_HUMBLE)
         for name, text in _OWN_TYPES.items():
             self._store.register(get_types_from_msg(text, name))
-        with ExitStack() as stack:
-            try:
-                self._final = final_name(path)
-                beside = part_beside(self._final)
-                beside.mkdir()
-                stack.callback(shutil.rmtree, beside, ignore_errors=True)
-                self._made = beside / path.stem
-                plugin = StoragePlugin.MCAP if suffix else StoragePlugin.SQLITE3
-                of_ros2 = {"version": _METADATA_VERSION, "storage_plugin": plugin}
-                self._writer: Any = Writer1(self._made) if self.is_ros1 else Writer2(self._made, **of_ros2)
-                self._writer.open()
-            except _FAILURES as error:
-                found = getattr(error, "strerror", None) or str(error)
-                raise OutputError(str(path), found, "a place that can be written") from error
-            self._remove = stack.pop_all()
+        plugin = StoragePlugin.MCAP if suffix else StoragePlugin.SQLITE3
+        with opening(str(path), "a place that can be written"):
+            self._staged = Staged(path, str(path), lambda _: check_bag(path), is_folder=True)
+        self._made = self._staged.path / path.stem
+        try:
+            if self.is_ros1:
+                self._writer: Any = Writer1(self._made)
+            else:
+                self._writer = Writer2(self._made, version=_METADATA_VERSION, storage_plugin=plugin)
+            self._writer.open()
+        except _FAILURES as error:
+            self._staged.discard()
+            found = getattr(error, "strerror", None) or str(error)
+            raise OutputError(str(path), found, "a place that can be written") from error
         self._connections: dict[str, Any] = {}
         self._held: list[tuple[int, int, str, Any]] = []
         self._number = count()
@@ -99,23 +96,26 @@ class BagFile:
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         try:
-            try:
-                while self._held and error is None:
-                    self._append()
-            finally:
-                self._writer.close()
-            if error is None:
-                is_mcap = self.path.suffix.lower() == ".mcap"
-                (self._made / f"{self._made.name}.mcap" if is_mcap else self._made).replace(self._final)
-                if not self.counts:
-                    _log.warning(
-                        "%s: a bag without messages: no revolution is whole from the first packet to the last",
-                        self.path,
-                    )
+            self._finish(is_whole=error is None)
         except _FAILURES as failed:
             raise self._failed(failed) from failed
         finally:
-            self._remove.close()
+            self._staged.discard()
+
+    def _finish(self, *, is_whole: bool) -> None:
+        """Close the bag, and give it its name if it is whole."""
+        try:
+            while self._held and is_whole:
+                self._append()
+        finally:
+            self._writer.close()
+        if not is_whole:
+            return
+        is_mcap = self.path.suffix.lower() == ".mcap"
+        self._staged.keep(self._made / f"{self._made.name}.mcap" if is_mcap else self._made)
+        if not self.counts:
+            found = "a bag without messages: no revolution is whole from the first packet to the last"
+            _log.warning("%s: %s", self.path, found)
 
     @staticmethod
     def time(t_ns: int) -> tuple[int, int]:

@@ -12,6 +12,7 @@ from vlp16emu.elementary import inverse, matvec
 from vlp16emu.errors import PacketError
 from vlp16emu.extras.bag.bag_file import BagFile
 from vlp16emu.extras.imu.sampler import GRAVITY_M_S2
+from vlp16emu.extras.truth.tables import Rows, columns
 from vlp16emu.extras.truth.truth import given_mount, transform
 from vlp16emu.packets import (
     DATA_PAYLOAD,
@@ -39,9 +40,8 @@ _FIELDS = [
     (name, offset, _FLOAT32 if kind.kind == "f" else _UINT16, 1)
     for name, (kind, offset, *_) in (_POINT.fields or {}).items()
 ]
-_NO_ATTITUDE = (0.0,) * 4
 _NO_ESTIMATE = np.array([-1.0, *[0.0] * 8])
-"""Orientation of an inertial unit that reports none, and the covariance that marks it (sensor_msgs/Imu)."""
+"""Covariance of the orientation of an inertial unit that reports none (sensor_msgs/Imu)."""
 _EXACT = np.zeros(36)
 _CAMERA = "camera_optical_frame"  # its axes are x right, y down, z forward (REP 103)
 _UNKNOWN_M2 = 1e6  # variance of the altitude: an RMC sentence has none
@@ -99,7 +99,7 @@ class UnitMessages:
         return t_ns
 
     def check(self) -> U1:
-        """Return the payloads (n, 1206) of the scan so far; PacketError if one of them is no VLP-16 packet."""
+        """Return the payloads (n, 1206) of the scan so far; PacketError if one is no VLP-16 packet."""
         payloads = np.frombuffer(b"".join(payload for _, payload, _ in self._held), np.uint8)
         payloads = payloads.reshape(len(self._held), DATA_PAYLOAD.itemsize)
         if len(payloads):
@@ -137,7 +137,7 @@ class UnitMessages:
 
 
 class TrueMessages:
-    """Writer of the ground truth of a run; poses are x y z and quaternion x y z w.
+    """Writer of the ground truth of a run, from rows of its tables.
 
     Frames follow REP 105 and REP 103: mounted devices are children of `base_link`, the body of `rig.json`.
     The ground truth has frames of its own, so that a SLAM program can publish `map` to `odom` to `base_link`.
@@ -167,6 +167,7 @@ class TrueMessages:
         keys = ("gyro_noise_rad_s_sqrt_hz", "accel_noise_m_s2_sqrt_hz")
         self._imu = [np.eye(3).ravel() * imu[key] ** 2 * imu["rate_hz"] for key in keys] if imu else []
         tilt_rad2 = (imu["accel_bias_m_s2"] / GRAVITY_M_S2) ** 2 if imu else 0.0
+        self._reports_attitude = bool(imu and imu["attitude"])
         self._attitude_rad2 = np.diag([tilt_rad2, tilt_rad2, _UNKNOWN_RAD2 if tilt_rad2 else 0.0]).ravel()
         level_m2 = gps["position_noise_m"] ** 2 + gps["wander_m"] ** 2  # under open sky
         self._place = np.diag([level_m2, level_m2, _UNKNOWN_M2]).ravel()
@@ -176,7 +177,7 @@ class TrueMessages:
         self._sensor_T_base = None if body is None or np.array_equal(body, np.eye(4)) else inverse(body)
 
     def fixed(self, t_ns: int) -> None:
-        """Write the fixed transforms from `base_link` to sensors, inertial unit and antenna; a spinning device has none."""
+        """Write the fixed transforms from `base_link` to all devices; a spinning device has none."""
         mounts = [given_mount(unit, "body_T_sensor") for unit in self._rig["units"]]
         placed = dict(zip(self._frames, mounts, strict=True))
         if mounts[0] is not None:
@@ -192,38 +193,38 @@ class TrueMessages:
         if moved:
             self._bag.write("/tf_static", t_ns, "tf2_msgs/msg/TFMessage", moved)
 
-    def odometry(self, t_ns: int, numbers: Sequence[float]) -> None:
-        """Write odometry and transform of the carrier from the pose (7,) of the first sensor.
-
-        Velocity and angular rate (6,) in the sensor's own axes follow the pose.
-        """
-        if self._sensor_T_base is not None:
-            numbers = _moved_to_base(numbers, self._sensor_T_base)
+    def odometry(self, poses: Rows) -> None:
+        """Write odometry and transforms of the carrier from poses of the first sensor."""
+        if self._sensor_T_base is not None and len(poses):
+            poses = _moved_to_base(poses, self._sensor_T_base)
         topic = "/ground_truth/odom"
-        placed = (numbers[:3], numbers[3:7])
-        header = self._bag.header(t_ns, "map", topic)
-        twist = (numbers[7:10], numbers[10:]), _EXACT
-        self._bag.write(topic, t_ns, "nav_msgs/msg/Odometry", header, self._child, (placed, _EXACT), twist)
-        moved = self._bag.header(t_ns, "map", "/tf"), self._child, placed
-        self._bag.write("/tf", t_ns, "tf2_msgs/msg/TFMessage", [moved])
+        names = ("t_ns", "position_m", "quaternion_xyzw", "velocity_m_s", "rate_rad_s")
+        for t_ns, *pose_and_rates in columns(poses, *names):
+            pose = tuple(pose_and_rates[:2])
+            rates = tuple(pose_and_rates[2:])
+            what = self._child, (pose, _EXACT), (rates, _EXACT)
+            header = self._bag.header(t_ns, "map", topic)
+            self._bag.write(topic, t_ns, "nav_msgs/msg/Odometry", header, *what)
+            moved = self._bag.header(t_ns, "map", "/tf"), self._child, pose
+            self._bag.write("/tf", t_ns, "tf2_msgs/msg/TFMessage", [moved])
 
-    def inertial(self, t_ns: int, read: Sequence[float]) -> None:
-        """Write angular rate and specific force (6,) with the covariance of their white noise, and the attitude if it follows."""
-        attitude, covariance = (
-            (read[6:], self._attitude_rad2) if len(read) > 6 else (_NO_ATTITUDE, _NO_ESTIMATE)
-        )
-        what = attitude, covariance, read[:3], self._imu[0], read[3:6], self._imu[1]
-        header = self._bag.header(t_ns, "imu", "/imu/data")
-        self._bag.write("/imu/data", t_ns, "sensor_msgs/msg/Imu", header, *what)
+    def inertial(self, readings: Rows) -> None:
+        """Write measured values at the unit's time stamps, with the covariance of their white noise."""
+        attitude_rad2 = self._attitude_rad2 if self._reports_attitude else _NO_ESTIMATE
+        names = ("stamp_ns", "attitude_xyzw", "rate_rad_s", "force_m_s2")
+        for t_ns, attitude, rate, force in columns(readings, *names):
+            what = attitude, attitude_rad2, rate, self._imu[0], force, self._imu[1]
+            header = self._bag.header(t_ns, "imu", "/imu/data")
+            self._bag.write("/imu/data", t_ns, "sensor_msgs/msg/Imu", header, *what)
 
-    def fix(self, t_ns: int, said: Sequence[float]) -> None:
+    def fixes(self, fixes: Rows) -> None:
         """Write latitude, longitude and validity as the receiver reports; its sentences have no altitude."""
-        latitude_deg, longitude_deg, valid = said
-        # Status -1 is none, service 1 is GPS, covariance 1 is approximated.
-        what = (int(valid) - 1, 1), latitude_deg, longitude_deg, math.nan, self._place, 1
-        self._bag.write(
-            "/fix", t_ns, "sensor_msgs/msg/NavSatFix", self._bag.header(t_ns, "gps", "/fix"), *what
-        )
+        names = ("t_ns", "valid", "latitude_deg", "longitude_deg")
+        for t_ns, valid, *position_deg in columns(fixes, *names):
+            # Status -1 is none, service 1 is GPS, covariance 1 is approximated.
+            what = (valid - 1, 1), *position_deg, math.nan, self._place, 1
+            header = self._bag.header(t_ns, "gps", "/fix")
+            self._bag.write("/fix", t_ns, "sensor_msgs/msg/NavSatFix", header, *what)
 
     def image(self, lens: "Lens", shot: "Shot") -> None:
         """Write the layers of an image, each with its intrinsics as drivers of depth cameras publish them.
@@ -256,16 +257,19 @@ class TrueMessages:
             self._bag.write(topic, shot.t_ns, "sensor_msgs/msg/CameraInfo", *info)
 
 
-def _moved_to_base(numbers: Sequence[float], sensor_T_base: NDArray[Any]) -> list[float]:
-    """Return pose and rates (13,) of a base from pose and rates of a sensor that is fixed to it."""
+def _moved_to_base(poses: Rows, sensor_T_base: NDArray[Any]) -> Rows:
+    """Return the poses and rates of a base from those of a sensor that is fixed to it."""
     from scipy.spatial.transform import Rotation
 
     # Products of our own: those of `Rotation.apply` differ by processor.
     sensor_R_base = sensor_T_base[:3, :3]
     arm_m = sensor_T_base[:3, 3]
-    world_R_sensor = Rotation.from_quat(numbers[3:7])
-    velocity_m_s, rate_rad_s = np.reshape(numbers[7:], (2, 3))
-    place_m = numbers[:3] + matvec(world_R_sensor.as_matrix(), arm_m)
-    quaternion = (world_R_sensor * Rotation.from_matrix(sensor_R_base)).as_quat(canonical=True)
-    rates = matvec(sensor_R_base.T, np.stack([velocity_m_s + np.cross(rate_rad_s, arm_m), rate_rad_s]))
-    return [*place_m.tolist(), *quaternion.tolist(), *rates.ravel().tolist()]
+    world_R_sensor = Rotation.from_quat(poses["quaternion_xyzw"])
+    velocity_m_s = poses["velocity_m_s"] + np.cross(poses["rate_rad_s"], arm_m)
+    turned = world_R_sensor * Rotation.from_matrix(sensor_R_base)
+    moved = poses.copy()
+    moved["position_m"] += matvec(world_R_sensor.as_matrix(), arm_m)
+    moved["quaternion_xyzw"] = turned.as_quat(canonical=True)
+    moved["velocity_m_s"] = matvec(sensor_R_base.T, velocity_m_s)
+    moved["rate_rad_s"] = matvec(sensor_R_base.T, poses["rate_rad_s"])
+    return moved

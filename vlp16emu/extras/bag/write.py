@@ -1,18 +1,17 @@
 """A run, or a capture with or without its truth, as a bag."""
 
-import csv
 import hashlib
+from bisect import bisect_left
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
 from functools import partial
-from itertools import count
+from itertools import islice
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Any, NamedTuple
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from vlp16emu.captures import (
     Capture,
@@ -25,16 +24,23 @@ from vlp16emu.captures import (
     units_in,
 )
 from vlp16emu.captures.capture import CapturedUnit, Datagram
-from vlp16emu.elementary import matvec
 from vlp16emu.engine import Engine
-from vlp16emu.errors import CaptureError, InputError, PacketError, readable
+from vlp16emu.errors import CaptureError, InputError, PacketError
 from vlp16emu.extras.bag.bag_file import LATEST_NS, BagFile, check_bag
 from vlp16emu.extras.bag.messages import TrueMessages, UnitMessages
-from vlp16emu.extras.imu.sampler import Inertial
 from vlp16emu.extras.slam.configure import Rig, written_beside
 from vlp16emu.extras.truth.folder import read_json
-from vlp16emu.extras.truth.truth import ATTITUDE, IMU_AXES, STAMP, Samples, attitude_of, rig_of, true_motion
-from vlp16emu.motion.pose import Kinematics
+from vlp16emu.extras.truth.tables import (
+    FIXES,
+    INERTIAL,
+    POSES,
+    Rows,
+    StoredTable,
+    fix_samples,
+    inertial_samples,
+    pose_samples,
+)
+from vlp16emu.extras.truth.truth import rig_of
 from vlp16emu.output import spare
 from vlp16emu.packets import DATA_BYTES, POSITION_BYTES
 from vlp16emu.run.options import BagOptions
@@ -44,28 +50,37 @@ from vlp16emu.types import Packet, PacketKind, PpsState
 from vlp16emu.units import S_NS, US_NS
 
 if TYPE_CHECKING:
-    from vlp16emu.extras.camera.shot import Photographer
+    from vlp16emu.extras.camera.lens import Lens
+    from vlp16emu.extras.camera.shot import Photographer, Shot
 
 _EXPECTED = "a file of a --truth folder"
-_TIME = "t_utc_s"
-_POSE = (_TIME, "x", "y", "z", "qx", "qy", "qz", "qw")
-_SAID = ("latitude_deg", "longitude_deg", "valid")
 _EVER_NS = 2**62
 _OFTEN_NS = S_NS // 10  # span of ground truth that is written together
 
-Row = tuple[int, list[float]]  # UTC of a sample, and its values
-Feed = Callable[[int], None]  # writes all samples up to and including an instant that are not written yet
 
-
-class Truth(NamedTuple):
-    """Ground truth of a run, from its engine or from its files."""
+@dataclass(frozen=True, slots=True)
+class TruthSource:
+    """Ground truth of a run, from its engine or from its files; all from an instant on and before another."""
 
     rig: Mapping[str, Any]  # `rig.json`, with the units that are written
     scenario: Mapping[str, Any]  # `scenario.json`
-    feeds: Callable[
-        [TrueMessages, int], Sequence[Feed]
-    ]  # returns the feeds of samples from the first pulse on
     after_ns: int  # time after the last packet that is also written
+    poses: Callable[[int, int], Rows]
+    readings: Callable[[int, int], Rows] | None = None  # of the inertial unit
+    fixes: Callable[[int, int], Rows] | None = None
+    images: "tuple[Lens, Callable[[int, int], Iterable[Shot]]] | None" = None
+
+    def write_to(self, to: TrueMessages, start_ns: int, stop_ns: int) -> None:
+        """Write all messages from `start_ns` on and before `stop_ns`."""
+        to.odometry(self.poses(start_ns, stop_ns))
+        if self.readings is not None:
+            to.inertial(self.readings(start_ns, stop_ns))
+        if self.fixes is not None:
+            to.fixes(self.fixes(start_ns, stop_ns))
+        if self.images is not None:
+            lens, shots = self.images
+            for shot in shots(start_ns, stop_ns):
+                to.image(lens, shot)
 
 
 class BagSink(PacketSink):
@@ -90,7 +105,7 @@ class BagSink(PacketSink):
         frames: Sequence[str],
         clock_of: Callable[[int, int], PacketClock],
         options: BagOptions,
-        truth: Truth | None,
+        truth: TruthSource | None,
     ) -> None:
         self.bag = BagFile(path)
         self._frames = frames
@@ -98,7 +113,9 @@ class BagSink(PacketSink):
         self._tf = options.tf
         self._truth = truth
         self._units = dict[int, UnitMessages]()
-        self._feeds: Sequence[Feed] | None = None
+        self._messages: TrueMessages | None = None
+        self._written_ns = 0
+        """Ground truth before this instant is written."""
         self._sent = Counter[PacketKind]()
         self._seen_ns = self._next_ns = -_EVER_NS
 
@@ -108,7 +125,8 @@ class BagSink(PacketSink):
                 raise raised[1]
             for unit in self._units.values():
                 unit.check()
-            self._write_truth(self._truth.after_ns if self._truth else 0)
+            if self._truth is not None:
+                self._write_truth(self._seen_ns + self._truth.after_ns)
 
     def send(self, packet: Packet) -> None:
         """Write one packet with the stamp of its capture; its number, if it has one, is its frame's number.
@@ -122,10 +140,11 @@ class BagSink(PacketSink):
         stamp_ns = packet.due_ns // US_NS * US_NS  # like stamps of captures
         if len(packet.payload) == DATA_BYTES:
             t_ns = unit.data(stamp_ns, packet.payload, packet.number or self._sent.total())
-            if self._feeds is None and self._truth is not None:
-                to = TrueMessages(self.bag, self._truth.rig, self._truth.scenario, self._frames, self._tf)
-                to.fixed(t_ns)
-                self._feeds = self._truth.feeds(to, t_ns)
+            if self._messages is None and self._truth is not None:
+                truth = self._truth
+                self._messages = TrueMessages(self.bag, truth.rig, truth.scenario, self._frames, self._tf)
+                self._messages.fixed(t_ns)
+                self._written_ns = t_ns
         elif len(packet.payload) == POSITION_BYTES:
             t_ns = unit.position(stamp_ns, packet.payload)
         else:
@@ -133,11 +152,13 @@ class BagSink(PacketSink):
         self._seen_ns = max(self._seen_ns, t_ns)
         if t_ns >= self._next_ns:
             self._next_ns = t_ns + _OFTEN_NS
-            self._write_truth(0)
+            self._write_truth(self._seen_ns)
 
-    def _write_truth(self, after_ns: int) -> None:
-        for feed in self._feeds or ():
-            feed(self._seen_ns + after_ns)
+    def _write_truth(self, until_ns: int) -> None:
+        """Write the ground truth up to and including an instant that is not written yet."""
+        if self._messages is not None and self._truth is not None:
+            self._truth.write_to(self._messages, self._written_ns, until_ns + 1)
+            self._written_ns = until_ns + 1
 
     @property
     def result(self) -> PcapResult:
@@ -160,29 +181,43 @@ def _sha256(file: Path) -> str:
 def bag_of_run(
     path: Path, engine: Engine, rate_hz: int, options: BagOptions | None = None
 ) -> Iterator[list[BagSink]]:
-    """Open a bag for the packets and the ground truth of a run, with poses at `rate_hz`; errors of `BagFile` and `written_beside`."""
-    options = options or BagOptions()
-    scenario = engine.scenario
-    units = engine.parts.units
-    rig = rig_of(scenario, engine.parts)
-    tree = scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
-    frames = _frames(len(units))
-    photographer = None
-    if scenario.camera is not None:
-        from vlp16emu.extras.camera.shot import Photographer  # here: few scenes have a camera
+    """Open a bag for the packets and the ground truth of a run, with poses at `rate_hz`.
 
-        photographer = Photographer(engine)
+    Raises the errors of `BagFile` and `written_beside`.
+    """
+    options = options or BagOptions()
+    units = engine.parts.units
+    frames = _frames(len(units))
+    truth = _truth_of_run(engine, rate_hz)
 
     def clock_of(number: int, due_ns: int) -> PacketClock:
         is_locked = units[number].gps.pps_at(due_ns) is PpsState.LOCKED
         return PacketClock(Clock.SENSOR if is_locked else Clock.HOST)
 
-    truth = Truth(rig, tree, partial(_feeds_of_run, engine, rate_hz, photographer), -(-S_NS // rate_hz))
     with (
-        written_beside(path, options.slam, lambda: Rig.of(rig, tree, frames[0])),
+        written_beside(path, options.slam, lambda: Rig.of(truth.rig, truth.scenario, frames[0])),
         BagSink(path, frames, clock_of, options, truth) as sink,
     ):
         yield [sink]
+
+
+def _truth_of_run(engine: Engine, rate_hz: int) -> TruthSource:
+    """Return the ground truth of a run, with poses at `rate_hz`."""
+    scenario = engine.scenario
+    poses = pose_samples(engine.parts.units[0].motion, scenario.start_ns, rate_hz)
+    tree = scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
+    truth = TruthSource(rig_of(scenario, engine.parts), tree, -(-S_NS // rate_hz), poses.between)
+    if (readings := inertial_samples(engine)) is not None:
+        truth = replace(truth, readings=readings.between)
+    if engine.parts.gps.connected:
+        truth = replace(truth, fixes=fix_samples(engine).between)
+    if scenario.camera is not None:
+        from vlp16emu.extras.camera.shot import Photographer  # here: few scenes have a camera
+
+        photographer = Photographer(engine)
+        shots = partial(_shots_of_run, photographer, scenario.start_ns)
+        truth = replace(truth, images=(photographer.lens, shots))
+    return truth
 
 
 def _frames(units: int) -> list[str]:
@@ -190,66 +225,15 @@ def _frames(units: int) -> list[str]:
     return ["velodyne"] if units == 1 else [f"unit_{number}/velodyne" for number in range(1, units + 1)]
 
 
-def _feeds_of_run(
-    engine: Engine, rate_hz: int, photographer: "Photographer | None", to: TrueMessages, begin_ns: int
-) -> Sequence[Feed]:
-    from scipy.spatial.transform import Rotation
-
-    parts = engine.parts
-    start_ns = engine.scenario.start_ns
-
-    def odometry(true: Kinematics) -> None:
-        quaternion = Rotation.from_matrix(true.world_R_body).as_quat(canonical=True)
-        own_m_s = matvec(true.world_R_body.transpose(0, 2, 1), true.world_v_body_m_s)
-        numbers = np.column_stack([true.world_p_body_m, quaternion, own_m_s, true.body_w_rad_s]).tolist()
-        for sample in zip(true.t_ns.tolist(), numbers, strict=True):
-            to.odometry(*sample)
-
-    def inertial(read: Inertial) -> None:
-        rates = np.column_stack(
-            [read.angular_rate_rad_s, read.specific_force_m_s2, *attitude_of(read)]
-        ).tolist()
-        stamps_ns = read.t_ns if read.stamp_ns is None else read.stamp_ns
-        for sample in zip(stamps_ns.tolist(), rates, strict=True):
-            to.inertial(*sample)
-
-    def fixes(seconds: range) -> None:
-        for second in seconds:
-            said = engine.receiver.fix(second * S_NS)
-            to.fix(second * S_NS, (said.latitude_deg, said.longitude_deg, said.valid))
-
-    poses = partial(true_motion, parts.units[0].motion, start_ns, rate_hz)
-    feeds: list[Feed] = [Samples(odometry, poses, start_ns, rate_hz, begin_ns).up_to]
-    if (imu := engine.scenario.imu) is not None and parts.imu is not None:
-        feeds.append(Samples(inertial, parts.imu.read, start_ns, imu.rate_hz, begin_ns).up_to)
-    if (named_ns := parts.gps.second_ns(begin_ns)) is not None:
-        begin_ns = max(named_ns, begin_ns)
-        feeds.append(Samples(fixes, lambda first, count: range(first, first + count), 0, 1, begin_ns).up_to)
-    if photographer is not None:
-        feeds.append(_images_of_run(engine, photographer, to, begin_ns))
-    return feeds
-
-
-def _images_of_run(engine: Engine, photographer: "Photographer", to: TrueMessages, begin_ns: int) -> Feed:
-    """Return the feed of the images that the scene's camera takes from an instant on, until the run is stopped."""
-    start_ns = engine.scenario.start_ns
+def _shots_of_run(
+    photographer: "Photographer", zero_ns: int, start_ns: int, stop_ns: int
+) -> Iterator["Shot"]:
+    """Take the images of the scene's camera, until the run is stopped."""
     step_ns = photographer.step_ns
-
-    def take(t_ns: int) -> None:
+    first_ns = start_ns + (zero_ns - start_ns) % step_ns
+    for t_ns in range(first_ns, stop_ns, step_ns):
         with suppress(CancelledError):  # a stopped run goes without its last images
-            to.image(photographer.lens, photographer.take(t_ns))
-
-    first = -(-(begin_ns - start_ns) // step_ns)
-    return _feed(((start_ns + number * step_ns,) for number in count(first)), take)
-
-
-def _images_of_folder(folder: Path, to: TrueMessages, begin_ns: int) -> Feed:
-    """Return the feed of the images of a folder from an instant on."""
-    from vlp16emu.extras.camera.folder import read_images
-
-    _, lens, shots = read_images(folder)
-    rows = ((shot.t_ns, shot) for shot in shots if shot.t_ns >= begin_ns)
-    return _feed(rows, lambda _, shot: to.image(lens, shot))
+            yield photographer.take(t_ns)
 
 
 def write_bag(
@@ -295,9 +279,12 @@ def write_bag(
     _check_stamps(capture, clocks)
     made = [one.make() for one in clocks]
     frames = _frames(len(units))
-    true = (
-        None if truth is None else _truth_of(truth, [every.index(one) for one in units], len(every), images)
-    )
+    true = None
+    if truth is not None:
+        first_ns = min(one.first_ns for one in clocks)
+        true = _truth_of_folder(truth, [every.index(one) for one in units], len(every), first_ns)
+        if images is not None:
+            true = _with_images(true, images, first_ns)
 
     with (
         written_beside(out, options.slam, lambda: _rig(true, capture, units[0], frames[0])),
@@ -320,8 +307,11 @@ def write_bag(
     }
 
 
-def _rig(true: Truth | None, capture: Path, unit: CapturedUnit, frame: str) -> Rig:
-    """Return the sensors of the ground truth; without it the unit of the capture, at the rotor speed of its first packets."""
+def _rig(true: TruthSource | None, capture: Path, unit: CapturedUnit, frame: str) -> Rig:
+    """Return the sensors of the ground truth.
+
+    Without it the unit of the capture is returned, at the rotor speed of its first packets.
+    """
     if true:
         return Rig.of(true.rig, true.scenario, frame)
     with CaptureReader(capture, unit) as reader:
@@ -349,8 +339,14 @@ def _check_stamps(capture: Path, clocks: Sequence[UnitClock]) -> None:
             raise CaptureError(str(capture), found, f"0 to {LATEST_NS // S_NS} s; --clock chooses another")
 
 
-def _truth_of(folder: Path, taken: Sequence[int], units: int, images: Path | None) -> Truth:
-    """Return the ground truth of a folder for the units `taken`, with images; the capture has `units` units."""
+def _truth_of_folder(folder: Path, taken: Sequence[int], units: int, first_ns: int) -> TruthSource:
+    """Return the ground truth of a run, without images.
+
+    Parameters
+    ----------
+    taken : units to write, of the `units` units of a capture
+    first_ns : UTC of the first packet of the capture
+    """
     rig, scenario = (read_json(folder / name, _EXPECTED) for name in ("rig.json", "scenario.json"))
     if len(rig["units"]) != units:
         raise InputError(
@@ -358,89 +354,31 @@ def _truth_of(folder: Path, taken: Sequence[int], units: int, images: Path | Non
         )
     rig = {**rig, "units": [rig["units"][number] for number in taken]}
     rig.pop("camera", None)  # of images that are not in the bag
-    if images is not None:
-        from vlp16emu.extras.camera.folder import read_images
-
-        rig["camera"] = read_images(images)[0]["rig"]
-
-    def feeds(to: TrueMessages, begin_ns: int) -> list[Feed]:
-        imu = scenario.get("imu") or {}
-        read = (*IMU_AXES, *(ATTITUDE if imu.get("attitude") else ()))
-        stamp = STAMP if imu.get("jitter_s") or any(imu.get("delay_s", ())) else _TIME
-        found = [_feed(_poses(folder / rig["units"][0]["trajectory"], begin_ns), to.odometry)]
-        for name, columns, take, time in (
-            ("imu.csv", read, to.inertial, stamp),
-            ("gnss.csv", _SAID, to.fix, _TIME),
-        ):
-            if (folder / name).exists():
-                rows = _table(folder / name, columns, time=time)
-                found.append(_feed((row for row in rows if row[0] >= begin_ns), take))
-        if images is not None:
-            found.append(_images_of_folder(images, to, begin_ns))
-        return found
-
-    return Truth(rig, scenario, feeds, _EVER_NS)
+    poses = StoredTable((folder / rig["units"][0]["trajectory"]).with_suffix(".npy"), POSES.dtype)
+    t_ns = poses.rows["t_ns"]
+    if not len(t_ns) or t_ns[-1] < first_ns:
+        found = f"poses until {t_ns[-1] / S_NS:.3f} s" if len(t_ns) else "no poses"
+        expected = f"poses from the capture's first pulse on, {first_ns / S_NS:.3f} s"
+        raise InputError(str(poses.path), found, expected)
+    step_ns = int(t_ns[-1] - t_ns[-2:][0])
+    truth = TruthSource(rig, scenario, step_ns, poses.between)
+    if (folder / "imu.npy").exists():
+        truth = replace(truth, readings=StoredTable(folder / "imu.npy", INERTIAL).between)
+    if (folder / "gnss.npy").exists():
+        truth = replace(truth, fixes=StoredTable(folder / "gnss.npy", FIXES.dtype).between)
+    return truth
 
 
-def _feed(rows: Iterator[tuple[int, *tuple[Any, ...]]], take: Callable[..., None]) -> Feed:
-    """Return a function that passes rows in order, up to and including an instant, to `take`."""
-    waiting = next(rows, None)
+def _with_images(truth: TruthSource, folder: Path, first_ns: int) -> TruthSource:
+    """Add the images of a folder from `first_ns` on, and their camera."""
+    from vlp16emu.extras.camera.folder import read_images
 
-    def up_to(t_ns: int) -> None:
-        nonlocal waiting
-        while waiting is not None and waiting[0] <= t_ns:
-            take(*waiting)
-            waiting = next(rows, None)
+    cameras, lens, shots = read_images(folder)
+    times_ns = [row["t_ns"] for row in cameras["images"]]
+    later = islice(shots, bisect_left(times_ns, first_ns), None)
 
-    return up_to
+    def between(start_ns: int, stop_ns: int) -> Iterator["Shot"]:
+        """Read the next images; spans follow one another from `first_ns` on."""
+        return islice(later, bisect_left(times_ns, stop_ns) - bisect_left(times_ns, start_ns))
 
-
-def _poses(path: Path, begin_ns: int) -> Iterator[Row]:
-    """Yield poses from an instant on, with velocity and angular rate up to the next pose; the last pose repeats the rates before it."""
-    from scipy.spatial.transform import Rotation
-
-    before: Row | None = None
-    rates = [0.0] * 6
-    for t_ns, pose in _table(path, _POSE[1:], names=_POSE):
-        if before is not None:
-            (t0_ns, pose0) = before
-            step_s = (t_ns - before[0]) / S_NS
-            try:
-                back = Rotation.from_quat(pose0[3:]).inv()
-                turn = Rotation.from_quat(pose[3:])
-            except ValueError:
-                raise InputError(str(path), f"no rotation at {t_ns / S_NS:.3f} s", "a quaternion") from None
-            moved_m = matvec(back.as_matrix(), np.subtract(pose[:3], pose0[:3]))
-            rates = (np.concatenate([moved_m, (back * turn).as_rotvec()]) / step_s).tolist()
-            if t0_ns >= begin_ns:
-                yield t0_ns, pose0 + rates
-        before = t_ns, pose
-    if before is None or before[0] < begin_ns:
-        found = "no poses" if before is None else f"poses until {before[0] / S_NS:.3f} s"
-        raise InputError(
-            str(path), found, f"poses from the capture's first pulse on, {begin_ns / S_NS:.3f} s"
-        )
-    yield before[0], before[1] + rates
-
-
-def _table(
-    path: Path, columns: Sequence[str], names: Sequence[str] = (), *, time: str = _TIME
-) -> Iterator[Row]:
-    """Yield the time and the numbers of some columns of a CSV, or of a TUM file, which has no header."""
-    with readable(path, _EXPECTED, InputError, most_bytes=_EVER_NS), path.open() as lines:
-        reader = csv.DictReader(lines, names or None, delimiter=" " if names else ",")
-        if missing := {time, *columns} - set(reader.fieldnames or ()):
-            raise InputError(
-                f"{path}, line 1", f"no column {min(missing)}", f"the columns {', '.join(columns)}"
-            )
-        for row in reader:
-            if row[time] == "#":
-                continue
-            try:
-                seconds, _, decimals = row[time].partition(
-                    "."
-                )  # other programs write fewer decimals than nine
-                yield int(seconds + f"{decimals:0<9}"[:9]), [float(row[name]) for name in columns]
-            except (AttributeError, TypeError, ValueError):
-                found = f"found {' '.join(str(cell) for cell in row.values())[:60]}"
-                raise InputError(f"{path}, line {reader.line_num}", found, "numbers") from None
+    return replace(truth, rig={**truth.rig, "camera": cameras["rig"]}, images=(lens, between))

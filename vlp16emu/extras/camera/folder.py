@@ -1,7 +1,6 @@
 """Images of a run in a folder, with intrinsics, extrinsics and poses in the forms of other programs."""
 
 import csv
-import shutil
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
@@ -20,11 +19,12 @@ from vlp16emu.extras.camera.mount import AXES, camera_of
 from vlp16emu.extras.camera.reconstruction import reconstruction_files
 from vlp16emu.extras.camera.shot import Photographer, Shot
 from vlp16emu.extras.options import ImageOptions
-from vlp16emu.extras.truth.folder import read_json, tum_rows
+from vlp16emu.extras.truth.folder import read_json
+from vlp16emu.extras.truth.tables import POSES, quaternions
 from vlp16emu.extras.truth.truth import rig_of
-from vlp16emu.output import final_name, opening, part_beside, write_json
+from vlp16emu.output import Staged, final_name, opening, write_json
 from vlp16emu.run.emulator import Emulator
-from vlp16emu.types import F4, F8, U2, U4, PlantPart, Poses, Semantic
+from vlp16emu.types import F4, F8, U2, U4, PlantPart, Semantic
 from vlp16emu.units import S_NS, seconds_to_ns
 
 LAYERS = ("rgb", "depth", "semantic", "part", "instance")
@@ -53,7 +53,7 @@ class ImageRun:
 class ImageFolder:
     """A new or empty folder for images; a context manager.
 
-    It is NAME.xxxxxxxx.part until it is complete. After a full disk the images so far stay there.
+    It is `Staged`. After a full disk the images so far stay under its temporary name.
 
     Raises OutputError if the folder has content, or cannot be made; MissingExtraError if pillow is not
     installed.
@@ -71,12 +71,9 @@ class ImageFolder:
         self.taken = list[tuple[int, F8]]()
         """UTC and world_T_camera (4, 4) of each image."""
         with opening(self._where, "a folder that can be written"):
-            self._final = final_name(path)
-            if self._final.exists() and (not self._final.is_dir() or any(self._final.iterdir())):
-                raise OutputError(self._where, "is there already", "a new or empty folder")
-            self._final.parent.mkdir(parents=True, exist_ok=True)
-            self.path = part_beside(self._final)
-            self.path.mkdir()
+            final_name(path).parent.mkdir(parents=True, exist_ok=True)
+            self._staged = Staged(path, self._where, self._check, is_folder=True)
+            self.path = self._staged.path
             for layer in LAYERS:
                 (self.path / layer).mkdir()
 
@@ -85,10 +82,15 @@ class ImageFolder:
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if error is None:
-            with self._complete("its name"):
-                self.path.rename(self._final)
-        elif not isinstance(error, RunError):
-            shutil.rmtree(self.path, ignore_errors=True)
+            self._staged.keep()
+        elif isinstance(error, RunError):
+            self._staged.leave()
+        else:
+            self._staged.discard()
+
+    def _check(self, final: Path) -> None:
+        if final.exists() and (not final.is_dir() or any(final.iterdir())):
+            raise OutputError(self._where, "is there already", "a new or empty folder")
 
     @property
     def instances(self) -> int:
@@ -117,13 +119,20 @@ class ImageFolder:
         """Write the files that describe all images."""
         with self._complete("its description"):
             write_json(self.path / "cameras.json", cameras)
-            (self.path / "poses.tum").write_text(_TUM_HEAD + "".join(_tum_row(*one) for one in self.taken))
+            (self.path / "poses.tum").write_text(_TUM_HEAD + self._poses())
             rows = "".join(f"{number},{instance}\n" for instance, number in self._number_of.items())
             (self.path / "instances.csv").write_text("number,instance\n" + rows)
             poses = [pose for _, pose in self.taken]
             for file, text in reconstruction_files(lens, poses, self.depth_suffix).items():
                 (self.path / file).parent.mkdir(parents=True, exist_ok=True)
                 (self.path / file).write_text(text)
+
+    def _poses(self) -> str:
+        """Return the lines of `poses.tum`; the rows have no velocities."""
+        t_ns = [at_ns for at_ns, _ in self.taken]
+        T = np.array([pose for _, pose in self.taken])
+        rows = POSES.rows(t_ns, position_m=T[:, :3, 3], quaternion_xyzw=quaternions(T[:, :3, :3]))
+        return POSES.text(rows)
 
     @property
     def depth_suffix(self) -> str:
@@ -311,7 +320,3 @@ def _in_mm(depth_m: F4) -> U2:
     """Return depth in whole millimetres; 0, as for none, beyond 65.535 m."""
     mm = np.rint(depth_m.astype(np.float64) / _MM)
     return np.where(mm <= _MOST_MM, mm, 0.0).astype(np.uint16)
-
-
-def _tum_row(t_ns: int, pose: F8) -> str:
-    return tum_rows(Poses(np.array([t_ns]), pose[None, :3, :3], pose[None, :3, 3]))

@@ -1,4 +1,4 @@
-"""Point clouds as files in the format that the suffix names, written block by block; meaning of columns and labels."""
+"""Files of point clouds, written block by block in the format of their suffix; columns and labels."""
 
 import shutil
 import tempfile
@@ -65,7 +65,10 @@ class PointLabels:
         self._numbers: dict[int, int] = {}
 
     def of(self, points: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-        """Return arrays (n,) `label`, `tree_id` and `height_m` by `world_m` (n, 3), `semantic`, `part`, `instance` (n,)."""
+        """Return arrays (n,) `label`, `tree_id` and `height_m`.
+
+        They follow from `world_m` (n, 3), and from `semantic`, `part` and `instance` (n,).
+        """
         x_m, y_m, z_m = np.ascontiguousarray(points["world_m"].T)
         return {
             "label": self._scheme.codes(points["semantic"], points["part"]),
@@ -106,7 +109,10 @@ class Column:
         return self.ply_dtype or self.dtype
 
     def properties(self, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
-        """Return the properties of the array of this column, arrays (n,) by name, fixed-point numbers as fractions."""
+        """Return the properties of the array of this column, arrays (n,) by name.
+
+        Fixed-point numbers become fractions.
+        """
         if self.decimals and values.dtype.kind == "i":
             values = values / 10**self.decimals
         return dict(zip(self.ply, values.reshape(len(values), len(self.ply)).T, strict=True))
@@ -334,11 +340,11 @@ class NpzFile(PointWriter):
 def point_file(
     path: Path, columns: Sequence[Column], about: CloudAbout, *, where: str, inputs: Iterable[Path] = ()
 ) -> Iterator[PointWriter]:
-    """Open a file for points in the format of its suffix; error messages call it `where`; `inputs` are not replaced.
+    """Open a file for points in the format of its suffix; it is `where` in error lines.
 
-    If an error ends the points, the file has the points before it. If there are no points, or the file itself
-    cannot be written, there is no file. InputError if the suffix names no format, MissingExtraError if its
-    library is not installed, OutputError and RunError like `OutputFile`.
+    It must be none of `inputs`. If an error ends the points, the file has the points before it. If there are
+    no points, or the file itself cannot be written, there is no file. InputError if the suffix names no
+    format, MissingExtraError if its library is not installed, OutputError and RunError like `OutputFile`.
     """
     if not has_door(path.suffix, "clouds"):
         raise InputError(where, f"found suffix '{path.suffix}'", ", ".join(DOORS["clouds"]))

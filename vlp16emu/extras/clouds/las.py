@@ -38,7 +38,8 @@ _GPS_EPOCH_NS = _ns(1980, 1, 6)
 _LEAPS_NS = np.sort(
     [_ns(year, 7, 1) for year in (1981, 1982, 1983, 1985, 1992, 1993, 1994, 1997, 2012, 2015)]
     + [_ns(year, 1, 1) for year in (1988, 1990, 1991, 1996, 1999, 2006, 2009, 2017)]
-)  # instants after the leap seconds since GPS time began (IERS Bulletin C; 2016-12-31 is the last one announced)
+)
+"""Instants after the leap seconds since GPS time began (IERS Bulletin C; the last one was 2016-12-31)."""
 _ADJUSTMENT_S = 1_000_000_000  # LAS specification 1.4 - R15, section 2.4, global encoding bit 0
 
 
@@ -161,8 +162,9 @@ class LazFile(LasFile):
 
 
 def echoes_of(block: Block) -> tuple[U1, U1]:
-    """Return the number (n,) of each echo in its pulse, with 1 for the nearest, and the count (n,) of echoes in the pulse.
+    """Return the number (n,) of each echo in its pulse, and the count (n,) of echoes in the pulse.
 
+    The nearest echo has number 1.
     The block has `t_ns`, `laser` and `distance_m`; the echoes of a pulse follow one another.
     """
     t_ns = block["t_ns"]
@@ -191,7 +193,7 @@ def local_wkt(latitude_deg: float, longitude_deg: float, height_m: float) -> str
 
 
 def adjusted_gps_s(t_ns: I8) -> F8:
-    """Convert UTC instants (n,), ns since 1970 without leap seconds, to adjusted standard GPS time (n,) in s."""
+    """Convert UTC (n,), ns since 1970 without leap seconds, to adjusted standard GPS time (n,) in s."""
     leaps = np.searchsorted(_LEAPS_NS, t_ns, side="right")
     # Whole seconds are added separately, as float64 resolves only 60 ns of the sum.
     whole, rest = np.divmod(t_ns - _GPS_EPOCH_NS, S_NS)

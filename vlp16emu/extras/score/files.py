@@ -51,10 +51,10 @@ class Stem:
 
 
 def read_cloud(path: Path) -> Cloud:
-    """Read the positions of points, `xyz` (n, 3) in metres, and their labels (n,), from a file with a suffix in `_READERS`.
+    """Read the positions of points, `xyz` (n, 3) in metres, and their labels (n,).
 
-    InputError if the file is not of this format, or has no points or a NaN; MissingExtraError without the
-    library for it.
+    InputError if the suffix is not in `_READERS`, the file is not of this format, or has no points or a NaN;
+    MissingExtraError without the library for it.
     """
     if path.suffix not in _READERS:
         raise InputError(str(path), f"found suffix '{path.suffix}'", ", ".join(_READERS))
@@ -130,8 +130,9 @@ _READERS: Mapping[str, Callable[[Path], Cloud]] = MappingProxyType(
 
 
 def read_stems(path: Path) -> tuple[Stem, ...]:
-    """Read a CSV of stems: x, y (or x_m, y_m), and if there are z, x_breast_m, y_breast_m, dbh_m or dbh (m), dbh_cm, and a number.
+    """Read a CSV of stems with columns x, y (or x_m, y_m).
 
+    Optional columns are z, x_breast_m, y_breast_m, dbh_m or dbh (m), dbh_cm, and a number.
     InputError if it is no such CSV, a cell is no number, two trees have one number, or a DBH is in another
     unit.
     """

@@ -1,4 +1,4 @@
-"""Ground truth of each record of the data packets of a run, as a Parquet table: writer, and reader beside the capture."""
+"""Ground truth of each record of data packets as a Parquet table: writer, and reader beside the capture."""
 
 from collections.abc import Iterator
 from pathlib import Path

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
 from itertools import islice
-from typing import Any, Generic, Self, TypeVar
+from typing import Any, Self
 
 import numpy as np
 
@@ -18,12 +18,20 @@ from vlp16emu.engine.engine import positions_due, sent_before
 from vlp16emu.errors import RunError
 from vlp16emu.extras.bench.events import Event
 from vlp16emu.extras.bench.faults import PacketFault, arriving, earliest_ns, faults_of, kinds_of
-from vlp16emu.extras.imu.sampler import ImuSampler, Inertial
-from vlp16emu.extras.truth.folder import TruthFolder, seconds_text, tum_rows
+from vlp16emu.extras.truth.folder import TruthFolder
 from vlp16emu.extras.truth.slots import SlotTable
-from vlp16emu.motion.gnss import Receiver, to_geodetic
-from vlp16emu.motion.pose import Kinematics, Motion, rotation
-from vlp16emu.motion.settings import Gps, Mount
+from vlp16emu.extras.truth.tables import (
+    POSES,
+    Samples,
+    fix_samples,
+    inertial_samples,
+    pose_rows,
+    pose_samples,
+    quaternions,
+    seconds_text,
+)
+from vlp16emu.motion.pose import rotation
+from vlp16emu.motion.settings import Mount
 from vlp16emu.output import write_json
 from vlp16emu.packets import SENSOR_R_MANUAL
 from vlp16emu.run.emulator import Emulator
@@ -130,8 +138,9 @@ def _single(
 
 
 def timetable(scenario: Scenario, units: Sequence[Unit], start_ns: int, stop_ns: int) -> Iterator[Packet]:
-    """Yield the packets due in a span since the first pulse in order of sending, without bytes, so no ray is cast.
+    """Yield the packets due in a span since the first pulse in order of sending, without casting a ray.
 
+    They have no bytes.
     A sensor without packets yields one for each group of as many firing sequences.
     """
 
@@ -151,20 +160,7 @@ def timetable(scenario: Scenario, units: Sequence[Unit], start_ns: int, stop_ns:
     return heapq.merge(*streams, key=lambda packet: packet.due_ns)
 
 
-_TUM_HEAD = "# t_utc_s x_m y_m z_m qx qy qz qw: world_T_sensor; world east, north, up; sensor x forward, y left, z up\n"
-_GNSS_COLUMNS = (
-    *("t_utc_s", "valid", "cover", "true_latitude_deg", "true_longitude_deg", "true_height_m"),
-    *("true_east_m_s", "true_north_m_s", "latitude_deg", "longitude_deg", "speed_m_s", "course_deg"),
-)
 _EVENT_COLUMNS = ("t_utc_s", "until_utc_s", "event", "unit", "kind", "packets", "first", "last", "count")
-IMU_AXES = ("wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2")
-"""Angular rate and specific force in the unit's own axes."""
-_IMU_COLUMNS = (
-    "t_utc_s",
-    *IMU_AXES,
-    *(f"true_{axis}" for axis in IMU_AXES),
-    *(f"bias_{axis}" for axis in IMU_AXES),
-)
 _OF_UNITS = (
     "name",
     "model",
@@ -173,15 +169,10 @@ _OF_UNITS = (
     "data_port",
     "position_port",
 )  # keys of a unit in `rig.json`
-ATTITUDE = ("qx", "qy", "qz", "qw")  # further columns for a unit that reports its attitude: world_R_imu
-STAMP = "stamp_utc_s"  # last column for a unit whose time stamps are late
-
 _OF_SENSORS = frozenset({PacketKind.DATA, PacketKind.POSITION})
 """Kinds of packets that pace the ground truth; other outputs change no line."""
 
 _AT_ONCE_S = 0.05  # simulated time between two checks of the event that ends a run
-
-_T = TypeVar("_T")
 
 
 class Truth:
@@ -228,12 +219,13 @@ class Truth:
             firsts_ns = (self._first_ns(unit, earliest_s, span_s[1]) for unit in self._units)
             from_ns = max(min(begin_ns, *firsts_ns) - self._step_ns, scenario.start_ns)
             self._trajectories = [self._trajectory(unit, from_ns) for unit in self._units]
-            self._samples = [*self._trajectories, *self._others(engine, begin_ns, from_ns)]
-            self._packets = {unit.number: self._begun(_file("packets", unit), _TUM_HEAD) for unit in wanted}
-            self._firsts_ns: dict[int, list[int]] = {number: [] for number in self._packets}
+            self._series = [*self._trajectories, *self._devices(engine, begin_ns, from_ns)]
+            for unit in wanted:
+                self._folder.begin_rows(_file("packets", unit), POSES)
+            self._firsts_ns: dict[int, list[int]] = {unit.number: [] for unit in wanted}
             self._returns = dict[int, SlotTable]()
             for unit in self._units if to.per_return else ():
-                table = SlotTable(self._folder.path / _file("returns", unit, "parquet"))
+                table = SlotTable(self._folder.path / f"{_file('returns', unit)}.parquet")
                 self._returns[unit.number] = stack.enter_context(table)
             self._open = stack.pop_all()
 
@@ -253,16 +245,21 @@ class Truth:
         if failed is not error and failed is not None:
             raise failed
 
-    def _trajectory(self, unit: Unit, from_ns: int) -> "Samples[str]":
-        append = self._begun(_file("trajectory", unit), _TUM_HEAD)
-        at = (self._scenario.start_ns, self._to.rate_hz)
-        return Samples(append, lambda *part: tum_rows(true_motion(unit.motion, *at, *part)), *at, from_ns)
+    def _trajectory(self, unit: Unit, from_ns: int) -> "Series":
+        samples = pose_samples(unit.motion, self._scenario.start_ns, self._to.rate_hz)
+        return Series(self._folder, _file("trajectory", unit), samples, from_ns)
+
+    def _devices(self, engine: Engine, begin_ns: int, from_ns: int) -> Iterator["Series"]:
+        if (readings := inertial_samples(engine)) is not None:
+            yield Series(self._folder, "imu", readings, from_ns)
+        if (named_ns := engine.parts.gps.second_ns(begin_ns)) is not None:
+            yield Series(self._folder, "gnss", fix_samples(engine), named_ns)
 
     def _finish(self) -> None:
         """Write the samples up to the last packet, and the scene with the span of the run."""
         self._write()
-        for samples in self._trajectories:
-            samples.up_to(self._seen_ns + self._step_ns)
+        for series in self._trajectories:
+            series.up_to(self._seen_ns + self._step_ns)
         begin_s, stop_s = self._span_s
         if not self._is_whole and self._seen_ns > self._scenario.start_ns + seconds_to_ns(begin_s):
             stop_s = (self._seen_ns + 1 - self._scenario.start_ns) / S_NS
@@ -289,7 +286,7 @@ class Truth:
         self._is_whole = True
 
     def up_to(self, since_s: float) -> None:
-        """Write the ground truth up to a time since the first pulse, for a run whose packets are not passed through."""
+        """Write the ground truth up to a time since the first pulse, without packets of a run."""
         until_ns = self._scenario.start_ns + seconds_to_ns(since_s)
         next((packet for packet in self._to_come if packet.due_ns >= until_ns), None)
 
@@ -299,12 +296,14 @@ class Truth:
         return self._scenario.start_ns + (seconds_to_ns(stop_s) if first is None else first)
 
     def _write(self) -> None:
-        for samples in self._samples:
-            samples.up_to(self._seen_ns)
+        for series in self._series:
+            series.up_to(self._seen_ns)
         self._write_events()
         for number, firsts_ns in self._firsts_ns.items():
             if firsts_ns:
-                self._packets[number](tum_rows(self._units[number].motion.kinematics_at(np.array(firsts_ns))))
+                unit = self._units[number]
+                rows = pose_rows(unit.motion.kinematics_at(np.array(firsts_ns)))
+                self._folder.append_rows(_file("packets", unit), POSES, rows)
                 firsts_ns.clear()
 
     def _write_events(self) -> None:
@@ -315,116 +314,34 @@ class Truth:
         if not ran.events or (from_ns is not None and until_ns <= from_ns):
             return
         if from_ns is None:
-            self._begun("events.csv", _EVENT_COLUMNS)
+            self._folder.append("events.csv", f"{','.join(_EVENT_COLUMNS)}\n")
         found = happenings(ran, self._of.engine.parts.units, from_ns, until_ns, stop_ns)
         begin_ns = ran.start_ns + seconds_to_ns(self._span_s[0])
         self._listed_ns = until_ns
         self._folder.append("events.csv", "".join(one.row for one in found if one.end_ns >= begin_ns))
 
-    def _begun(self, name: str, header: str | Sequence[str]) -> Callable[[str], None]:
-        self._folder.append(name, header if isinstance(header, str) else ",".join(header) + "\n")
-        return partial(self._folder.append, name)
 
-    def _others(self, engine: Engine, begin_ns: int, from_ns: int) -> Iterator["Samples[str]"]:
-        scenario = engine.scenario
-        imu = engine.parts.imu
-        if scenario.imu is not None and imu is not None:
-            others = (
-                *(ATTITUDE if scenario.imu.attitude else ()),
-                *([STAMP] if scenario.imu.is_late else []),
-            )
-            append = self._begun("imu.csv", _IMU_COLUMNS + others)
-            yield Samples(append, partial(_inertial, imu), scenario.start_ns, scenario.imu.rate_hz, from_ns)
-        if (named_ns := engine.parts.gps.second_ns(begin_ns)) is not None:
-            append = self._begun("gnss.csv", _GNSS_COLUMNS)
-            yield Samples(append, partial(_fixes, engine.receiver, scenario.gps), 0, 1, named_ns)
+class Series:
+    """Samples in a folder of ground truth that are written at their time, from `from_ns` on."""
 
-
-class Samples(Generic[_T]):
-    """Samples at a constant rate that are written at their time, sample i at `zero_ns` + i / `rate_hz`.
-
-    Parameters
-    ----------
-    append : writes samples
-    rows : returns samples first .. first + count - 1
-    from_ns : samples before this time are left out
-    """
-
-    def __init__(
-        self,
-        append: Callable[[_T], None],
-        rows: Callable[[int, int], _T],
-        zero_ns: int,
-        rate_hz: int,
-        from_ns: int,
-    ) -> None:
-        self._append = append
-        self._rows = rows
-        self._zero_ns = zero_ns
-        self._rate_hz = rate_hz
-        self._next = self._count_before(from_ns)
+    def __init__(self, folder: TruthFolder, name: str, samples: Samples, from_ns: int) -> None:
+        self._folder = folder
+        self._name = name
+        self._samples = samples
+        self._next_ns = from_ns
+        folder.begin_rows(name, samples.table)
 
     def up_to(self, t_ns: int) -> None:
         """Write all samples up to and including an instant that are not written yet."""
-        stop = self._count_before(t_ns + 1)
-        if stop > self._next:
-            self._append(self._rows(self._next, stop - self._next))
-            self._next = stop
-
-    def _count_before(self, t_ns: int) -> int:
-        # Sample i lies i * S_NS // rate_hz after sample 0.
-        return -(-(t_ns - self._zero_ns) * self._rate_hz // S_NS)
+        rows = self._samples.between(self._next_ns, t_ns + 1)
+        if len(rows):
+            self._folder.append_rows(self._name, self._samples.table, rows)
+            self._next_ns = t_ns + 1
 
 
-def _file(name: str, unit: Unit, suffix: str = "tum") -> str:
-    return f"{name}_{unit.number + 1}.{suffix}" if unit.number else f"{name}.{suffix}"
-
-
-def true_motion(motion: Motion, start_ns: int, rate_hz: int, first: int, count: int) -> Kinematics:
-    """Return samples first .. first + count - 1 of a trajectory."""
-    return motion.kinematics_at(start_ns + np.arange(first, first + count, dtype=np.int64) * S_NS // rate_hz)
-
-
-def _inertial(imu: ImuSampler, first: int, count: int) -> str:
-    read = imu.read(first, count)
-    readings = read.angular_rate_rad_s, read.specific_force_m_s2
-    true = read.true_angular_rate_rad_s, read.true_specific_force_m_s2
-    biases = read.gyro_bias_rad_s, read.accel_bias_m_s2
-    numbers = np.column_stack([*readings, *true, *biases, *attitude_of(read)]).tolist()
-    stamps = (
-        [""] * count
-        if read.stamp_ns is None
-        else [f",{seconds_text(t_ns)}" for t_ns in read.stamp_ns.tolist()]
-    )
-    return "".join(
-        f"{seconds_text(t_ns)},{','.join(f'{number:.9f}' for number in row)}{stamp}\n"
-        for t_ns, row, stamp in zip(read.t_ns.tolist(), numbers, stamps, strict=True)
-    )
-
-
-def attitude_of(read: Inertial) -> list[F8]:
-    """Return a list with the reported attitude as x y z w (n, 4), or an empty list."""
-    from scipy.spatial.transform import Rotation  # here: it takes 0.1 s, and few runs need it
-
-    return (
-        [] if read.world_R_imu is None else [Rotation.from_matrix(read.world_R_imu).as_quat(canonical=True)]
-    )
-
-
-def _fixes(receiver: Receiver, gps: Gps, first: int, count: int) -> str:
-    """Return rows of what a receiver measures and reports; sample i is the UTC second i."""
-    rows = []
-    for t_ns in range(first * S_NS, (first + count) * S_NS, S_NS):
-        true = receiver.reading(t_ns)
-        fix = receiver.fix(t_ns)
-        latitude_deg, longitude_deg, height_m = to_geodetic(true.antenna_m[None], gps)[0].tolist()
-        east_m_s, north_m_s, _ = true.velocity_m_s.tolist()
-        rows.append(
-            f"{seconds_text(t_ns)},{fix.valid:d},{true.cover:.4f},"
-            f"{latitude_deg:.10f},{longitude_deg:.10f},{height_m:.4f},{east_m_s:.6f},{north_m_s:.6f},"
-            f"{fix.latitude_deg:.10f},{fix.longitude_deg:.10f},{fix.speed_m_s:.6f},{fix.course_deg:.4f}\n"
-        )
-    return "".join(rows)
+def _file(name: str, unit: Unit) -> str:
+    """Return the name of a file of a unit, without suffix."""
+    return f"{name}_{unit.number + 1}" if unit.number else name
 
 
 def _resolved(scenario: Scenario, span_s: tuple[float, float]) -> dict[str, Any]:
@@ -456,7 +373,7 @@ def rig_of(scenario: Scenario, parts: Parts) -> dict[str, Any]:
             {
                 "unit": unit.number + 1,
                 **{key: getattr(unit.section, key) for key in _OF_UNITS if hasattr(unit.section, key)},
-                "trajectory": _file("trajectory", unit),
+                "trajectory": f"{_file('trajectory', unit)}{POSES.suffix}",
                 **_extrinsics("body_T_sensor", unit.mount, given),
             }
             for unit, given in zip(parts.units, mounts_of(scenario), strict=True)
@@ -477,7 +394,10 @@ def _extrinsics(
 
 
 def given_mount(device: dict[str, Any], key: str, *, true: bool = False) -> F8 | None:
-    """Return the extrinsics (4, 4) of a device of `rig.json`, as its user knows them or with `true` the true ones; None if it spins."""
+    """Return the extrinsics (4, 4) of a device of `rig.json`; None if it spins.
+
+    They are as its user knows them, or with `true` the true ones.
+    """
     mount = device[key] if true else device.get(f"given_{key}", device[key])
     return None if "spin_hz" in mount else np.array(mount["matrix"])
 
@@ -490,12 +410,10 @@ def _mount(section: Mount, axes: Callable[[F8], F8]) -> dict[str, Any]:
 
 def transform(R: F8, p_m: F8) -> dict[str, Any]:
     """Return a rigid transform as matrix and as translation and quaternion, for JSON."""
-    from scipy.spatial.transform import Rotation  # here: it takes 0.1 s, and few runs need it
-
     T = np.eye(4)
     T[:3, :3] = R
     T[:3, 3] = p_m
-    quaternion = Rotation.from_matrix(R).as_quat(canonical=True) + 0.0  # no -0.0
+    quaternion = quaternions(R) + 0.0  # no -0.0
     return {"matrix": T.tolist(), "translation_m": p_m.tolist(), "quaternion_xyzw": quaternion.tolist()}
 
 

@@ -275,7 +275,7 @@ def _log(rng: Generator, row: Row) -> Mesh:
     if row["splinters"]:
         for end in (0, -1):
             rings[end, :, 2] += row["splinters"] * rng.uniform(-1, 1, _ROUND_SIDES)
-    mesh = closed(rings, ends)
+    mesh = closed_body(rings, ends)
     vertices = np.ascontiguousarray(mesh.vertices_m[:, [2, 0, 1]])
     aside, sway = rng.normal(0.0, row["bow"], 2) * [1.0, 0.4]
     x = vertices[:, 0]
@@ -304,7 +304,7 @@ def _root_plate(rng: Generator, row: Row) -> Mesh:
     radius = 0.5 * away[:, None] * rim
     z = along[:, None] + row["bumps"] * rng.uniform(-1, 1, (len(along), sides))
     soil = np.stack([radius * cos(angle), radius * sin(angle), z], axis=-1)
-    pieces = [closed(soil, np.array([[0.0, 0.0, -0.95], [0.0, 0.0, 0.2]]))]
+    pieces = [closed_body(soil, np.array([[0.0, 0.0, -0.95], [0.0, 0.0, 0.2]]))]
     for towards in rng.uniform(0, 2 * np.pi, roots).tolist():
         foot = rng.uniform(0.2, 0.4)
         tip = rng.uniform(0.35, 0.65)
