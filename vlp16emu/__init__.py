@@ -18,13 +18,15 @@ if TYPE_CHECKING:
     from vlp16emu.extras.verify.run import Verification, verify
     from vlp16emu.run.emulator import Emulator
     from vlp16emu.run.options import GpsIn, Http, Outlets, PosesIn, TruthTo
+    from vlp16emu.run.part import StreamPart
     from vlp16emu.run.report import Recording
     from vlp16emu.scenario import Scenario, load
     from vlp16emu.types import Labels, Scan
 
 __all__ = ["Emulator", "decode", "load", "replay", "stream", "verify", "write_points", "write_truth"]
 __all__ += ["GpsIn", "Http", "Outlets", "PosesIn", "TruthTo"]  # options
-__all__ += ["Finding", "Labels", "Live", "Recording", "Replayed", "Scan", "Scenario", "Verification"]
+__all__ += ["Finding", "Labels", "Live", "Recording", "Replayed", "Scan", "Scenario", "StreamPart"]
+__all__ += ["Verification"]
 
 _MODULES = {
     "run.emulator": "Emulator",
@@ -36,6 +38,7 @@ _MODULES = {
     "extras.verify.frames": "Finding",
     "extras.verify.run": "Verification verify",
     "run.options": "GpsIn Http Outlets PosesIn TruthTo",
+    "run.part": "StreamPart",
     "run.report": "Recording",
     "scenario": "Scenario load",
     "types": "Labels Scan",

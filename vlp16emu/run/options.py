@@ -234,6 +234,16 @@ class RecordOptions(Span):
     """None for a bag with the defaults, or no bag."""
 
 
+class RecordKeys(TypedDict, total=False):
+    """Fields of `RecordOptions` as keyword arguments."""
+
+    start_s: float
+    duration_s: float | None
+    split: bool
+    truth: TruthPlace | None
+    bag: BagOptions | None
+
+
 @dataclass(frozen=True)
 class SendOptions(Options):
     """Options of sending packets over UDP."""
@@ -312,6 +322,19 @@ class SendOptions(Options):
         return self.as_sensor or self.interface is not None
 
 
+class SendKeys(TypedDict, total=False):
+    """Fields of `SendOptions` as keyword arguments."""
+
+    to: str | None
+    data_port: int | None
+    position_port: int | None
+    speed: float
+    late: str
+    as_sensor: bool
+    interface: str | None
+    now: bool
+
+
 @dataclass(frozen=True)
 class ReplayOptions(SendOptions):
     """Options of a replay."""
@@ -322,6 +345,13 @@ class ReplayOptions(SendOptions):
     keep_gaps: Annotated[
         bool, Option("Wait through gaps of more than a minute instead of shortening them.")
     ] = False
+
+
+class ReplayKeys(SendKeys, total=False):
+    """Fields of `ReplayOptions` as keyword arguments."""
+
+    loop: bool
+    keep_gaps: bool
 
 
 def host_and_port(text: str, option: str, expected: str, scheme: str = "") -> tuple[str, int]:
@@ -457,36 +487,6 @@ class StreamOptions(SendOptions):
     """The stream of a live scene begins with the first pose, and drops late packets."""
     outlets: Outlets | None = None
     gps_in: GpsIn | None = None  # sets the clock of the sensors instead of the receiver of the scene
-
-
-class RecordKeys(TypedDict, total=False):
-    """Fields of `RecordOptions` as keyword arguments."""
-
-    start_s: float
-    duration_s: float | None
-    split: bool
-    truth: TruthPlace | None
-    bag: BagOptions | None
-
-
-class SendKeys(TypedDict, total=False):
-    """Fields of `SendOptions` as keyword arguments."""
-
-    to: str | None
-    data_port: int | None
-    position_port: int | None
-    speed: float
-    late: str
-    as_sensor: bool
-    interface: str | None
-    now: bool
-
-
-class ReplayKeys(SendKeys, total=False):
-    """Fields of `ReplayOptions` as keyword arguments."""
-
-    loop: bool
-    keep_gaps: bool
 
 
 class LiveKeys(SendKeys, total=False):

@@ -45,29 +45,29 @@ _SETTLED_NS = 5 * S_NS
 class State(Enum):
     """What a stream is doing."""
 
+    # Ports and sockets are open, and parts can be added; nothing is computed.
     OPENED = "opened"
-    """Ports and sockets are open, and parts can be added; nothing is computed."""
+    # The speed of this machine is measured, and settings are chosen with which the stream keeps up.
     MEASURING = "measuring"
-    """The speed of this machine is measured, and settings are chosen with which the stream keeps up."""
+    # A live scene waits for its first pose, and the first packets are computed.
     PREPARING = "preparing"
-    """The first packets are computed; a live scene waits for its first pose before."""
+    # The clock runs, and each packet leaves at its deadline.
     SENDING = "sending"
-    """The clock runs, and each packet leaves at its deadline."""
+    # No more packets leave: threads end, files are completed, ports are given back.
     SETTLING = "settling"
-    """No more packets leave: threads end, files are completed, ports are given back."""
+    # The report is final.
     CLOSED = "closed"
-    """The report is final."""
 
 
 TRANSITIONS = {
-    State.OPENED: {State.MEASURING, State.PREPARING, State.SETTLING},  # `measure`, `prepare`, the end
-    State.MEASURING: {State.OPENED, State.SETTLING},  # settings are chosen; an error
-    State.PREPARING: {State.SENDING, State.SETTLING},  # `run`; an error, or a stop before the first packet
+    State.OPENED: {State.MEASURING, State.PREPARING, State.SETTLING},  # `measure`, `prepare`, or an early end
+    State.MEASURING: {State.OPENED, State.SETTLING},  # settings are chosen, or an error
+    State.PREPARING: {State.SENDING, State.SETTLING},  # `run`, or an error
     State.SENDING: {State.SETTLING},  # the last packet, a stop or an error
-    State.SETTLING: {State.CLOSED},  # also after an error of a part that ends
+    State.SETTLING: {State.CLOSED},  # always, also after an error of what ends
     State.CLOSED: set[State](),
 }
-"""States that may follow each state."""
+"""States that may follow each state, and what leads there."""
 
 
 class Present(Protocol):
@@ -116,8 +116,8 @@ class StreamReport:
 class Stream:
     """Packets that leave at their deadlines; a context manager, which is open once it is made.
 
-    `run` does all that is left to do, on the calling thread. Packets are never sent in a burst: see
-    `Pacer.wait`.
+    `run` does all that is left to do; `prepare` may be called before, on the same thread. Other threads set
+    `stop`. Packets are never sent in a burst: see `Pacer.wait`.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ class Stream:
         self._opened = ExitStack()  # all that ends with the stream
         self._ahead: LookAhead | None = None
         self._first: Packet | None = None
-        self._left: FirstPacket | None = None
+        self._first_sent: FirstPacket | None = None
         self._interrupted = False
         self._lateness = LatenessHistogram()
         self._behind = list[FellBehind]()
@@ -232,7 +232,7 @@ class Stream:
             delay_s=self.pacer.delay_ns / S_NS,
             skipped=self._skipped,
             moved_s=self._present.moved_s if self._present else 0,
-            first=self._left,
+            first=self._first_sent,
             interrupted=self._interrupted,
         )
 
@@ -339,9 +339,9 @@ class Stream:
         for part in self.parts:
             packet = part.leaving(packet)
         self._sinks[packet.kind].send(packet)
-        if self._left is None:
+        if self._first_sent is None:
             began_ns = self._present.began_ns if self._present else None
-            self._left = FirstPacket(due_ns, began_ns, time.time_ns())
+            self._first_sent = FirstPacket(due_ns, began_ns, time.time_ns())
         for part in self.parts:
             part.sent(packet)
 

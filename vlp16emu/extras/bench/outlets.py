@@ -326,9 +326,13 @@ class OutletSinks(StreamPart):
     def __init__(self, stream: SceneStream) -> None:
         asked = stream.options.outlets
         assert asked is not None
-        imu = stream.emulator.scenario.imu
         self._stream = stream
         self.kinds = list[PacketKind]()  # kinds of packets to make
+        if asked.gps_out:
+            self.kinds += [PacketKind.NMEA] if asked.gps_pps == "off" else [PacketKind.NMEA, PacketKind.PPS]
+        if asked.imu_out:
+            self.kinds.append(PacketKind.IMU)
+        Beside(stream.emulator.engine, self.kinds)  # refuses a scene that lacks a device
         self.sinks = dict[PacketKind, SerialSink | ImuUdpSink]()
         self.look_ahead = 0
         """Packets that a stream computes further ahead, because of samples between sensor packets."""
@@ -337,14 +341,14 @@ class OutletSinks(StreamPart):
                 line = None if asked.gps_pps == "off" else asked.gps_pps
                 port = SerialSink(SerialPort(asked.gps_out, _GPS_BAUD, "--gps-out", line))
                 stack.push(port)
-                self.kinds = [PacketKind.NMEA] if line is None else [PacketKind.NMEA, PacketKind.PPS]
-                self.sinks = dict.fromkeys(self.kinds, port)
+                self.sinks[PacketKind.NMEA] = self.sinks[PacketKind.PPS] = port
             if asked.imu_out:
-                self.kinds.append(PacketKind.IMU)
-            if asked.imu_out and imu:
+                imu = stream.emulator.scenario.imu
+                assert imu is not None
                 self.look_ahead = 2 * imu.rate_hz
-                self.sinks[PacketKind.IMU] = _imu_sink(asked.imu_out, imu.rate_hz)
-                stack.push(self.sinks[PacketKind.IMU])
+                samples = _imu_sink(asked.imu_out, imu.rate_hz)
+                stack.push(samples)
+                self.sinks[PacketKind.IMU] = samples
             self._open = stack.pop_all()
 
     def end(self, _error: BaseException | None) -> None:
