@@ -12,15 +12,17 @@ from listening import Listener
 import vlp16emu
 from vlp16emu import Emulator
 from vlp16emu.errors import RunError
-from vlp16emu.extras.bench.options import Http
 from vlp16emu.packets.layout import DATA_PAYLOAD
+from vlp16emu.run.options import Http, StreamOptions
+from vlp16emu.run.part import StreamPart
+from vlp16emu.run.scene_stream import SceneStream
 from vlp16emu.scenario import load
 from vlp16emu.types import PacketKind
 
 HALL = {"gps.connected": True, "duration_s": 3600.0}  # longer than any of these tests on the busiest machine
 
 
-def stream(events=(), **options):
+def streaming(events=(), **options):
     return vlp16emu.stream(
         "static_bench", HALL | {"events": list(events)}, look_ahead=256, truth=False, **options
     )
@@ -62,20 +64,22 @@ def azimuths(payload):
 def test_a_return_mode_is_followed_without_a_gap(tmp_path):
     """Packets are of the new mode from an instant on; stamps go on, and the run repeats byte for byte from its truth."""
     data, stop, steps = Listener(), Event(), []
-
-    def steer(done_s):
-        if not steps and done_s > 0.2:
-            (host, port), *_ = places
-            post(f"http://{host}:{port}/", "setting", "returns=Dual")
-            steps.append(get(f"http://{host}:{port}/", "settings")["returns"])
-        if done_s > 1.2:
-            stop.set()
-
-    places = []
     ports = {"sensor.data_port": data.port, "sensor.position_port": 9}
     emulator = Emulator("static_bench", HALL | ports, threads=1)
-    http = Http("127.0.0.1:0", None, places.extend)
-    streamed = emulator.stream(http=http, stop=stop, truth=tmp_path / "t", progress=steer)
+    stream = SceneStream(emulator, StreamOptions(http=Http("127.0.0.1:0"), truth=tmp_path / "t"), stop=stop)
+
+    class Steering(StreamPart):
+        def sent(self, packet):
+            done_s = (packet.due_ns - emulator.scenario.start_ns) / 1e9
+            if not steps and done_s > 0.2:
+                (host, port), *_ = stream.web.places
+                post(f"http://{host}:{port}/", "setting", "returns=Dual")
+                steps.append(get(f"http://{host}:{port}/", "settings")["returns"])
+            if done_s > 1.2:
+                stop.set()
+
+    stream.add(Steering())
+    report = stream.run()
     payloads = data.end()
     assert steps == ["Dual"]
     assert {payloads[0][1204], payloads[-1][1204]} == {0x37, 0x39}
@@ -84,12 +88,12 @@ def test_a_return_mode_is_followed_without_a_gap(tmp_path):
     assert [event.kind for event in scenario.events] == ["setting"]
     again = [p.payload for p in Emulator(scenario).packets() if p.kind is PacketKind.DATA]
     assert again[: len(payloads)] == payloads[: len(again)]
-    assert not streamed.sent.skipped["data"]
+    assert not report.skipped["data"]
 
 
 def test_speed_laser_and_field_of_view_are_followed():
     """The rotor runs up, azimuths stay in the field of view, and without laser data packets cease and position packets do not."""
-    with stream() as live:
+    with streaming() as live:
         post(live.http, "setting", "rpm=1200")
         until(live, lambda payload: 50 < np.median(np.diff(azimuths(payload))) < 100)
         assert get(live.http, "status")["motor"]["rpm"] > 700
@@ -108,7 +112,7 @@ def test_speed_laser_and_field_of_view_are_followed():
 def test_another_receiver_gets_the_packets():
     """Packets go to the host and ports that are set."""
     data, position = Listener(), Listener()
-    with stream() as live:
+    with streaming() as live:
         post(live.http, "setting/host", f"dport={data.port}&tport={position.port}")
         assert data.came.wait(30)
         assert position.came.wait(30)
@@ -121,7 +125,7 @@ def test_events_of_the_scene_show_in_the_web_interface():
         {"kind": "setting", "at_s": 0.5, "return_mode": "dual", "phase_lock_deg": 90.0},
         {"kind": "http_error", "at_s": 1.5, "status": 503},
     ]
-    with stream(events) as live:
+    with streaming(events) as live:
         first_us = stamp_us(until(live, lambda payload: payload[1204] == 0x39))
         settings = get(live.http, "settings")
         assert settings["returns"] == "Dual"
@@ -133,7 +137,7 @@ def test_events_of_the_scene_show_in_the_web_interface():
 
 def test_a_stream_to_this_machine_is_sent_to_no_other():
     """The web interface refuses a receiver on another machine, and the packets stay here."""
-    with stream() as live:
+    with streaming() as live:
         with pytest.raises(urllib.error.HTTPError, match="500"):
             post(live.http, "setting/host", "addr=192.0.2.77")
         assert get(live.http, "settings")["host"]["addr"] == "127.0.0.1"
@@ -143,7 +147,7 @@ def test_a_stream_to_this_machine_is_sent_to_no_other():
 def test_a_reset_loses_what_was_not_saved(tmp_path):
     """After a reset all is silent, the web too; then the saved settings hold, the clock begins anew, and they hold in the next run."""
     http = Http("127.0.0.1:0", tmp_path / "saved.json")
-    with stream(http=http) as live:
+    with streaming(http=http) as live:
         post(live.http, "setting", "returns=Last")
         post(live.http, "save", "data=submit")
         post(live.http, "setting", "returns=Dual")
@@ -156,6 +160,6 @@ def test_a_reset_loses_what_was_not_saved(tmp_path):
         assert payload[1204] == 0x38
         assert stamp_us(payload) < 100_000
         assert get(live.http, "settings")["returns"] == "Last"
-    with stream(http=http) as live:
+    with streaming(http=http) as live:
         until(live, lambda payload: payload[1204] == 0x38)
         assert get(live.http, "settings")["returns"] == "Last"

@@ -11,8 +11,8 @@ from vlp16emu.engine import Engine
 from vlp16emu.errors import InputError, OutputError
 from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.extras.clouds.scan import Chunk, cut_scans
+from vlp16emu.run.feed import PacketFeed
 from vlp16emu.run.report import turn_of
-from vlp16emu.run.stream import PacketFeed
 from vlp16emu.scenario import load
 from vlp16emu.types import PacketKind
 from vlp16emu.units import S_NS

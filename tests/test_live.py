@@ -11,10 +11,11 @@ from listening import Listener
 
 from vlp16emu import Emulator
 from vlp16emu.errors import InputError, OutputError, TrajectoryError
-from vlp16emu.extras.bench.options import PosesIn
 from vlp16emu.extras.live.flight import PoseReceiver
 from vlp16emu.extras.truth.truth import write_truth
 from vlp16emu.packets import DATA_BYTES, decode_data
+from vlp16emu.run.options import PosesIn
+from vlp16emu.run.part import StreamPart
 from vlp16emu.types import PacketKind
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
@@ -24,6 +25,13 @@ LIVE = 'motion={kind="live"}'
 BARE = ["world.length_m=11", "world.width_m=8", "world.boxes=[]", "world.spheres=[]", "world.poles=[]"]
 RUN_S = 6.0  # a busy machine may report the pause late
 PAUSE_AFTER_S = 0.4
+
+
+class Told(StreamPart):
+    """Calls a function with each line of a stream."""
+
+    def __init__(self, news):
+        self.news = news
 
 
 class Flown:
@@ -51,8 +59,9 @@ class Flown:
             elif line.startswith("poses lost"):
                 self.lost.set()
 
-        poses = PosesIn("udp://127.0.0.1:0", path, news)
-        self.streamed = Emulator("static_bench", settings).stream(duration_s=RUN_S, poses=poses)
+        poses = PosesIn("udp://127.0.0.1:0", path)
+        emulator = Emulator("static_bench", settings)
+        self.streamed = emulator.stream(duration_s=RUN_S, poses=poses, parts=[Told(news)])
         self.over.set()
         flight[0].join()
         self.sent = {PacketKind.DATA: data.end(), PacketKind.POSITION: position.end()}
@@ -124,9 +133,7 @@ def test_a_flight_is_put_into_the_present():
     ports = [f"sensor.data_port={data.port}", "sensor.position_port=10", "gps.connected=true"]
     emulator = Emulator("static_bench", [LIVE, *ports])
     bring = partial(emulator.put_pose, (0.0, 0.0, 1.5), (0.0, 0.0, 0.0, 1.0))
-    streamed = emulator.stream(
-        duration_s=3600.0, poses=PosesIn(news=lambda _: bring()), now=True, stop=data.came
-    )
+    streamed = emulator.stream(duration_s=3600.0, parts=[Told(lambda _: bring())], now=True, stop=data.came)
     data.end()
     first = streamed.sent.first
     assert streamed.sent.moved_s > 0

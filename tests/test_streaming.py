@@ -5,7 +5,7 @@ from collections import Counter
 import pytest
 
 from vlp16emu import Emulator
-from vlp16emu.run.stream import PacketFeed
+from vlp16emu.run.feed import PacketFeed
 from vlp16emu.scenario import load
 
 

@@ -9,7 +9,6 @@ from importlib import import_module
 
 TYPE_CHECKING = False  # not from typing, which takes a third of the package's start
 if TYPE_CHECKING:
-    from vlp16emu.extras.bench.options import GpsIn, Http, Outlets, PosesIn
     from vlp16emu.extras.clouds.points import write_points
     from vlp16emu.extras.clouds.scan import decode
     from vlp16emu.extras.handle import Live, stream
@@ -18,18 +17,19 @@ if TYPE_CHECKING:
     from vlp16emu.extras.verify.frames import Finding
     from vlp16emu.extras.verify.run import Verification, verify
     from vlp16emu.run.emulator import Emulator
-    from vlp16emu.run.options import TruthTo
+    from vlp16emu.run.options import GpsIn, Http, Outlets, PosesIn, TruthTo
+    from vlp16emu.run.part import StreamPart
     from vlp16emu.run.report import Recording
     from vlp16emu.scenario import Scenario, load
     from vlp16emu.types import Labels, Scan
 
 __all__ = ["Emulator", "decode", "load", "replay", "stream", "verify", "write_points", "write_truth"]
 __all__ += ["GpsIn", "Http", "Outlets", "PosesIn", "TruthTo"]  # options
-__all__ += ["Finding", "Labels", "Live", "Recording", "Replayed", "Scan", "Scenario", "Verification"]
+__all__ += ["Finding", "Labels", "Live", "Recording", "Replayed", "Scan", "Scenario", "StreamPart"]
+__all__ += ["Verification"]
 
 _MODULES = {
     "run.emulator": "Emulator",
-    "extras.bench.options": "GpsIn Http Outlets PosesIn",
     "extras.clouds.points": "write_points",
     "extras.clouds.scan": "decode",
     "extras.handle": "Live stream",
@@ -37,7 +37,8 @@ _MODULES = {
     "extras.truth.truth": "write_truth",
     "extras.verify.frames": "Finding",
     "extras.verify.run": "Verification verify",
-    "run.options": "TruthTo",
+    "run.options": "GpsIn Http Outlets PosesIn TruthTo",
+    "run.part": "StreamPart",
     "run.report": "Recording",
     "scenario": "Scenario load",
     "types": "Labels Scan",

@@ -11,9 +11,9 @@ from listening import opened, port_of, waiting
 
 from vlp16emu import Emulator
 from vlp16emu.errors import OutputError
-from vlp16emu.extras.bench.options import GpsIn
 from vlp16emu.packets import decode_position
 from vlp16emu.packets.nmea import rmc
+from vlp16emu.run.options import GpsIn
 from vlp16emu.types import GnssFix, PpsState
 from vlp16emu.units import S_NS, US_NS
 

@@ -4,6 +4,7 @@ import inspect
 import re
 from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
+from typing import get_type_hints
 
 import pytest
 
@@ -62,6 +63,14 @@ def test_python_has_the_names_and_checks_of_the_command_line(owner):
         if wrong is not None:
             with pytest.raises(InputError, match=rf"^{one.field}: found .*; expected "):
                 owner(**given | {one.field: wrong})
+
+
+@pytest.mark.parametrize("name", ["Record", "Send", "Replay", "Stream"])
+def test_keyword_arguments_are_the_fields_of_options(name):
+    """Editors and mypy know the options as keyword arguments, each with the type of its field."""
+    owner = getattr(runs, f"{name}Options")
+    assert get_type_hints(getattr(runs, f"{name}Keys")) == get_type_hints(owner)
+    assert set(get_type_hints(runs.StreamKeys)) - set(get_type_hints(runs.LiveKeys)) == {"truth"}
 
 
 def test_python_refuses_what_the_command_line_refuses(tmp_path):

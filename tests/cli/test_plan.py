@@ -5,7 +5,7 @@ from woods import THIN, WORDS
 
 from vlp16emu.engine import Engine, assemble
 from vlp16emu.engine.windows import Batching
-from vlp16emu.extras.plan import needs, verdict
+from vlp16emu.extras.plan import needs
 from vlp16emu.scenario import load
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
@@ -77,19 +77,6 @@ def test_a_walk_is_counted_and_measured(cli):
     assert measured["started_s"] > 0
     assert stream["keeps_up"] is (measured["real_time_factor"] >= 1)
     assert bool(stream["keeps_up_with"]) is not stream["keeps_up"]
-
-
-@pytest.mark.parametrize(
-    ("factor", "line"),
-    [
-        (3.1, "yes"),
-        (1.1, "yes, with next to nothing left for other programs"),
-        (0.9, "no, packets will be late"),
-    ],
-)
-def test_people_read_whether_a_stream_keeps_up(factor, line):
-    """The page says yes or no; a speed that leaves nothing to spare is called that."""
-    assert verdict(factor) == line
 
 
 def test_people_get_a_page(cli):

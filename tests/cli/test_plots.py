@@ -11,7 +11,7 @@ pytest.importorskip("matplotlib", reason="the extra plot is not installed")
 def _measured_shortly(monkeypatch):
     """Measure a plan over a fifth of a second in place of two, each stage once."""
     monkeypatch.setattr("vlp16emu.cli.about._MEASURED_S", 0.2)
-    monkeypatch.setattr("vlp16emu.extras.plan._REPEATS", 1)
+    monkeypatch.setattr("vlp16emu.cli.about._REPEATS", 1)
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from listening import Listener
 
 from vlp16emu.captures import Capture
 from vlp16emu.cli.stream import behind_line
+from vlp16emu.extras.outlook import Outlook
 from vlp16emu.packets.position import STAMP_LEAD_NS
 from vlp16emu.scenario import load
 from vlp16emu.sinks import FellBehind, Late
@@ -97,10 +98,9 @@ def test_a_strict_stream_that_was_late_has_failed(cli, bench, ports, monkeypatch
     """With --strict the exit code is 1 where a packet was late, after the same report; on time, and without it, 0."""
     what = ["static_bench", "--duration", "0.1"] if verb == "stream" else [bench]
     line = verb, *what, *ports, "--json"
-    stream = sys.modules["vlp16emu.sinks.stream"]  # the room has a function of that name
-    monkeypatch.setattr(stream, "TOLERANCE_NS", 10**11)  # whatever other programs do to the cores
+    monkeypatch.setattr("vlp16emu.run.stream.TOLERANCE_NS", 10**11)  # whatever other programs do to the cores
     assert cli(*line, "--strict").code == 0
-    monkeypatch.setattr(stream, "TOLERANCE_NS", -1)  # what leaves at its deadline is late
+    monkeypatch.setattr("vlp16emu.run.stream.TOLERANCE_NS", -1)  # what leaves at its deadline is late
     loose, strict = cli(*line), cli(*line, "--strict")
     assert (loose.code, strict.code) == (0, 1)
     assert strict.tree["sent"]["behind"]
@@ -206,14 +206,14 @@ def test_port_0_is_a_free_one(cli):
 
 
 def test_the_line_names_seconds_cause_policy_and_settings():
-    """A stream that is late says how late, why and what becomes of packets; only a slow engine is a matter of settings."""
-    birch = load("birch_walk")
-    assert behind_line(FellBehind(14.2, 0.051, True, 0.83), birch, Late.PACE, 1.0) == (
+    """A stream that is late says how late, why, what becomes of packets, and what would keep up."""
+    advice = Outlook(load("birch_walk"), 0.83).advice
+    assert behind_line(FellBehind(14.2, 0.051, True, 0.83), Late.PACE, advice) == (
         "behind: 0.051 s late at 14.2 s, as the engine computes 0.83 x real time; the delay stays, at the sensor's own "
         "spacing (--late pace); to keep up: --set beam.model=none, or "
         "--set beam.model=none --set sensor.max_range_m=45, or --speed 0.66"
     )
-    assert behind_line(FellBehind(12.3, 5.01, False, 0.1), birch, Late.SKIP, 1.0) == (
+    assert behind_line(FellBehind(12.3, 5.01, False, 0.1), Late.SKIP, []) == (
         "behind: 5.010 s late at 12.3 s, as the process stood still or got no core; late packets are dropped until the "
         "stream is at now (--late skip)"
     )

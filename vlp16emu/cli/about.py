@@ -62,6 +62,7 @@ def schema() -> None:
     print_json(scene_schema())
 
 
+_REPEATS = 3  # of each stage
 _MEASURED_S = 2.0
 _TOO_SLOW = (
     "Fewer single leaves (world.near_m) and fewer rays (beam.model, beam.target_m) are faster too; "
@@ -130,7 +131,7 @@ def _plan(scene: str, making: RunOptions, duration_s: float | None) -> Tree:
         "libraries": libraries(),
         "features": needs(engine, audited=audited),
         "world": surroundings(engine),
-        "stages": stages(engine),
+        "stages": stages(engine, _REPEATS),
         "measured": {"started_s": started_s}
         | {name: getattr(measured, name) for name in ("simulated_s", "wall_s", "real_time_factor")},
         "recording": recording_outlook(engine, measured, started_s, stop_s),

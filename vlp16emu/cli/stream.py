@@ -14,22 +14,20 @@ import typer
 from vlp16emu.cli import arguments as args
 from vlp16emu.cli.printer import finish
 from vlp16emu.cli.terminal import Progress, make_emulator, stop_on_ctrl_c
-from vlp16emu.doors import door, has_door
 from vlp16emu.errors import InputError, MissingExtraError
-from vlp16emu.run.options import LAST_PORT, Option, ReplayOptions, TruthTo, stream_options
+from vlp16emu.run.options import LAST_PORT, Http, Option, ReplayOptions, StreamOptions, TruthTo
+from vlp16emu.run.part import StreamPart
+from vlp16emu.units import S_NS
 
 if TYPE_CHECKING:
-    from vlp16emu.engine import Unit
-    from vlp16emu.extras.bench.options import BenchOptions as StreamOptions
     from vlp16emu.extras.replay import Replayed
     from vlp16emu.extras.viewer.live import LivePage
     from vlp16emu.packets import Link
     from vlp16emu.run.emulator import Emulator
     from vlp16emu.run.report import Streamed
-    from vlp16emu.scenario import Scenario
+    from vlp16emu.run.scene_stream import SceneStream
     from vlp16emu.sinks import FellBehind
-else:
-    StreamOptions = stream_options()
+    from vlp16emu.types import Packet
 
 _POLICY = {
     "pace": "the delay stays, at the sensor's own spacing (--late pace)",
@@ -83,17 +81,19 @@ def stream(
     """
     title = f"{scene} to {options.receiver[0]}"
     emulator = make_emulator(scene, making)
-    scenario = emulator.scenario
+    from vlp16emu.run.scene_stream import SceneStream  # here: numba loads after mistakes in the scene show
+
     is_prepared = prepare or options.prepare is not None
-    options = _live_options(options, scenario)
+    is_live = emulator.scenario.motion.takes_poses
+    if is_live and (options.poses is None or options.poses.where is None):
+        raise InputError("--pose-in", 'found motion.kind = "live" without it', "udp://127.0.0.1:PORT")
     if view_port is not None and not view:
         raise InputError("--view-port", "found without --view", "both")
-    _, stop_s = scenario.span_s(0.0, options.duration_s)
+    is_measured = _is_measured(wanted=keep_up, is_prepared=is_prepared, is_live=is_live)
+    _, stop_s = emulator.scenario.span_s(0.0, options.duration_s)
     with ExitStack() as stack:
         page = stack.enter_context(_page(emulator, view_port, quiet=as_json)) if view else None
-        _keep_up(emulator, options, wanted=keep_up, is_prepared=is_prepared)
         stop = stack.enter_context(stop_on_ctrl_c())
-        progress = stack.enter_context(Progress(stop_s))
         if is_prepared and options.prepare is None:
             from tempfile import TemporaryDirectory
 
@@ -101,29 +101,22 @@ def stream(
             options = replace(options, prepare=Path(folder) / "prepared.pcap")
         if page is not None:
             options = _with_settings(options, is_prepared=is_prepared)
-        if options.http:
-            serving = partial(_serve, page, quiet=as_json)
-            options = replace(options, http=replace(options.http, serving=serving))
-        if options.poses:
-            options = replace(options, poses=replace(options.poses, news=progress.say))
-
-        def opened(units: "Sequence[Unit]") -> None:
-            _announce(f"streaming {title}", [unit.link for unit in units], quiet=as_json)
-            if page is not None:
-                page.open_units(units)
-
-        ended = partial(progress.say, "the page in the browser has ended; the stream goes on")
-        hooks = {} if page is None else {"watched": partial(page.watch, ended=ended)}
-        streamed = emulator.stream(
-            **vars(options),
-            **hooks,
-            opened=opened,
-            preparing=partial(progress.show, "preparing"),
-            progress=partial(progress.show, "streaming"),
-            notify=lambda behind: progress.say(behind_line(behind, scenario, options.late, options.speed)),
-            stop=stop,
-        )
-    _close(streamed, title, strict=strict, as_json=as_json)
+        stream = stack.enter_context(SceneStream(emulator, options, stop=stop))
+        if is_measured:
+            print("keep-up: measuring this machine", file=sys.stderr, flush=True)
+            if outlook := stream.measure():
+                print(outlook.line, file=sys.stderr, flush=True)
+        progress = stack.enter_context(Progress(stop_s))
+        stream.add(SceneProgress(progress, stream))
+        if page is not None:
+            page.follow(stream)
+        _announce(f"streaming {title}", stream.links, quiet=as_json)
+        stream.prepare(partial(progress.show, "preparing"))
+        if stream.web and stream.web.places and not as_json:
+            places = ", ".join(f"http://{host}:{port}/" for host, port in stream.web.places)
+            print(f"web interface at {places}", flush=True)
+        stream.run()
+    _close(stream.result, title, strict=strict, as_json=as_json)
 
 
 def replay(
@@ -134,51 +127,66 @@ def replay(
     Packets keep the intervals of their capture stamps and go to the ports of the capture. Nothing leaves this
     machine unless --to names another one. Ctrl-C ends it.
     """
-    from vlp16emu.extras.replay import replay as send_again
+    from vlp16emu.extras.replay import ReplayStream
 
-    host, _ = options.receiver
-    with stop_on_ctrl_c() as stop, Progress(0.0, "sending") as progress:
-        replayed = send_again(
-            file,
-            **vars(options),
-            opened=lambda capture: _announce(
-                f"replaying {capture.path} to {host}: sensors {', '.join(map(str, capture.units))}",
-                capture.links,
-                quiet=as_json,
-            ),
-            notify=lambda behind: progress.say(
-                f"behind: {behind.behind_s:.3f} s late at {behind.at_s:.1f} s"
-            ),
-            stop=stop,
-        )
-    _close(replayed, f"{file} to {host}", strict=strict, as_json=as_json)
+    with (
+        stop_on_ctrl_c() as stop,
+        ReplayStream(file, options, stop=stop) as stream,
+        Progress(0.0, "sending") as progress,
+    ):
+        stream.add(ReplayProgress(progress))
+        units = ", ".join(map(str, stream.replay.units))
+        _announce(f"replaying {file} to {stream.host}: sensors {units}", stream.links, quiet=as_json)
+        stream.run()
+    _close(stream.result, f"{file} to {stream.host}", strict=strict, as_json=as_json)
 
 
-def behind_line(behind: "FellBehind", scenario: "Scenario", late: str, speed: float) -> str:
+class SceneProgress(StreamPart):
+    """The terminal of a stream: its progress, and a line each time that it falls behind or a part has news."""
+
+    def __init__(self, progress: Progress, stream: "SceneStream") -> None:
+        self._progress = progress
+        self._stream = stream
+        self._start_ns = stream.emulator.scenario.start_ns
+
+    def sent(self, packet: "Packet") -> None:
+        """Show the simulated seconds so far."""
+        self._progress.show("streaming", (packet.due_ns - self._start_ns) / S_NS)
+
+    def fell_behind(self, behind: "FellBehind") -> None:
+        """Print how late the stream is, why, and how it keeps up."""
+        self._progress.say(behind_line(behind, self._stream.late, self._stream.advice([behind])))
+
+    def news(self, line: str) -> None:
+        """Print a line."""
+        self._progress.say(line)
+
+
+class ReplayProgress(StreamPart):
+    """The terminal of a replay: a line each time that it falls behind."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
+
+    def fell_behind(self, behind: "FellBehind") -> None:
+        """Print how late the replay is."""
+        self._progress.say(f"behind: {behind.behind_s:.3f} s late at {behind.at_s:.1f} s")
+
+
+def behind_line(behind: "FellBehind", late: str, advice: Sequence[str]) -> str:
     """Return the line to print when the stream falls behind."""
     line = f"behind: {behind.behind_s:.3f} s late at {behind.at_s:.1f} s, as {behind.cause}; {_POLICY[late]}"
-    options = door("keeps_up_with")([behind], scenario, speed) if has_door("keeps_up_with") else []
-    return f"{line}; to keep up: {', or '.join(options)}" if options else line
+    return f"{line}; to keep up: {', or '.join(advice)}" if advice else line
 
 
-def _live_options(options: StreamOptions, scenario: "Scenario") -> StreamOptions:
-    """Return the options for a live scene, whose late packets are dropped; InputError without --pose-in."""
-    if not scenario.motion.takes_poses:
-        return options
-    if options.poses is None or options.poses.where is None:
-        raise InputError("--pose-in", 'found motion.kind = "live" without it', "udp://127.0.0.1:PORT")
-    return replace(options, late="skip")
-
-
-def _keep_up(emulator: "Emulator", options: StreamOptions, *, wanted: bool | None, is_prepared: bool) -> None:
-    """Set the beam and the reach that this machine can keep up with, if `wanted`, and print them."""
-    cannot = "--prepare" if is_prepared else ("--pose-in" if emulator.scenario.motion.takes_poses else None)
+def _is_measured(*, wanted: bool | None, is_prepared: bool, is_live: bool) -> bool:
+    """Return if the beam and the reach are set with which this machine keeps up."""
+    cannot = "--prepare" if is_prepared else ("--pose-in" if is_live else None)
     if wanted and cannot:
         raise InputError("--keep-up", f"found beside {cannot}", "one of both")
-    is_terminal = sys.stderr is not None and sys.stderr.isatty()
-    if wanted or (wanted is None and is_terminal and not cannot):
-        print("keep-up: measuring this machine", file=sys.stderr, flush=True)
-        print(emulator.keep_up(options.speed).line, file=sys.stderr, flush=True)
+    if wanted is not None or cannot:
+        return bool(wanted)
+    return sys.stderr is not None and sys.stderr.isatty()
 
 
 @contextmanager
@@ -199,16 +207,7 @@ def _with_settings(options: StreamOptions, *, is_prepared: bool) -> StreamOption
     is_fixed = is_prepared or (truth is not None and (truth.per_packet or truth.per_return))
     if options.http or is_fixed:
         return options
-    from vlp16emu.extras.bench.options import Http
-
     return replace(options, http=Http("127.0.0.1:0"))
-
-
-def _serve(page: "LivePage | None", places: list[tuple[str, int]], *, quiet: bool) -> None:
-    if page is not None:
-        page.serve(places)
-    if not quiet:
-        print("web interface at " + ", ".join(f"http://{host}:{port}/" for host, port in places), flush=True)
 
 
 def _announce(what: str, links: "Sequence[Link]", *, quiet: bool) -> None:

@@ -3,25 +3,24 @@
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import islice
-from threading import Condition, Event, Thread
-from typing import Any
+from threading import Condition, Thread
+from typing import Self, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.doors import door
-from vlp16emu.engine import Unit
 from vlp16emu.errors import InputError, RunError
-from vlp16emu.extras.bench.options import BenchOptions, Http
 from vlp16emu.extras.clouds.scan import Chunk, chunk_of_packets, cut_scans
 from vlp16emu.extras.truth.slots import SLOT
 from vlp16emu.packets.layout import DATA_PAYLOAD
 from vlp16emu.run.emulator import Emulator, Scene
+from vlp16emu.run.options import Http, LiveKeys, StreamOptions
+from vlp16emu.run.part import StreamPart
 from vlp16emu.run.report import Streamed
-from vlp16emu.run.stream import stream_run
-from vlp16emu.sinks import LOOK_AHEAD_PACKETS, LOOPBACK, Pacer, PacketSink
+from vlp16emu.run.scene_stream import SceneStream
+from vlp16emu.sinks import LOOK_AHEAD_PACKETS, LOOPBACK
 from vlp16emu.types import Packet, PacketKind, Scan
 from vlp16emu.units import S_NS
 
@@ -39,7 +38,8 @@ def stream(
     ideal: bool = False,
     threads: int = 0,
     truth: bool = True,
-    **options: Any,
+    look_ahead: int = LOOK_AHEAD_PACKETS,
+    **options: Unpack[LiveKeys],
 ) -> "Live":
     """Start to stream a scene over UDP, and return when the first data packet is sent; errors as `Emulator.stream`.
 
@@ -47,9 +47,7 @@ def stream(
     ----------
     scene, settings, ideal, threads : as in `Emulator`
     truth : provide labels of scans and `Live.truth`; takes a third more computing time
-    options : fields of `StreamOptions`. By default packets go to free ports of this machine (None: ports of
-        the scene),
-        and the web interface listens on another free port (None: no web interface)
+    look_ahead, options : as in `Live`
 
     Examples
     --------
@@ -59,7 +57,8 @@ def stream(
     >>> scan.labels.semantic.shape == scan.t_ns.shape
     True
     """
-    return Live(Emulator(scene, settings, ideal=ideal, threads=threads), truth=truth, **options)
+    emulator = Emulator(scene, settings, ideal=ideal, threads=threads)
+    return Live(emulator, truth=truth, look_ahead=look_ahead, **options)
 
 
 class _Lane:
@@ -76,7 +75,7 @@ class _Lane:
         return list(islice(self.held, max(number - self.count + len(self.held), 0), None))
 
 
-class Live(PacketSink):
+class Live(StreamPart):
     """A running stream with a thread of its own; a context manager that stops it.
 
     Its errors are raised by the method that waits for packets, by `stop`, or at the end of the `with` block.
@@ -86,34 +85,36 @@ class Live(PacketSink):
     emulator : the scene
     truth : keep the ground truth of packets
     look_ahead : packets per sensor that are computed before the first one is sent
-    options : fields of `StreamOptions`, with the defaults of `stream`
+    options : fields of `StreamOptions`. By default packets go to free ports of this machine (None: ports of
+        the scene), and the web interface listens on another free port (None: no web interface)
     """
 
     def __init__(
-        self, emulator: Emulator, *, truth: bool = True, look_ahead: int = LOOK_AHEAD_PACKETS, **options: Any
+        self,
+        emulator: Emulator,
+        *,
+        truth: bool = True,
+        look_ahead: int = LOOK_AHEAD_PACKETS,
+        **options: Unpack[LiveKeys],
     ) -> None:
-        engine = replace(emulator.engine, truth_of=door("truth_of_records")) if truth else emulator.engine
-        self._emulator = emulator.with_engine(engine)
-        self.ports = list[tuple[int, int]]()  # ports of data and position packets of each sensor
-        self.http: str | None = None  # URL of the web interface of the first sensor; None without one
-        self._stop = Event()
+        if truth:
+            emulator = emulator.with_engine(replace(emulator.engine, truth_of=door("truth_of_records")))
+        options.setdefault("http", Http(f"{LOOPBACK}:0"))
+        options.setdefault("position_port", 0)
+        if ":" not in (options.get("to") or ""):
+            options.setdefault("data_port", 0)
+        self._stream = SceneStream(emulator, StreamOptions.from_fields(options), look_ahead=look_ahead)
+        self._stream.add(self)
+        self.ports = [(link.data_port, link.position_port) for link in self._stream.links]
+        """Ports of data and position packets of each sensor."""
+        self._units = self._stream.emulator.parts.units
+        self._lanes = {(unit.number, kind): _Lane() for unit in self._units for kind in PacketKind}
         self._changed = Condition()
         self._over = False
-        self._result: Streamed | None = None
         self._error: BaseException | None = None
         self._has_raised = False
-        self._control: Any = None
-        self._lanes = {(unit.number, kind): _Lane() for unit in engine.parts.units for kind in PacketKind}
-        self._sink: PacketSink
-        self._pacer: Pacer
-        self._shift_ns: int | None = None
-        """Send time minus time in the scene, as packets are moved into the present."""
         self._not_before_ns = 0
-        http = options.pop("http", Http(f"{LOOPBACK}:0"))
-        http = http and replace(http, controlled=partial(setattr, self, "_control"), serving=self._serves)
-        ports = {"position_port": 0} | ({} if ":" in (options.get("to") or "") else {"data_port": 0})
-        self._asked = BenchOptions.from_fields(ports | options | {"http": http})
-        self._thread = Thread(target=self._work, args=(look_ahead,), name="vlp16emu stream", daemon=True)
+        self._thread = Thread(target=self._work, name="vlp16emu stream", daemon=True)
         self._thread.start()
         try:
             with self._changed:
@@ -122,6 +123,9 @@ class Live(PacketSink):
         except BaseException:
             self._end()
             raise
+
+    def __enter__(self) -> Self:
+        return self
 
     def __exit__(self, *raised: object) -> None:
         self._end()
@@ -138,11 +142,16 @@ class Live(PacketSink):
         """Destination port of the position packets of the first sensor."""
         return self.ports[0][1]
 
+    @property
+    def http(self) -> str | None:
+        """URL of the web interface of the first sensor; None without one."""
+        web = self._stream.web
+        return "http://{}:{}/".format(*web.places[0]) if web and web.places else None
+
     def stop(self) -> Streamed:
         """End the stream and return its report, or raise its error. A second call returns the same report."""
         self._end()
         self._raise()
-        assert self._result is not None
         return self._result
 
     def packets(
@@ -192,7 +201,7 @@ class Live(PacketSink):
         rows = np.zeros(len(slots), RECORD_TRUTH)
         for name in SLOT.names or ():
             rows[name] = slots[name]
-        rows["world_T_sensor"] = self._emulator.parts.units[unit - 1].world_T_sensor(rows["t_ns"])
+        rows["world_T_sensor"] = self._units[unit - 1].world_T_sensor(rows["t_ns"])
         return rows
 
     def scans(self, *, unit: int = 1) -> Iterator[Scan]:
@@ -205,8 +214,8 @@ class Live(PacketSink):
         Raises InputError if there is no such unit; errors of the stream.
         """
         lane = self._lane(unit, "data")
-        of = self._emulator.parts.units[unit - 1]
-        return cut_scans(self._chunks(lane), lambda t_ns: of.world_T_sensor(np.array([t_ns]))[0])
+        sensor = self._units[unit - 1]
+        return cut_scans(self._chunks(lane), lambda t_ns: sensor.world_T_sensor(np.array([t_ns]))[0])
 
     def set(self, *, unit: int = 1, **settings: object) -> None:
         """Change settings of a sensor as its web interface does: keys of the event `setting`; errors as `fault`."""
@@ -223,43 +232,34 @@ class Live(PacketSink):
         Raises InputError if there is no such event, the scene does not allow it, or the stream has no web
         interface.
         """
-        if (control := self._control) is None:
+        stream = self._stream
+        if stream.web is None:
             raise InputError(kind, "found http = None", "a stream with web interface, which sets sensors")
-        at_ns = control.happen(kind, unit, **keys)
+        at_ns = stream.web.happen(kind, unit, **keys)
         with self._changed:
-            self._not_before_ns = at_ns + (self._shift_ns or 0)
-        while (left_ns := control.due_in_ns(at_ns)) > 0 and not self._over:
-            self._stop.wait(max(left_ns / S_NS / self._asked.speed, 0.001))
+            self._not_before_ns = at_ns
+        while (left_ns := at_ns - stream.due_in_ns(0)) > 0 and not self._over:
+            stream.stop.wait(max(left_ns / S_NS / stream.pacer.speed, 0.001))
 
-    def _watches(self, sink: PacketSink, pacer: Pacer) -> PacketSink:
-        self._sink = sink
-        self._pacer = pacer
-        return self
+    def leaving(self, packet: Packet) -> Packet:
+        """Keep a packet that a receiver may have before it counts as sent; called by the stream."""
+        self._lanes[packet.unit, packet.kind].leaving = packet
+        return packet
 
-    def send(self, packet: Packet) -> None:
-        """Send one packet, keep it, and wake the threads that wait for it; called by the stream."""
+    def sent(self, packet: Packet) -> None:
+        """Keep a packet, and wake the threads that wait for it; called by the stream."""
         lane = self._lanes[packet.unit, packet.kind]
-        lane.leaving = packet  # a receiver may have it before it counts as sent
-        self._sink.send(packet)
         with self._changed:
-            if self._shift_ns is None:
-                self._shift_ns = packet.due_ns - (self._pacer.first_due_ns or packet.due_ns)
             lane.held.append(packet)
             lane.count += 1
             if lane.count >= lane.wake_at:
                 lane.wake_at = np.inf
                 self._changed.notify_all()
 
-    def _opens(self, units: Sequence[Unit]) -> None:
-        self.ports = [(unit.link.data_port, unit.link.position_port) for unit in units]
-
-    def _serves(self, places: list[tuple[str, int]]) -> None:
-        self.http = "http://{}:{}/".format(*places[0])
-
-    def _work(self, look_ahead: int) -> None:
+    def _work(self) -> None:
         try:
-            hooks: dict[str, Any] = {"watched": self._watches, "opened": self._opens, "stop": self._stop}
-            self._result = stream_run(self._emulator, self._asked, look_ahead=look_ahead, **hooks)
+            self._stream.run()
+            self._result = self._stream.result
         except BaseException as error:  # noqa: BLE001  # belongs to the thread that waits, which raises it
             self._error = error
         with self._changed:
@@ -267,7 +267,7 @@ class Live(PacketSink):
             self._changed.notify_all()
 
     def _end(self) -> None:
-        self._stop.set()
+        self._stream.stop.set()
         self._thread.join()
 
     def _raise(self) -> None:
@@ -278,7 +278,7 @@ class Live(PacketSink):
     def _lane(self, unit: int, kind: str) -> _Lane:
         if kind not in ("data", "position"):
             raise InputError("kind", f"found {kind}", "data or position")
-        return self._lanes[self._emulator.number(unit), PacketKind(kind)]
+        return self._lanes[self._stream.emulator.number(unit), PacketKind(kind)]
 
     def _next_of(self, lane: _Lane) -> int:
         """Return the number of the next packet to take: still kept, and not due before the last change."""

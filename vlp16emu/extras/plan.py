@@ -1,6 +1,5 @@
 """Plan of a run: features in use and their cost, surroundings of the sensor, and the outlook of a stream."""
 
-import math
 import sys
 import time
 from collections import Counter
@@ -10,8 +9,8 @@ from typing import Any, TypeVar
 
 from vlp16emu.engine import Engine, Job, Unit
 from vlp16emu.engine.windows import window_of
-from vlp16emu.extras.keep_up import choose, settings_that_keep_up
 from vlp16emu.extras.meshes.furnished import MeshKey
+from vlp16emu.extras.outlook import Outlook
 from vlp16emu.extras.walk.settings import Walk
 from vlp16emu.forest.plants.foliage import IvyKey
 from vlp16emu.forest.plants.prototypes import CrownKey, SaplingKey, ShrubKey
@@ -42,11 +41,7 @@ _KINDS = {
 }
 _LIBRARIES = ("numpy", "numba", "scipy", "embreex", "dpkt", "trimesh", "rasterio", "PIL", "rich", "serial")
 _RUNS = 4  # over the first window
-_REPEATS = 3
 _RAYS = 8  # firing sequences that casters take together
-_SCARCE = (
-    1.2  # speed below which other programs, for instance a driver on the same machine, may make a stream late
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,8 +135,8 @@ class Stage:
     cpu_s_per_s: float  # processor seconds of one core per simulated second
 
 
-def stages(engine: Engine) -> list[Stage]:
-    """Measure the stages of the chain with the first sensor, in the order of the chain: the best of some repeats.
+def stages(engine: Engine, repeats: int) -> list[Stage]:
+    """Measure the stages of the chain with the first sensor, in the order of the chain: the best of the repeats.
 
     Each works on the same pulses, spread over the first window, as many at once as in a run. Rays that end at
     `world.near_m` give the first stage of casting, and the further cost of the full range the second one.
@@ -154,7 +149,7 @@ def stages(engine: Engine) -> list[Stage]:
     geometry = engine.windows.at_block(0).result()
     spent_s = dict[str, float]()
     for first in range(0, segment, segment // _RUNS):
-        for name, own_s in _stages_at(engine, unit, geometry, first // _RAYS * _RAYS, count).items():
+        for name, own_s in _stages_at(engine, unit, geometry, first // _RAYS * _RAYS, count, repeats).items():
             spent_s[name] = spent_s.get(name, 0.0) + own_s
     simulated_s = _RUNS * count * engine.batching.sequence_ns / S_NS
     found = [Stage(name, own_s / simulated_s) for name, own_s in spent_s.items()]
@@ -166,7 +161,9 @@ def stages(engine: Engine) -> list[Stage]:
     return found
 
 
-def _stages_at(engine: Engine, unit: Unit, geometry: Geometry, first: int, count: int) -> dict[str, float]:
+def _stages_at(
+    engine: Engine, unit: Unit, geometry: Geometry, first: int, count: int, repeats: int
+) -> dict[str, float]:
     """Return the processor time of the stages over `count` firing sequences from number `first`, in seconds."""
     head = unit.head
     sensor = engine.scenario.sensor
@@ -178,7 +175,7 @@ def _stages_at(engine: Engine, unit: Unit, geometry: Geometry, first: int, count
 
     def timed(name: str, work: Callable[[], T]) -> T:
         times_s = []
-        for _ in range(_REPEATS):
+        for _ in range(repeats):
             began_s = time.thread_time()
             result = work()
             times_s.append(time.thread_time() - began_s)
@@ -213,13 +210,6 @@ def libraries() -> dict[str, bool]:
     return {name: name in sys.modules for name in _LIBRARIES}
 
 
-def verdict(speed: float) -> str:
-    """Return as text if a stream keeps up, from the simulated seconds per second of the engine."""
-    if speed < 1.0:
-        return "no, packets will be late"
-    return "yes" if speed >= _SCARCE else "yes, with next to nothing left for other programs"
-
-
 def recording_outlook(
     engine: Engine, measured: Recording, started_s: float, duration_s: float
 ) -> dict[str, float]:
@@ -246,11 +236,11 @@ def recording_outlook(
 
 def stream_outlook(scenario: Scenario, speed: float) -> dict[str, object]:
     """Return if a stream keeps up at a speed of the engine, and options with which it would, each sufficient alone."""
-    options = [] if speed >= 1.0 else settings_that_keep_up(scenario, speed, 1.0)
-    rung, _, _ = choose(scenario, 1.0, lambda rung: math.inf if rung else speed)
+    outlook = Outlook(scenario, speed)
+    rung = next(iter(outlook.candidates), None)
     return {
-        "keeps_up": speed >= 1.0,
-        "verdict": verdict(speed),
-        "keeps_up_with": options,
+        "keeps_up": outlook.keeps_up,
+        "verdict": outlook.verdict,
+        "keeps_up_with": [] if outlook.keeps_up else outlook.advice,
         "rung": rung.name if rung else "the scene as it is",  # choice of `stream --keep-up` at this speed
     }

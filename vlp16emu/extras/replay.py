@@ -2,12 +2,11 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from ipaddress import IPv4Address, ip_address
 from pathlib import Path
 from threading import Event
-from typing import Any
+from typing import Unpack
 
 from vlp16emu.captures import Capture, units_in
 from vlp16emu.errors import CaptureError, InputError, OutputError
@@ -17,11 +16,13 @@ from vlp16emu.output import STDOUT
 from vlp16emu.packets import DATA_BYTES, FACTORY_LINK, POSITION_BYTES, Link
 from vlp16emu.packets.frames import POSITION_PORT
 from vlp16emu.run.emulator import Emulator
-from vlp16emu.run.options import RecordOptions, ReplayOptions, StreamOptions
+from vlp16emu.run.options import RecordOptions, ReplayKeys, ReplayOptions, StreamOptions
+from vlp16emu.run.part import StreamPart
 from vlp16emu.run.record import record
 from vlp16emu.run.report import OfUnits, UnitSent
+from vlp16emu.run.stream import Stream, StreamReport
 from vlp16emu.scenario.model import CaptureClock
-from vlp16emu.sinks import FellBehind, Late, Pacer, StreamReport, UdpSink, check_ending, stream
+from vlp16emu.sinks import Late, Pacer, check_ending
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
 
@@ -120,62 +121,97 @@ class Replayed(OfUnits):
         return self.sent.interrupted
 
 
+class ReplayStream(Stream):
+    """Stream of the packets of a capture, whose ports are reserved and whose sockets are open once it is made.
+
+    Parameters
+    ----------
+    path : capture of any VLP-16
+    options : receiver, speed and passes
+    stop : ends the replay from another thread
+
+    Raises the errors of `replay`.
+    """
+
+    def __init__(self, path: Path, options: ReplayOptions, *, stop: Event | None = None) -> None:
+        self.host, data_port = options.receiver
+        given = data_port, options.position_port
+        self.replay = Replay(path, loop=options.loop, keep_gaps=options.keep_gaps)
+        if len(self.replay.units) > 1 and given != (None, None):
+            raise InputError(str(path), f"{len(self.replay.units)} sensors", "one, where ports are given")
+        pacer = Pacer(options.speed)
+        super().__init__(self.replay, {}, pacer, late=Late(options.late), now=options.now, stop=stop)
+        with self._opening():
+            free = iter(self._opened.enter_context(free_ports(given.count(0))))
+            data_port, position_port = (next(free) if port == 0 else port for port in given)
+            self.links = [
+                replace(
+                    link,
+                    data_port=data_port or link.data_port,
+                    position_port=position_port or link.position_port,
+                )
+                for link in self.replay.links
+            ]
+            self.udp = self._open_udp(self.links, options)
+
+    @property
+    def result(self) -> Replayed:
+        """Result of the replay, once it is closed."""
+        replayed = self.replay
+        units = tuple(
+            UnitSent(
+                unit=number,
+                name=str(unit),
+                address=link.source,
+                data_port=link.data_port,
+                position_port=link.position_port,
+                packets=sent[PacketKind.DATA],
+                position_packets=sent[PacketKind.POSITION],
+            )
+            for number, (unit, link, sent) in enumerate(
+                zip(replayed.units, self.links, self.udp.sent, strict=True), start=1
+            )
+        )
+        return Replayed(
+            file=str(replayed.path),
+            to=self.host,
+            units=units,
+            left_out=replayed.left_out,
+            passes=replayed.passes,
+            gaps_s=tuple(replayed.gaps_s),
+            sent=self.report,
+        )
+
+
 def replay(
     path: str | Path,
     *,
-    opened: Callable[[Replay], None] = lambda _: None,
-    progress: Callable[[float], None] = lambda _: None,
-    notify: Callable[[FellBehind], None] = lambda _: None,
+    parts: Sequence[StreamPart] = (),
     stop: Event | None = None,
-    **options: Any,
+    **options: Unpack[ReplayKeys],
 ) -> Replayed:
     """Send the packets of a capture over UDP at their own pace; nothing leaves this machine unless `to` names another machine.
 
     Parameters
     ----------
     path : capture of any VLP-16
-    opened : called once before the first packet, when `links` of the replay have their ports
-    progress : called with the seconds of the capture so far, packet by packet
-    notify : called each time that the packets fall behind
+    parts : watch the stream, in their order
     stop : ends the replay from another thread
     options : fields of `ReplayOptions`
 
     Raises InputError if an option is invalid, ports are given for several sensors, or `now` is combined with
     another speed; CaptureError as in `Replay`; OutputError, RunError as in `Emulator.stream`.
     """
-    asked = ReplayOptions.from_fields(options)
-    to, data_port = asked.receiver
-    given = data_port, asked.position_port
-    packets = Replay(Path(path), loop=asked.loop, keep_gaps=asked.keep_gaps)
-    if len(packets.units) > 1 and given != (None, None):
-        raise InputError(str(path), f"{len(packets.units)} sensors", "one, where ports are given")
-    pacer = Pacer(asked.speed)
-
-    def sent(due_ns: int) -> None:
-        progress((due_ns - (pacer.first_due_ns or due_ns)) / S_NS)
-
-    with ExitStack() as stack:
-        free = iter(stack.enter_context(free_ports(given.count(0))))
-        data_port, position_port = (next(free) if port == 0 else port for port in given)
-        links = packets.links = [
-            replace(
-                link, data_port=data_port or link.data_port, position_port=position_port or link.position_port
-            )
-            for link in packets.links
-        ]
-        udp = UdpSink(links, to, as_sensor=asked.is_from_sensor, interface=asked.interface, sent=sent)
-        stack.enter_context(udp)
-        opened(packets)
-        made = stream(packets, udp, pacer, late=Late(asked.late), notify=notify, now=asked.now, stop=stop)
-    counts = ((of[PacketKind.DATA], of[PacketKind.POSITION]) for of in udp.sent)
-    units = tuple(
-        UnitSent(number, str(unit), link.source, link.data_port, link.position_port, *of)
-        for number, (unit, link, of) in enumerate(zip(packets.units, links, counts, strict=True), start=1)
-    )
-    return Replayed(str(path), to, units, packets.left_out, packets.passes, tuple(packets.gaps_s), made)
+    stream = ReplayStream(Path(path), ReplayOptions.from_fields(options), stop=stop)
+    for part in parts:
+        stream.add(part)
+    stream.run()
+    return stream.result
 
 
-def prepared(emulator: Emulator, options: StreamOptions, **hooks: Any) -> Iterator[Packet]:
+def prepared(
+    emulator: Emulator, options: StreamOptions, *, progress: Callable[[float], None], stop: Event
+) -> Iterator[Packet]:
     """Record a whole run into the file `options.prepare`, and yield its packets as `packets_of` does.
 
     Raises OutputError if the file cannot be read again, or has the suffix of another format; other errors as
@@ -188,8 +224,9 @@ def prepared(emulator: Emulator, options: StreamOptions, **hooks: Any) -> Iterat
     # Stamps are due times, without the errors of a recording host's clock.
     scenario = emulator.scenario.model_copy(update={"capture": CaptureClock(preset="ideal")})
     asked = RecordOptions(duration_s=options.duration_s, truth=options.truth)
+    ideal = emulator.with_engine(replace(emulator.engine, scenario=scenario))
     try:
-        record(emulator.with_engine(replace(emulator.engine, scenario=scenario)), path, asked, **hooks)
+        record(ideal, path, asked, progress=progress, stop=stop)
     except CancelledError:  # stopped before the first packet
         return iter(())
     return packets_of([unit.link for unit in emulator.engine.parts.units], path)

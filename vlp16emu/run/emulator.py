@@ -4,10 +4,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import copy
 from dataclasses import replace
-from inspect import signature
 from pathlib import Path
 from threading import Event
-from typing import Any, Self
+from typing import Any, Self, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +15,11 @@ from vlp16emu.doors import door, has_door
 from vlp16emu.engine import Engine, Parts
 from vlp16emu.errors import InputError, TrajectoryError
 from vlp16emu.output import spare
-from vlp16emu.run.options import RecordOptions, TruthPlace, TruthTo, stream_options
+from vlp16emu.run.options import RecordKeys, RecordOptions, StreamKeys, StreamOptions, TruthPlace, TruthTo
+from vlp16emu.run.part import StreamPart
 from vlp16emu.run.record import record
 from vlp16emu.run.report import Recording, Streamed
-from vlp16emu.run.stream import stream_run
+from vlp16emu.run.scene_stream import SceneStream
 from vlp16emu.scenario import Scenario, find, load, named_files
 from vlp16emu.types import Packet, Returns, Scan
 
@@ -197,7 +197,7 @@ class Emulator:
         *,
         progress: Callable[[float], None] = lambda _: None,
         stop: Event | None = None,
-        **options: Any,
+        **options: Unpack[RecordKeys],
     ) -> Recording:
         """Write data and position packets into a pcap file, in the frames of a real sensor, or a robot's topics into a bag.
 
@@ -218,31 +218,27 @@ class Emulator:
         """
         return record(self, path, RecordOptions.from_fields(options), progress=progress, stop=stop)
 
-    def stream(self, **options: Any) -> Streamed:
+    def stream(
+        self, *, parts: Sequence[StreamPart] = (), stop: Event | None = None, **options: Unpack[StreamKeys]
+    ) -> Streamed:
         """Send packets over UDP, each at its time; nothing leaves this machine unless `to` names another one.
 
-        The options are fields of `extras.bench.options.BenchOptions`, and functions that `stream_run` calls
-        while it runs.
+        Parameters
+        ----------
+        parts : watch the stream, in their order
+        stop : ends the stream from another thread
+        options : fields of `StreamOptions`
 
         Raises OutputError if the receiver is unknown or unreachable, or the sensor's address is not this
         machine's; InputError for a wrong option, options that exclude each other, or poses for a scene that
         is not live; ScenarioError if the sensor has no packets; TrajectoryError if the walk ends before the
         span; RunError if the system can no longer send.
         """
-        names = signature(stream_run).parameters.keys() - {"emulator", "options"}
-        hooks = {name: options.pop(name) for name in options.keys() & names}
-        return stream_run(self, stream_options().from_fields(options), **hooks)
-
-    def keep_up(self, speed: float = 1.0) -> Any:
-        """Measure this machine for some seconds, and set beam and reach so that a stream leaves a fifth of its time free.
-
-        `speed` is in simulated seconds per second. Returns `extras.keep_up.KeptUp` with the chosen step of
-        the ladder; its settings can be given to `vlp16emu record --set` and give the same bytes.
-        """
-        chosen, kept = door("keep_up")(self, speed)
-        self.engine = chosen.engine
-        self.audit = chosen.audit
-        return kept
+        stream = SceneStream(self, StreamOptions.from_fields(options), stop=stop)
+        for part in parts:
+            stream.add(part)
+        stream.run()
+        return stream.result
 
     def put_pose(
         self, position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None = None

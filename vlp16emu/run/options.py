@@ -10,9 +10,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from types import NoneType
-from typing import Annotated, Any, NamedTuple, Self, get_args, get_origin
+from typing import Annotated, Any, NamedTuple, Self, TypedDict, get_args, get_origin
 
-from vlp16emu.doors import door, has_door
 from vlp16emu.errors import InputError
 
 _LONGEST_S = 7 * 86_400  # longest scene
@@ -235,6 +234,16 @@ class RecordOptions(Span):
     """None for a bag with the defaults, or no bag."""
 
 
+class RecordKeys(TypedDict, total=False):
+    """Fields of `RecordOptions` as keyword arguments."""
+
+    start_s: float
+    duration_s: float | None
+    split: bool
+    truth: TruthPlace | None
+    bag: BagOptions | None
+
+
 @dataclass(frozen=True)
 class SendOptions(Options):
     """Options of sending packets over UDP."""
@@ -313,6 +322,19 @@ class SendOptions(Options):
         return self.as_sensor or self.interface is not None
 
 
+class SendKeys(TypedDict, total=False):
+    """Fields of `SendOptions` as keyword arguments."""
+
+    to: str | None
+    data_port: int | None
+    position_port: int | None
+    speed: float
+    late: str
+    as_sensor: bool
+    interface: str | None
+    now: bool
+
+
 @dataclass(frozen=True)
 class ReplayOptions(SendOptions):
     """Options of a replay."""
@@ -325,9 +347,130 @@ class ReplayOptions(SendOptions):
     ] = False
 
 
+class ReplayKeys(SendKeys, total=False):
+    """Fields of `ReplayOptions` as keyword arguments."""
+
+    loop: bool
+    keep_gaps: bool
+
+
+def host_and_port(text: str, option: str, expected: str, scheme: str = "") -> tuple[str, int]:
+    """Return host and port of HOST:PORT after a scheme, IPv6 addresses in brackets; without a scheme the host may be empty.
+
+    Raises InputError with `option` in front if it is malformed.
+    """
+    host, _, port = text.removeprefix(scheme).rpartition(":")
+    is_place = text.startswith(scheme) and (host or not scheme)
+    if not (is_place and port.isascii() and port.isdecimal() and int(port) <= LAST_PORT):
+        raise InputError(option, f"found {text}", expected)
+    return host.strip("[]"), int(port)
+
+
+@dataclass(frozen=True)
+class Http(Options):
+    """Web interfaces of a stream's sensors."""
+
+    at: Annotated[
+        str,
+        Option(
+            "Serve the sensor's web interface, which the stream follows; for a rig on this port and the next ones. "
+            "PORT alone is on 127.0.0.1.",
+            "HOST:PORT",
+            "--http",
+        ),
+    ]
+    saved: Annotated[
+        Path | None,
+        Option(
+            "File that keeps the settings saved in the web interface from run to run.",
+            "FILE",
+            "--http-settings",
+        ),
+    ] = None  # file of the first sensor; files of other sensors have its name with their number
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _ = self.address  # raises an error before a world is grown
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Host, and port of the first sensor; 0 for free ports. InputError if it is malformed."""
+        host, port = host_and_port(self.at, "--http", "HOST:PORT, such as 127.0.0.1:8080")
+        return host or "127.0.0.1", port
+
+
+@dataclass(frozen=True)
+class PosesIn(Options):
+    """Poses of a live scene."""
+
+    where: Annotated[
+        str | None,
+        Option(
+            'Address for live poses, for a scene with motion.kind = "live"; the stream waits for the first one.',
+            "udp://HOST:PORT",
+            "--pose-in",
+        ),
+    ] = None  # None if only `Emulator.put_pose` gives poses
+    flown: Annotated[
+        Path | None,
+        Option(
+            "Write the flight of such a scene, to repeat the run with --set motion.flown=FILE.csv.",
+            "FILE.csv",
+            "--flown",
+        ),
+    ] = None
+
+
+@dataclass(frozen=True)
+class Outlets(Options):
+    """Outputs of a stream beside the packets of the sensors."""
+
+    gps_out: Annotated[
+        str | None,
+        Option(
+            "Play the GPS receiver of the scene on a serial port, 9600 8N1: a device, or a URL of pyserial such as "
+            "socket://127.0.0.1:5000.",
+            "PORT",
+        ),
+    ] = None
+    gps_pps: Annotated[
+        str, Option("Line of that port for the receiver's pulse.", words=("dtr", "rts", "off"))
+    ] = "dtr"  # a null-modem cable connects DTR to DCD, where programs expect the pulse
+    imu_out: Annotated[
+        str | None,
+        Option(
+            "Also send the samples of the inertial unit ([imu]), each at its time; on a serial port with 921600 8N1.",
+            "udp://HOST:PORT|serial:PORT",
+        ),
+    ] = None
+
+
+@dataclass(frozen=True)
+class GpsIn(Options):
+    """A real GPS receiver that is wired to the sensors."""
+
+    port: Annotated[
+        str,
+        Option(
+            "Take pulse and sentences from a real GPS receiver, 9600 8N1, which then sets the sensor's clock: a device, "
+            "or a URL of pyserial.",
+            "PORT",
+            "--gps-in",
+        ),
+    ]
+    pulse: Annotated[
+        str,
+        Option(
+            "Line of that port for the pulse; sentence if none is wired.",
+            name="--gps-in-pulse",
+            words=("sentence", "cd", "cts", "dsr", "ri"),
+        ),
+    ] = "sentence"  # with `sentence` a second begins `gps.sentence_delay_s` before its sentence
+
+
 @dataclass(frozen=True)
 class StreamOptions(SendOptions):
-    """Options of a stream; `extras.bench.options` has the types of the nested options, None if not installed."""
+    """Options of a stream."""
 
     duration_s: Duration = None
     truth: TruthPlace | None = None
@@ -339,12 +482,25 @@ class StreamOptions(SendOptions):
             "--prepare-to",
         ),
     ] = None
-    http: Any = None
-    poses: Any = None
-    outlets: Any = None
-    gps_in: Any = None
+    http: Http | None = None  # None for no web interfaces
+    poses: PosesIn | None = None
+    """The stream of a live scene begins with the first pose, and drops late packets."""
+    outlets: Outlets | None = None
+    gps_in: GpsIn | None = None  # sets the clock of the sensors instead of the receiver of the scene
 
 
-def stream_options() -> type[StreamOptions]:
-    """Return the options of a stream in this installation, with or without extras."""
-    return door("stream_options") if has_door("stream_options") else StreamOptions
+class LiveKeys(SendKeys, total=False):
+    """Fields of `StreamOptions` but `truth` as keyword arguments."""
+
+    duration_s: float | None
+    prepare: Path | None
+    http: Http | None
+    poses: PosesIn | None
+    outlets: Outlets | None
+    gps_in: GpsIn | None
+
+
+class StreamKeys(LiveKeys, total=False):
+    """Fields of `StreamOptions` as keyword arguments."""
+
+    truth: TruthPlace | None

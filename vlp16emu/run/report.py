@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 from vlp16emu.engine import Unit
+from vlp16emu.run.stream import StreamReport
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.head import Head
 from vlp16emu.sensor.settings import require_packets
-from vlp16emu.sinks import StreamReport
 from vlp16emu.types import PacketKind
 from vlp16emu.units import S_NS, seconds_to_ns
 

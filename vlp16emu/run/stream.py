@@ -1,297 +1,387 @@
-"""Streaming of a scene over UDP in real time."""
+"""A stream: packets computed ahead by one thread, and sent at their deadlines by another, in named states."""
 
+import time
 from collections import Counter
-from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
-from collections.abc import Set as AbstractSet
-from contextlib import ExitStack, closing, contextmanager, nullcontext
-from dataclasses import asdict, replace
-from threading import Event, Thread
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from dataclasses import dataclass
+from enum import Enum
+from threading import Event
+from typing import Protocol, Self
 
-from vlp16emu.doors import door, has_door
-from vlp16emu.engine import Engine, Unit
-from vlp16emu.engine.engine import sent_before
+from vlp16emu.doors import door
 from vlp16emu.errors import InputError
-from vlp16emu.output import write_json
-from vlp16emu.run.options import StreamOptions, TruthTo
-from vlp16emu.run.report import About, Streamed, UnitSent
+from vlp16emu.packets import Link
+from vlp16emu.run.options import SendOptions
+from vlp16emu.run.part import StreamPart
 from vlp16emu.sinks import (
     LOOK_AHEAD_PACKETS,
+    TOLERANCE_NS,
     FellBehind,
     Late,
+    Lateness,
+    LatenessHistogram,
+    LookAhead,
     Pacer,
     PacketSink,
-    StreamReport,
     UdpSink,
-    stream,
 )
+from vlp16emu.sinks.pacing import prompt
 from vlp16emu.types import Packet, PacketKind
-from vlp16emu.units import S_NS, seconds_to_ns
+from vlp16emu.units import S_NS
 
-if TYPE_CHECKING:
-    from vlp16emu.run.emulator import Emulator
+_SPACING_NS = 1_327_104
+"""Spacing of data packets in single return, the longest (VLP-16 manual 63-9243 Rev D, section 8.2)."""
+_PATIENCE_NS = 250_000_000
+"""Time of computing dropped packets before the engine is asked to skip further ahead."""
+_LEAD_NS = 250_000_000
+"""First lead of the engine: most engines have ended their blocks and started new ones by then; else it
+doubles."""
+_SETTLED_NS = 5 * S_NS
+"""Time without late packets after which the next late packet counts as falling behind again."""
 
 
-def stream_run(
-    emulator: "Emulator",
-    options: StreamOptions,
-    *,
-    watched: Callable[[PacketSink, Pacer], PacketSink] = lambda sink, _: sink,
-    opened: Callable[[Sequence[Unit]], None] = lambda _: None,
-    look_ahead: int = LOOK_AHEAD_PACKETS,
-    preparing: Callable[[float], None] = lambda _: None,
-    progress: Callable[[float], None] = lambda _: None,
-    notify: Callable[[FellBehind], None] = lambda _: None,
-    stop: Event | None = None,
-) -> Streamed:
-    """Send the packets of a run over UDP, each at its time; raises the errors of `Emulator.stream`.
+class State(Enum):
+    """What a stream is doing."""
+
+    # Ports and sockets are open, and parts can be added; nothing is computed.
+    OPENED = "opened"
+    # The speed of this machine is measured, and settings are chosen with which the stream keeps up.
+    MEASURING = "measuring"
+    # A live scene waits for its first pose, and the first packets are computed.
+    PREPARING = "preparing"
+    # The clock runs, and each packet leaves at its deadline.
+    SENDING = "sending"
+    # No more packets leave: threads end, files are completed, ports are given back.
+    SETTLING = "settling"
+    # The report is final.
+    CLOSED = "closed"
+
+
+TRANSITIONS = {
+    State.OPENED: {State.MEASURING, State.PREPARING, State.SETTLING},  # `measure`, `prepare`, or an early end
+    State.MEASURING: {State.OPENED, State.SETTLING},  # settings are chosen, or an error
+    State.PREPARING: {State.SENDING, State.SETTLING},  # `run`, or an error
+    State.SENDING: {State.SETTLING},  # the last packet, a stop or an error
+    State.SETTLING: {State.CLOSED},  # always, also after an error of what ends
+    State.CLOSED: set[State](),
+}
+"""States that may follow each state, and what leads there."""
+
+
+class Present(Protocol):
+    """Moves packets by whole seconds into the present."""
+
+    moved_s: int
+    began_ns: int
+
+    def start(self, first: Packet, pacer: Pacer, stop: Event) -> None:
+        """Start the clock of a stream before its first packet."""
+
+    def moved(self, packet: Packet) -> Packet:
+        """Return a packet of the present."""
+
+
+@dataclass(frozen=True, slots=True)
+class FirstPacket:
+    """Send time of the first packet of a stream, by each clock, in UTC ns since 1970."""
+
+    truth_ns: int  # Time in the scene or the capture: the time of the ground truth
+    sensor_ns: int | None  # Time by the sensor's clock, moved into the present; None if not moved
+    host_ns: int  # Time by this system's clock, read right after sending
+
+
+@dataclass(frozen=True, slots=True)
+class StreamReport:
+    """Punctuality and duration of a stream."""
+
+    lateness: Lateness  # Relative to the deadlines valid when each packet was handled
+    simulated_s: float  # Time that the packets span
+    wall_s: float  # Time from sending the first to sending the last
+    behind: tuple[FellBehind, ...]
+    """Each time that packets were late by more than the tolerance, from any cause."""
+    delay_s: float  # Total shift of deadlines; 0 if late packets are skipped
+    skipped: Counter[PacketKind]  # Packets dropped because they were late
+    moved_s: int  # Whole seconds by which packets were moved into the present; 0 if not moved
+    first: FirstPacket | None  # None if no packet left
+    interrupted: bool  # True if ended by Ctrl-C or the stop event
+
+    @property
+    def real_time_factor(self) -> float:
+        """Simulated seconds per second; the requested speed if the engine kept up. 0 for an empty stream."""
+        return self.simulated_s / self.wall_s if self.wall_s > 0 else 0.0
+
+
+class Stream:
+    """Packets that leave at their deadlines; a context manager, which is open once it is made.
+
+    `run` does all that is left to do; `prepare` may be called before, on the same thread. Other threads set
+    `stop`. Packets are never sent in a burst: see `Pacer.wait`.
 
     Parameters
     ----------
-    watched : called with the sink of the packets and their clock; returns the sink that replaces it
-    opened : called with the sensors, which have their ports, before the first packet is computed, when the
-        sockets are open
-    look_ahead : packets of a sensor that are computed before the first one is sent
-    preparing : called with the simulated seconds computed so far into `prepare`
-    progress : called with the simulated seconds so far, packet by packet
-    notify : called each time that the stream falls behind
+    packets : packets in order of sending; computed by a separate thread
+    sinks : destination of the packets of each kind; they stay open
+    pacer : new pacer with the speed
+    late : treatment of packets late by more than `TOLERANCE_NS`
+    now : move stamps and sentences by whole seconds into the present
+    look_ahead : packets that are computed before the first one is sent
     stop : ends the stream from another thread
-    """
-    (host, _) = options.receiver
-    truth = TruthTo.of(options.truth)
-    pacer = Pacer(options.speed)
-    http = options.http
-    stop = stop or Event()
-    _check(options, truth)
-    with ExitStack() as stack:
-        enter = stack.enter_context
-        on_ports = enter(_on_ports(emulator.with_truth_in(truth), options))  # frames contain the ports
-        emulator = on_ports.stopped_by(stop)
-        scenario = emulator.scenario
-        units = emulator.parts.units
-        span_s = scenario.span_s(0.0, options.duration_s)
-        is_live = scenario.motion.takes_poses or options.poses is not None
-        flight = enter(door("live")(emulator, options.poses)) if is_live else None
-        policy = flight.prepare(stop, pacer) if flight else Late(options.late)  # waits for the first pose
-        outlets = enter(door("outlets")(options.outlets)) if options.outlets else None
-        engine = replace(
-            emulator.engine, prompt=http is not None
-        )  # settings from there should take effect soon
-        feed = enter(closing(PacketFeed(engine, *span_s, also=outlets.kinds if outlets else ())))
-        udp = enter(_udp(emulator, options, host, progress))  # a wrong address fails before any casting
-        way = outlets.open(udp, scenario.imu) if outlets else udp
-        opened(units)
-        packets = enter(_packets(emulator, options, feed, span_s, progress=preparing, stop=stop))
-        way = watched(way, pacer)
-        powered_for_s = units[0].section.powered_for_s or 0.0
-        gps_in = options.gps_in and door("gps_in")(options.gps_in, scenario.gps, powered_for_s)
-        way = enter(gps_in).sink(way) if gps_in else way  # outermost: watchers see the packets that are sent
-        way = flight.begun(way, pacer, now=options.now) if flight else way
-        ahead = len(units) * (flight.look_ahead if flight else look_ahead)
-        report = stream(
-            packets,
-            way,
-            pacer,
-            begun=lambda now: http and enter(door("web")(feed, udp, now, http)),
-            late=policy,
-            notify=notify,
-            go_on_from=None
-            if options.prepare
-            else flight.going_on(feed.go_on_from)
-            if flight
-            else feed.go_on_from,
-            now=options.now,
-            stop=stop,
-            look_ahead_packets=ahead + (outlets.look_ahead(scenario.imu) if outlets else 0),
-        )
-        live = flight.report(report.simulated_s if report.interrupted else span_s[1]) if flight else None
-    report = replace(report, skipped=report.skipped + feed.skipped)
-    sent = outlets.results(report.skipped) if outlets else (None, None)
-    asked = replace(options, to=host, late=policy)
-    ran = emulator.with_engine(feed.engine)  # with the settings and events that came during the run
-    return _streamed(ran, asked, report, udp, live, gps_in and gps_in.result, *sent)
 
-
-@contextmanager
-def _packets(
-    emulator: "Emulator",
-    options: StreamOptions,
-    feed: "PacketFeed",
-    span_s: tuple[float, float],
-    **hooks: Any,
-) -> Iterator[Iterable[Packet]]:
-    """Yield the packets to send: prepared ones, or those of the feed, with the ground truth written beside them."""
-    if options.prepare:
-        yield door("prepared")(emulator, options, **hooks)
-    else:
-        with emulator.truth(TruthTo.of(options.truth), span_s, of=feed) as writer:
-            yield writer.beside(feed) if writer else feed
-
-
-def _streamed(
-    emulator: "Emulator", options: StreamOptions, report: StreamReport, udp: UdpSink, *more: Any
-) -> Streamed:
-    """Return the result of a stream, with `more` as its last fields, and write its start time to the ground truth."""
-    scenario = emulator.scenario
-    speed = options.speed
-    if (
-        truth := TruthTo.of(options.truth)
-    ) and report.first:  # so that live results can be compared with the truth
-        times = {"moved_s": report.moved_s, "speed": speed, "packet_0": asdict(report.first)}
-        write_json(truth.folder / "time.json", times)
-    is_known = report.behind and has_door("keeps_up_with")
-    enough = door("keeps_up_with")(report.behind, scenario, speed) if is_known else ()
-    units = (
-        UnitSent.of(*each, (0.0, report.simulated_s))
-        for each in zip(emulator.parts.units, udp.sent, strict=True)
-    )
-    asked = str(options.to), speed, options.late, tuple(units)
-    return Streamed(About.of(emulator.name, scenario), *asked, report, tuple(enough), emulator.finding, *more)
-
-
-def _check(options: StreamOptions, truth: TruthTo | None) -> None:
-    """Refuse options that exclude each other."""
-    http = options.http
-    outlets = options.outlets
-    fine = truth and (truth.per_packet or truth.per_return)
-    for given, option, other, excluded in (
-        (options.prepare, "--prepare", "--http", http),
-        (
-            options.prepare,
-            "--prepare",
-            "--gps-out or --imu-out",
-            outlets and (outlets.gps_out or outlets.imu_out),
-        ),
-        (options.now, "--now", "--gps-in", options.gps_in),
-        (http, "--http", "--truth-packets or --truth-returns", fine),
-    ):
-        if given and excluded:
-            raise InputError(other, f"found beside {option}", "one of both")
-
-
-@contextmanager
-def _on_ports(emulator: "Emulator", options: StreamOptions) -> Iterator["Emulator"]:
-    """Yield the emulator with the ports of the options; port 0 gives a reserved free port for each sensor."""
-    _, data_port = options.receiver
-    ports = {"sensor.data_port": data_port, "sensor.position_port": options.position_port}
-    settings: dict[str, object] = {key: port for key, port in ports.items() if port is not None}
-    free = [key for key, port in settings.items() if port == 0]
-    rig = emulator.scenario.rig
-    with door("free_ports")(len(free) * (1 + len(rig))) if free else nullcontext([]) as found:
-        given = iter(found)
-        settings |= {key: next(given) for key in free}
-        if free and rig:
-            own = [{key.removeprefix("sensor."): next(given) for key in free} for _ in rig]
-            tables = (unit.model_dump(mode="json", exclude_none=True) for unit in rig)
-            settings["rig"] = [table | keys for table, keys in zip(tables, own, strict=True)]
-        yield emulator.changed(settings)
-
-
-def _udp(
-    emulator: "Emulator", options: StreamOptions, host: str, progress: Callable[[float], None]
-) -> UdpSink:
-    links = [unit.link for unit in emulator.parts.units]
-    start_ns = emulator.scenario.start_ns
-    return UdpSink(
-        links,
-        host,
-        as_sensor=options.is_from_sensor,
-        interface=options.interface,
-        sent=lambda due_ns: progress((due_ns - start_ns) / S_NS),
-    )
-
-
-class PacketFeed:
-    """Iterator over the packets of a run in order of sending, which can skip ahead or continue with other events.
-
-    Parameters
-    ----------
-    engine : engine that makes the packets
-    start_s, stop_s : span of the run, since the first pulse
-    also : further kinds of packets to send
-
-    Raises InputError if the engine does not have the span, or the scene lacks a device for `also`.
+    Raises InputError if `now` is combined with a speed other than 1.
     """
 
     def __init__(
-        self, engine: Engine, start_s: float, stop_s: float, *, also: Collection[PacketKind] = ()
+        self,
+        packets: Iterable[Packet],
+        sinks: Mapping[PacketKind, PacketSink],
+        pacer: Pacer,
+        *,
+        late: Late = Late.PACE,
+        now: bool = False,
+        look_ahead: int = LOOK_AHEAD_PACKETS,
+        stop: Event | None = None,
     ) -> None:
-        self.engine = engine  # Makes the packets from here on
-        self._stop_s = stop_s
-        self._beside = door("beside")(engine, also) if also else None
-        self._packets = self._from(start_s)
-        self._reached_ns = engine.scenario.start_ns
-        self._at_reached = set[tuple[int, PacketKind]]()
-        self._from_ns: int | None = None
-        self.skipped = Counter[PacketKind]()  # Packets that were skipped, by kind
+        if now and pacer.speed != 1.0:
+            raise InputError("--now", f"a speed of {pacer.speed:g}", "a speed of 1, the speed of the clock")
+        self.state = State.OPENED
+        self.stop = stop or Event()
+        self.pacer = pacer
+        self.late = late
+        self.parts: list[StreamPart] = []
+        self._packets = packets
+        self._sinks = dict(sinks)
+        self._present: Present | None = door("present")() if now else None
+        self._look_ahead = look_ahead
+        self._opened = ExitStack()  # all that ends with the stream
+        self._ahead: LookAhead | None = None
+        self._first: Packet | None = None
+        self._first_sent: FirstPacket | None = None
+        self._interrupted = False
+        self._lateness = LatenessHistogram()
+        self._behind = list[FellBehind]()
+        self._last_late_ns = 0
+        self._skipped = Counter[PacketKind]()
+        self._skipping_since_ns: int | None = None
+        self._lead_ns = 0
+        self._gone_on_from_ns = 0
+        self._next_due_ns: int | None = None
 
-    def __iter__(self) -> Iterator[Packet]:
+    def __enter__(self) -> Self:
         return self
 
-    def __next__(self) -> Packet:
-        from_ns = self._from_ns
-        self._from_ns = None
-        if from_ns is not None:
-            self._leave_out(from_ns)
-        packet = next(self._packets)
-        if packet.due_ns > self._reached_ns:
-            self._reached_ns = packet.due_ns
-            self._at_reached.clear()
-        self._at_reached.add((packet.unit, packet.kind))
-        return packet
-
-    def close(self) -> None:
-        """Stop the workers, and wait for the blocks in progress."""
-        self._packets = iter(())
-
-    def go_on_from(self, due_ns: int) -> None:
-        """Skip packets due before a UTC time, from the next packet on; callable from any thread."""
-        self._from_ns = due_ns
-
-    def begin_again(self, from_ns: int, engine: Engine) -> None:
-        """Continue from a UTC time, or from the present packet if that is earlier, with another engine; between packets."""
-        before = self._packets
-        self.engine = engine
-        if isinstance(
-            before, Generator
-        ):  # its workers end in the background, as the next packet is due at once
-            Thread(target=before.close, name="let go", daemon=True).start()
-        if from_ns > self._reached_ns:
-            from_ns = self._reached_ns
-            there = self._at_reached.copy()
-        else:
-            there = set()
-        self._packets = self._after(from_ns, there)
-
-    def _from(self, start_s: float) -> Iterator[Packet]:
-        packets = self.engine.packets(start_s, self._stop_s)
-        if self._beside is None:
-            return packets
-        return iter(self._beside.among(packets, seconds_to_ns(start_s), seconds_to_ns(self._stop_s)))
-
-    def _after(self, from_ns: int, there: AbstractSet[tuple[int, PacketKind]]) -> Iterator[Packet]:
-        """Yield packets due from a UTC time on, without packets of `there` due at that time, which have been sent."""
-        for packet in self._from(self._since_s(from_ns)):
-            if packet.due_ns > from_ns or (packet.unit, packet.kind) not in there:
-                yield packet
-
-    def _leave_out(self, from_ns: int) -> None:
-        """Continue at a UTC time, and count the packets before it as skipped."""
-        from_ns = min(from_ns, self.engine.scenario.start_ns + round(self._stop_s * S_NS))
-        if from_ns <= self._reached_ns:
+    def __exit__(self, *raised: object) -> None:
+        """Settle and close, unless that is done."""
+        if self.state is State.CLOSED:
             return
-        self.close()  # generator of the earlier packets
-        self.skipped += self._count(from_ns) - self._count(self._reached_ns + 1)
-        self._packets = self._from(self._since_s(from_ns))
+        self._enter(State.SETTLING)
+        try:
+            self._opened.__exit__(*raised)  # type: ignore[arg-type]  # type, error and trace, or nothing
+        finally:
+            self._enter(State.CLOSED)
 
-    def _count(self, before_ns: int) -> Counter[PacketKind]:
-        """Count the packets of all units due before a UTC time, by kind."""
-        scenario = self.engine.scenario
-        units = self.engine.parts.units
-        since_ns = before_ns - scenario.start_ns
-        kinds = PacketKind.DATA, PacketKind.POSITION
-        sent = {kind: sum(sent_before(scenario, unit, kind, since_ns) for unit in units) for kind in kinds}
-        return Counter(sent | (self._beside.count(0, since_ns) if self._beside else {}))
+    def add(self, part: StreamPart) -> None:
+        """Add a part, which ends with the stream, before `prepare`."""
 
-    def _since_s(self, utc_ns: int) -> float:
-        return (utc_ns - self.engine.scenario.start_ns) / S_NS
+        def ended(_kind: object, error: BaseException | None, _trace: object) -> None:
+            part.end(error)
+
+        self.parts.append(part)
+        self._opened.push(ended)
+
+    def prepare(self, progress: Callable[[float], None] = lambda _: None) -> None:
+        """Compute packets until the first one can leave.
+
+        `progress` is called with the simulated seconds so far if the whole run is computed before it is sent.
+        """
+        self._enter(State.PREPARING)
+        packets = self._opened.enter_context(self._source(progress))
+        for part in self.parts:
+            part.begin()
+        self._opened.enter_context(prompt())
+        self._ahead = self._opened.enter_context(LookAhead(packets, self._look_ahead, self.stop))
+        with self._interruptible():
+            self._ahead.fill()
+            self._first = self._ahead.first
+            for part in self.parts if self._first else ():
+                part.ready()
+
+    def run(self) -> StreamReport:
+        """Send packets until they end, `stop` is set, or Ctrl-C is pressed; close the stream, and return its report.
+
+        Raises errors of packets, parts and sinks, such as RunError if the system can no longer send.
+        """
+        with self:
+            if self.state is State.OPENED:
+                self.prepare()
+            self._enter(State.SENDING)
+            with self._interruptible():
+                self._send_all()
+        return self.report
+
+    @property
+    def report(self) -> StreamReport:
+        """Report so far; final once the stream is closed."""
+        simulated_ns, wall_ns = self.pacer.elapsed_ns
+        return StreamReport(
+            lateness=self._lateness.summary,
+            simulated_s=simulated_ns / S_NS,
+            wall_s=wall_ns / S_NS,
+            behind=tuple(self._behind),
+            delay_s=self.pacer.delay_ns / S_NS,
+            skipped=self._skipped,
+            moved_s=self._present.moved_s if self._present else 0,
+            first=self._first_sent,
+            interrupted=self._interrupted,
+        )
+
+    def say(self, line: str) -> None:
+        """Pass a line on to all parts."""
+        for part in self.parts:
+            part.news(line)
+
+    def due_in_ns(self, ahead_ns: int) -> int:
+        """Due time, UTC, of a packet that is sent `ahead_ns` after now; once the first packet is ready."""
+        if self.pacer.first_due_ns is None:
+            assert self._first is not None
+            return self._first.due_ns + round(ahead_ns * self.pacer.speed)
+        return self.pacer.due_in_ns(ahead_ns)
+
+    @property
+    def made_until_ns(self) -> int:
+        """Due time, UTC, up to which packets are computed; far in the future once all are."""
+        assert self._ahead is not None
+        return self._ahead.made_until_ns
+
+    def redo(self, due_ns: int, restart: Callable[[int], None]) -> None:
+        """Compute packets again, as in `LookAhead.redo`."""
+        assert self._ahead is not None
+        self._ahead.redo(due_ns, restart)
+
+    @contextmanager
+    def _opening(self) -> Iterator[None]:
+        """Close what is open if an error comes while a stream is made."""
+        with ExitStack() as failed:
+            failed.push(self)
+            yield
+            failed.pop_all()
+
+    def _open_udp(self, links: Sequence[Link], options: SendOptions) -> UdpSink:
+        """Open the sockets of sensors."""
+        host, _ = options.receiver
+        udp = UdpSink(links, host, as_sensor=options.is_from_sensor, interface=options.interface)
+        self._opened.push(udp)
+        self._sinks |= {PacketKind.DATA: udp, PacketKind.POSITION: udp}
+        return udp
+
+    def _enter(self, state: State) -> None:
+        if state not in TRANSITIONS[self.state]:
+            raise RuntimeError(
+                f"found a stream that is {self.state.value}, which cannot be {state.value} next"
+            )
+        self.state = state
+
+    def _source(self, _progress: Callable[[float], None]) -> AbstractContextManager[Iterable[Packet]]:
+        """Return the packets, as a context manager that ends their computation."""
+        return nullcontext(self._packets)
+
+    def _go_on_from(self, due_ns: int) -> None:
+        """Leave out packets due before a UTC time in ns, if the packets are computed at once."""
+
+    @contextmanager
+    def _interruptible(self) -> Iterator[None]:
+        try:
+            yield
+        except (KeyboardInterrupt, CancelledError):  # the latter if what waits for a world is stopped
+            self._interrupted = True
+
+    def _send_all(self) -> None:
+        ahead = self._ahead
+        if ahead is None or self._interrupted:
+            return
+        if self._present and self._first:
+            self._present.start(self._first, self.pacer, self.stop)
+        had_to_wait = False
+        while (packet := ahead.take(self._watch)) is not None:
+            self._send(packet, had_to_wait=had_to_wait, engine_speed=ahead.engine_speed)
+            had_to_wait = ahead.first is None  # read before the wait, which would hide it
+        self._interrupted = self.stop.is_set()
+
+    def _send(self, packet: Packet, *, had_to_wait: bool, engine_speed: float | None) -> None:
+        """Send or drop a packet at its deadline; `had_to_wait` is True if it was not ready when requested."""
+        pacer = self.pacer
+        self._next_due_ns = packet.due_ns + _SPACING_NS
+        deadline_ns = pacer.deadline_ns(packet.due_ns)
+        late_ns = pacer.now_ns() - deadline_ns
+        if late_ns > TOLERANCE_NS:
+            behind = self._falls_behind(late_ns, deadline_ns, engine_speed, engine=had_to_wait)
+            late_s = late_ns / S_NS
+            if self.late is Late.SKIP:
+                behind.total_s = max(behind.total_s, late_s)
+                self._skip(packet, deadline_ns + late_ns, had_to_wait=had_to_wait)
+                return
+            behind.total_s += late_s
+            pacer.delay_ns += late_ns  # permanently: catching up would be a burst, which no sensor sends
+        self._skipping_since_ns = None
+        self._lead_ns = 0
+        late_ns = pacer.wait(packet, deadline_ns, is_over=self.stop.is_set)
+        if self.stop.is_set():
+            return
+        self._lateness.add(late_ns)
+        self._deliver(packet)
+        pacer.left(packet)
+
+    def _deliver(self, packet: Packet) -> None:
+        due_ns = packet.due_ns
+        if self._present:
+            packet = self._present.moved(packet)
+        for part in self.parts:
+            packet = part.leaving(packet)
+        self._sinks[packet.kind].send(packet)
+        if self._first_sent is None:
+            began_ns = self._present.began_ns if self._present else None
+            self._first_sent = FirstPacket(due_ns, began_ns, time.time_ns())
+        for part in self.parts:
+            part.sent(packet)
+
+    def _watch(self, engine_speed: float | None) -> None:
+        """Notify if the awaited packet is already late by more than the tolerance; its delay is added when it is sent."""
+        if self._next_due_ns is None:
+            return
+        deadline_ns = self.pacer.deadline_ns(self._next_due_ns)
+        late_ns = self.pacer.now_ns() - deadline_ns
+        if late_ns > TOLERANCE_NS:
+            self._falls_behind(late_ns, deadline_ns, engine_speed, engine=True)
+
+    def _falls_behind(
+        self, late_ns: int, deadline_ns: int, engine_speed: float | None, *, engine: bool
+    ) -> FellBehind:
+        """Return the present period behind, or start one and notify of it."""
+        before_ns = self._last_late_ns
+        self._last_late_ns = deadline_ns + late_ns
+        if not self._behind or self._last_late_ns - before_ns > _SETTLED_NS:
+            at_s = (deadline_ns - self.pacer.start_ns) / S_NS
+            behind = FellBehind(at_s, late_ns / S_NS, engine, engine_speed, self.pacer.speed)
+            self._behind.append(behind)
+            for part in self.parts:
+                part.fell_behind(behind)
+        elif engine:
+            self._behind[-1].engine_speed = engine_speed
+        return self._behind[-1]
+
+    def _skip(self, packet: Packet, now_ns: int, *, had_to_wait: bool) -> None:
+        """Drop a packet; if dropping continues because the engine is too slow, let the engine skip further ahead.
+
+        The lead doubles until the engine's first packet from there on is in time.
+        """
+        self._skipped[packet.kind] += 1
+        self.pacer.break_off()
+        if self._skipping_since_ns is None:
+            self._skipping_since_ns = now_ns
+        lasts = now_ns - self._skipping_since_ns > _PATIENCE_NS
+        if had_to_wait and lasts and packet.due_ns >= self._gone_on_from_ns:
+            self._lead_ns = 2 * self._lead_ns or _LEAD_NS
+            self._gone_on_from_ns = self.pacer.due_in_ns(self._lead_ns)
+            self._go_on_from(self._gone_on_from_ns)
+            self._skipping_since_ns = now_ns

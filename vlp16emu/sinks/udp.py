@@ -4,7 +4,7 @@ import errno
 import ipaddress
 import socket
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 
 from vlp16emu.errors import OutputError, RunError
@@ -48,10 +48,9 @@ class UdpSink(PacketSink):
     links : addresses of each unit; packets go to their ports
     host : address or name of the receiver; may be a broadcast address
     as_sensor : send from the units' own addresses, which must be this machine's, with the ports and header
-        fields of a real
-        sensor; else from any address, any free ports, and with headers as the system makes them
+        fields of a real sensor; else from any address, any free ports, and with headers as the system makes
+        them
     interface : network interface for all packets; None for the system's routes
-    sent : called after each packet with its due time, UTC ns
 
     Raises OutputError if the host is unknown or unreachable, or the interface, address or port to send from
     is not available.
@@ -64,12 +63,10 @@ class UdpSink(PacketSink):
         *,
         as_sensor: bool = False,
         interface: str | None = None,
-        sent: Callable[[int], None] = lambda _: None,
     ) -> None:
         self.sent = [Counter[PacketKind]() for _ in links]  # Packets sent so far by each unit, by kind
         self.latest_position = [b""] * len(links)
         """Payload of the last position packet sent by each unit; empty before the first."""
-        self._after = sent
         self._interface = interface
         self._sources = [link.source if as_sensor else None for link in links]
         with ExitStack() as stack:
@@ -124,7 +121,6 @@ class UdpSink(PacketSink):
         self.sent[unit][kind] += 1
         if kind is PacketKind.POSITION:
             self.latest_position[unit] = packet.payload
-        self._after(packet.due_ns)
 
 
 def resolve(host: str) -> str:

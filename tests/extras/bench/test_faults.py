@@ -12,9 +12,10 @@ from listening import MemorySink
 from vlp16emu import Emulator
 from vlp16emu.errors import ScenarioError
 from vlp16emu.extras.bench.faults import arriving
-from vlp16emu.run.stream import PacketFeed
+from vlp16emu.run.feed import PacketFeed
+from vlp16emu.run.stream import Stream
 from vlp16emu.scenario import load
-from vlp16emu.sinks import Pacer, stream
+from vlp16emu.sinks import Pacer
 from vlp16emu.types import PacketKind
 from vlp16emu.units import MS_NS, S_NS
 
@@ -235,7 +236,8 @@ def test_events_that_cannot_be_are_refused(settings, line):
 def test_a_stream_sends_the_same(now):
     """What a stream sends is what a recording holds, in its order; moved into the present too, where cut packets stay as they are."""
     run, sink = emulator(*EVERY), MemorySink()
-    stream(PacketFeed(run.engine, 0.0, 0.4), sink, Pacer(1.0), now=now)
+    feed = PacketFeed(run.engine, 0.0, 0.4)
+    Stream(feed, dict.fromkeys(PacketKind, sink), Pacer(1.0), now=now).run()
     expected = list(run.packets(0.0, 0.4))
     assert [(p.due_ns, p.kind) for p in sink.packets] == [(p.due_ns, p.kind) for p in expected]
     same = [a.payload == b.payload for a, b in zip(sink.packets, expected, strict=True)]

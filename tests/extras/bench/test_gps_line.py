@@ -5,9 +5,8 @@ from datetime import UTC, datetime
 import numpy as np
 import pynmea2
 import pytest
-from listening import MemorySink
 
-from vlp16emu.extras.bench.gps_in import GpsInSink, GpsLine
+from vlp16emu.extras.bench.gps_in import GpsLine, LineStamps
 from vlp16emu.motion.settings import Gps
 from vlp16emu.packets import decode_position, pack_position
 from vlp16emu.packets.nmea import rmc
@@ -152,20 +151,20 @@ def test_noise_on_the_line_is_bounded():
 
 def test_packets_carry_the_clock_state_and_sentence_of_the_line():
     """Stamps are those of the first pulse on the receiver's time, evenly apart whatever the host's delay; position packets echo."""
-    line, sink = made(), MemorySink()
+    line = made()
     feed(line, range(10))
     delays_ns = [0, 300_000, 20_000, 4 * MS_NS]
     clock = iter(host(9.5) + i * 1_327_104 + late for i, late in enumerate(delays_ns))
-    stamped = GpsInSink(sink, line, clock_ns=lambda: next(clock))
-    for i in range(3):
-        due_ns = 5 * S_NS + i * 1_327_104
-        stamped.send(Packet(PacketKind.DATA, due_ns, bytes(1206), 0, due_ns - 1_327_104))
-    stamped.send(
-        Packet(PacketKind.POSITION, 5 * S_NS + 3 * 1_327_104, pack_position(0, PpsState.ABSENT, b""))
-    )
-    stamps = [int.from_bytes(packet.payload[1200:1204], "little") for packet in sink.packets[:3]]
+    stamps_of = LineStamps(line, clock_ns=lambda: next(clock))
+    dues_ns = [5 * S_NS + i * 1_327_104 for i in range(4)]
+    made_packets = [
+        *(Packet(PacketKind.DATA, due_ns, bytes(1206), 0, due_ns - 1_327_104) for due_ns in dues_ns[:3]),
+        Packet(PacketKind.POSITION, dues_ns[3], pack_position(0, PpsState.ABSENT, b"")),
+    ]
+    sent = [stamps_of.stamped(packet) for packet in made_packets]
+    stamps = [int.from_bytes(packet.payload[1200:1204], "little") for packet in sent[:3]]
     first_ns = (UTC_NS + round(9.5 * S_NS)) % HOUR_NS - 1_327_104
     assert stamps == [(first_ns + i * 1_327_104) // US_NS for i in range(3)]
-    position = decode_position(sink.packets[3].payload)
+    position = decode_position(sent[3].payload)
     assert position.pps is PpsState.LOCKED
     assert position.sentence == sentence(9)

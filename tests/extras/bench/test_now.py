@@ -3,9 +3,9 @@
 from threading import Event
 
 import pytest
-from listening import MemorySink
 
-from vlp16emu.extras.bench.retime import NowSink, stamp_ns
+from vlp16emu.extras.bench.retime import Present, stamp_ns
+from vlp16emu.sinks import Pacer
 from vlp16emu.types import Packet, PacketKind
 
 S_NS, HOUR_NS = 1_000_000_000, 3_600_000_000_000
@@ -37,14 +37,12 @@ def data(made_ns):
 @pytest.mark.parametrize("now_ns", [1_795_000_000_123_456_789, 1_795_003_599_999_000_000, 3 * S_NS])
 def test_stamps_are_those_of_the_clock(now_ns):
     """Stamp and age of the first packet make the time at which it leaves, in the second after now; later ones follow."""
-    clock, sink = Clock(now_ns), MemorySink()
+    clock = Clock(now_ns)
     packets = [data(1_779_000_000 * S_NS + 250_000_000 + step * 10_000_000) for step in range(3)]
-    present = NowSink(sink, clock_ns=clock)
-    present.begin(packets[0], clock)
+    present = Present(clock_ns=clock)
+    present.start(packets[0], Pacer(1.0, clock_ns=clock), clock)
     assert 0 <= clock.now_ns - now_ns < S_NS
-    for packet in packets:
-        present.send(packet)
-    assert [stamp_ns(packet) for packet in sink.packets] == [
+    assert [stamp_ns(present.moved(packet)) for packet in packets] == [
         (clock.now_ns - AGE_NS + step * 10_000_000) % HOUR_NS for step in range(3)
     ]
     assert present.moved_s * S_NS == clock.now_ns - packets[0].due_ns
@@ -54,5 +52,5 @@ def test_a_stream_that_is_to_stop_does_not_wait():
     """Where the stop event is set, beginning returns at once."""
     clock = Clock(5 * S_NS + 1)
     clock.set()
-    NowSink(MemorySink(), clock_ns=clock).begin(data(10 * S_NS), clock)
+    Present(clock_ns=clock).start(data(10 * S_NS), Pacer(1.0, clock_ns=clock), clock)
     assert clock.now_ns == 5 * S_NS + 1

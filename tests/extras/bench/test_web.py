@@ -14,8 +14,8 @@ from referencing import Registry, Resource
 
 from vlp16emu.errors import InputError, OutputError
 from vlp16emu.extras.bench.device import DeviceInfo, DeviceSettings, document
-from vlp16emu.extras.bench.options import Http
 from vlp16emu.extras.bench.web import WebServer
+from vlp16emu.run.options import Http
 from vlp16emu.types import PpsState, ReturnMode, SensorModel
 
 FOLDER = Path(__file__).parents[3] / "protocol" / "web"

@@ -18,7 +18,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from listening import Listener, MemorySink
+from listening import Listener
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
 
@@ -30,7 +30,6 @@ from vlp16emu.extras.viewer.live import (
     Batch,
     LivePage,
     PageSetup,
-    PageSink,
     instant_ns,
     live_page,
     offer,
@@ -42,7 +41,10 @@ from vlp16emu.extras.viewer.live_settings import SettingsPanel
 from vlp16emu.extras.viewer.page import guarded_server
 from vlp16emu.packets import DATA_BYTES, pack_position
 from vlp16emu.packets.layout import DATA_PAYLOAD
-from vlp16emu.sinks import Lateness, Pacer
+from vlp16emu.run.options import Http, StreamOptions
+from vlp16emu.run.part import StreamPart
+from vlp16emu.run.scene_stream import SceneStream
+from vlp16emu.sinks import Lateness
 from vlp16emu.types import Labels, PacketKind, PpsState
 
 MODE_AT = 1204  # offset of the return mode in a data packet
@@ -67,10 +69,10 @@ def ends():
         end.close()
 
 
-def page_on(channel, emulator):
-    """Page at the other end of a channel, which has noted the sensors of an emulator."""
-    page = LivePage("", channel, emulator.scenario.start_ns)
-    page.open_units(emulator.parts.units)
+def page_on(channel, emulator, **options):
+    """Page at the other end of a channel, which follows a stream of an emulator to free ports."""
+    page = LivePage("", channel)
+    page.follow(SceneStream(emulator, StreamOptions(data_port=0, position_port=0, **options)))
     return page
 
 
@@ -91,18 +93,16 @@ def test_messages_that_nobody_reads_are_dropped_at_once(ends):
     assert not offer(theirs, "anything")
 
 
-def test_a_sink_without_a_reader_passes_all_packets_and_keeps_few(packets):
-    """Packets pass unchanged and in order; only the last 512 wait for the page, and the counts are of all."""
-    listed = MemorySink()
-    pacer = Pacer(1.0)
-    sink = PageSink(listed, pacer)
-    for packet in packets * 2:
-        pacer.late_ns = 60_000_000 if packet is packets[0] else 1_000
-        sink.send(packet)
-    assert [id(packet) for packet in listed.packets] == [id(packet) for packet in packets * 2]
-    assert [id(packet) for packet, _ in sink.held] == [id(packet) for packet in (packets * 2)[-512:]]
-    assert sink.sent[PacketKind.DATA] == 2 * sum(packet.kind is PacketKind.DATA for packet in packets)
-    assert sink.late == 2
+def test_a_page_without_a_reader_keeps_few_packets(emulator, packets, ends):
+    """Only the last 512 packets wait for the page, and the counts are of all."""
+    page = page_on(ends[0], emulator)
+    with page._stream as stream:
+        for packet in packets * 2:
+            stream.pacer.late_ns = 60_000_000 if packet is packets[0] else 1_000
+            page.sent(packet)
+    assert [id(packet) for packet, _ in page.held] == [id(packet) for packet in (packets * 2)[-512:]]
+    assert page.counts[PacketKind.DATA] == 2 * sum(packet.kind is PacketKind.DATA for packet in packets)
+    assert page.late == 2
 
 
 @pytest.mark.parametrize("truth", [False, True])
@@ -114,15 +114,15 @@ def test_batches_hold_sent_packets_with_their_poses(ends, truth):
     if truth:
         emulator = emulator.with_engine(replace(emulator.engine, truth_of=door("truth_of_records")))
     sent = list(emulator.packets())
-    page = page_on(ours, emulator)
-    page.serve([("127.0.0.1", 1), ("127.0.0.1", 2)])
-    sink = page.watch(MemorySink(), Pacer(1.0))
-    for packet in sent:
-        sink.send(packet)
+    page = page_on(ours, emulator, http=Http("127.0.0.1:0"))
     batches = []
-    while sum(len(batch.packets) for batch in batches) < len(sent):
-        batches.append(receive(theirs))
-    page.end()
+    with page._stream as stream:
+        stream.prepare()
+        for packet in sent:
+            page.sent(packet)
+        while sum(len(batch.packets) for batch in batches) < len(sent):
+            batches.append(receive(theirs))
+        places = tuple(stream.web.places)
     got = [packet for batch in batches for packet in batch.packets]
     assert [(packet.unit, packet.kind, packet.payload) for packet in got] == [
         (packet.unit, packet.kind, packet.payload) for packet in sent
@@ -140,7 +140,8 @@ def test_batches_hold_sent_packets_with_their_poses(ends, truth):
     assert batches[-1].sent == {
         kind: sum(packet.kind is kind for packet in sent) for kind in batches[-1].sent
     }
-    assert batches[-1].web == (("127.0.0.1", 1), ("127.0.0.1", 2))
+    assert batches[-1].web == places
+    assert len(places) == 2
     assert batches[-1].lateness.packets == len(sent)
 
 
@@ -149,18 +150,24 @@ def received(emulator, page, ended, while_sending=lambda: None):
     listener, other = Listener(), Listener()
     begun = threading.Event()
 
-    def watch(sink, pacer):
-        begun.set()
-        return page.watch(sink, pacer, ended=ended)
+    class Watching(StreamPart):
+        def ready(self):
+            begun.set()
+
+        def news(self, line):
+            assert line == "the page in the browser has ended; the stream goes on"
+            ended()
 
     meanwhile = threading.Thread(target=lambda: begun.wait() and while_sending())
     meanwhile.start()
-    streamed = emulator.stream(
-        to=f"127.0.0.1:{listener.port}", position_port=other.port, watched=watch, opened=page.open_units
-    )
+    options = StreamOptions(to=f"127.0.0.1:{listener.port}", position_port=other.port)
+    stream = SceneStream(emulator, options)
+    stream.add(Watching())
+    page.follow(stream)
+    stream.run()
     meanwhile.join()
     other.end()
-    return listener.end(), streamed
+    return listener.end(), stream.result
 
 
 def test_a_page_that_hangs_or_is_killed_costs_no_packet(emulator, packets):
@@ -178,7 +185,6 @@ def test_a_page_that_hangs_or_is_killed_costs_no_packet(emulator, packets):
         assert os.getsid(process) == process != os.getsid(0)
         os.kill(process, signal.SIGSTOP)
         payloads, streamed = received(emulator, page, gone.set)
-        page.end()
         assert payloads == expected
         assert (streamed.packets, streamed.sent.skipped.total()) == (len(expected), 0)
         assert not gone.is_set()

@@ -20,13 +20,15 @@ from vlp16emu.errors import InputError, OutputError
 from vlp16emu.explain import explain
 from vlp16emu.extras.bench.device import Device, DeviceInfo, DeviceSettings, DeviceStatus
 from vlp16emu.extras.bench.events import Event, InForce, checked, event, tables
-from vlp16emu.extras.bench.options import Http
 from vlp16emu.extras.bench.web import WebServer
 from vlp16emu.packets import POSITION_BYTES, decode_position
-from vlp16emu.run.stream import PacketFeed
+from vlp16emu.run.feed import PacketFeed
+from vlp16emu.run.part import StreamPart
+from vlp16emu.run.scene_stream import SceneStream
+from vlp16emu.run.stream import Stream
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.settings import require_packets
-from vlp16emu.sinks import UdpSink, UnderWay
+from vlp16emu.sinks import UdpSink
 from vlp16emu.types import PpsState, ReturnMode, SensorModel
 from vlp16emu.units import FOREVER_NS, S_NS, seconds_to_ns
 
@@ -48,22 +50,42 @@ _WARM_S = 0.01
 _STEP_S = 0.001  # times of events are rounded up to this
 
 
-@contextmanager
-def web_interfaces(feed: PacketFeed, sink: UdpSink, under_way: UnderWay, http: Http) -> Iterator[None]:
-    """Serve the web interface of each sensor; errors of `WebServer` and `Device`."""
-    control = Control(feed, sink, under_way, http.saved)
-    with ExitStack() as stack:
+class WebInterfaces(StreamPart):
+    """Web interface of each sensor of a stream.
+
+    Parameters
+    ----------
+    stream : stream of a scene, with options for the interfaces
+    """
+
+    def __init__(self, stream: SceneStream) -> None:
+        self._stream = stream
+        self._open = ExitStack()
+        self.places = list[tuple[str, int]]()  # host and port of each; none before the first packet is ready
+        self._control: Control | None = None
+
+    def ready(self) -> None:
+        """Serve the interfaces; raises the errors of `WebServer` and `Device`."""
+        stream = self._stream
+        http = stream.options.http
+        assert http is not None
+        control = Control(stream.feed, stream.udp, stream, http.saved)
         host, first = http.address
-        servers = [
-            stack.enter_context(
-                WebServer(device, host, first and first + number, fault=partial(control.fault, number))
-            )
-            for number, device in enumerate(control.devices)
-        ]
-        stack.enter_context(control.following())
-        http.controlled(control)
-        http.serving([server.address for server in servers])
-        yield
+        for number, device in enumerate(control.devices):
+            server = WebServer(device, host, first and first + number, fault=partial(control.fault, number))
+            self._open.enter_context(server)
+            self.places.append(server.address)
+        self._open.enter_context(control.following())
+        self._control = control
+
+    def end(self, _error: BaseException | None) -> None:
+        """Stop the servers."""
+        self._open.close()
+
+    def happen(self, kind: str, unit: int = 1, **keys: object) -> int:
+        """Add an event of a unit, as `Control.happen` does, once the first packet is ready."""
+        assert self._control is not None
+        return self._control.happen(kind, unit, **keys)
 
 
 def _settings_of(unit: Unit, host: str) -> DeviceSettings:
@@ -87,7 +109,7 @@ class Control:
     saved : file of the first sensor's saved settings; other sensors use its name with their number
     """
 
-    def __init__(self, feed: PacketFeed, sink: UdpSink, under_way: UnderWay, saved: Path | None) -> None:
+    def __init__(self, feed: PacketFeed, sink: UdpSink, under_way: Stream, saved: Path | None) -> None:
         self._feed = feed
         self._sink = sink
         self._under_way = under_way
@@ -162,10 +184,6 @@ class Control:
             self._wanted += wanted
         self._apply_pending()
         return self._at_ns
-
-    def due_in_ns(self, at_ns: int) -> int:
-        """Return the time until a packet due at a UTC leaves, in ns of the scene; negative if it has left."""
-        return at_ns - self._under_way.due_in_ns(0)
 
     def fault(self, unit: int) -> int | None:
         """Return the HTTP status of all answers of a unit now, 0 for no answer; None without a fault."""

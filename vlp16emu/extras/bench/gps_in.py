@@ -5,16 +5,17 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Any
 
 from vlp16emu.errors import OutputError, PacketError
-from vlp16emu.extras.bench.options import GpsIn
 from vlp16emu.extras.bench.outlets import Away, SerialPort, has_line
 from vlp16emu.extras.bench.retime import age_ns, restamped
 from vlp16emu.motion.settings import Gps
 from vlp16emu.packets import STAMP_LEAD_NS
 from vlp16emu.packets.nmea import rmc_time
-from vlp16emu.sinks import TOLERANCE_NS, PacketSink
+from vlp16emu.run.part import StreamPart
+from vlp16emu.run.scene_stream import SceneStream
+from vlp16emu.sinks import TOLERANCE_NS
 from vlp16emu.types import Packet, PacketKind, PpsState
 from vlp16emu.units import HOUR_NS, MS_NS, S_NS, seconds_to_ns
 
@@ -144,45 +145,55 @@ class GpsInResult:
     away: tuple[Away, ...]  # times without the device
 
 
-class GpsReader:
-    """Reader of a receiver in a thread of its own; a context manager.
+class GpsReader(StreamPart):
+    """Reader of a receiver in a thread of its own, which gives packets the stamps, state and sentence of a sensor on its line.
+
+    Instants of packets follow their due times, even if they are sent late: stamps show no jitter of the host.
+    Only if the stream is late by more than the tolerance, instants are counted again from the host's clock.
 
     Parameters
     ----------
-    gps_in : port and line of the receiver
-    gps : table of the scene: window of the pulse, sentences that set the clock, and their delay
-    powered_for_s : time since power-up, the reading of the clock before it is set
+    stream : stream of a scene: window of the pulse, sentences that set the clock, their delay, and the time
+        since power-up, the reading of the clock before it is set
 
     Raises OutputError if the port cannot be opened, or has no such line.
     """
 
-    def __init__(self, gps_in: GpsIn, gps: Gps, powered_for_s: float) -> None:
-        self._pulse = None if gps_in.pulse == "sentence" else gps_in.pulse
-        self._port = SerialPort(gps_in.port, _BAUD, "--gps-in")
-        if (
-            self._pulse
-            and self._port.use(lambda port: has_line(lambda: getattr(port, gps_in.pulse))) is False
-        ):
+    def __init__(self, stream: SceneStream) -> None:
+        asked = stream.options.gps_in
+        assert asked is not None
+        self._emulator = stream.emulator
+        self._pulse = None if asked.pulse == "sentence" else asked.pulse
+        self._port = SerialPort(asked.port, _BAUD, "--gps-in")
+        if self._pulse and self._port.use(lambda port: has_line(lambda: getattr(port, asked.pulse))) is False:
             self._port.close()
             raise OutputError(
-                f"--gps-in {gps_in.port}", f"no line {self._pulse.upper()}", "--gps-in-pulse sentence"
+                f"--gps-in {asked.port}", f"no line {self._pulse.upper()}", "--gps-in-pulse sentence"
             )
-        power_up_ns = time.monotonic_ns() - seconds_to_ns(powered_for_s)
-        self.line = GpsLine(gps, power_up_ns, is_pulsed=self._pulse is not None)
         self._over = threading.Event()
-        self._thread = threading.Thread(target=self._run, name=f"gps in {gps_in.port}", daemon=True)
+        self._thread = threading.Thread(target=self._run, name=f"gps in {asked.port}", daemon=True)
+        self._stamps: LineStamps
 
-    def __enter__(self) -> Self:
+    def begin(self) -> None:
+        """Power up the sensor, and listen to the line."""
+        scenario = self._emulator.scenario
+        powered_for_s = self._emulator.parts.units[0].section.powered_for_s or 0.0
+        power_up_ns = time.monotonic_ns() - seconds_to_ns(powered_for_s)
+        self.line = GpsLine(scenario.gps, power_up_ns, is_pulsed=self._pulse is not None)
+        self._stamps = LineStamps(self.line)
         self._thread.start()
-        return self
 
-    def __exit__(self, *_: object) -> None:
+    def leaving(self, packet: Packet) -> Packet:
+        """Return a packet with the clock that the receiver sets."""
+        return self._stamps.stamped(packet)
+
+    def end(self, _error: BaseException | None) -> None:
+        """Stop listening, and close the port."""
         self._over.set()
-        self._thread.join()
-
-    def sink(self, way: PacketSink) -> PacketSink:
-        """Return a sink that stamps packets with the clock that the receiver sets."""
-        return GpsInSink(way, self.line)
+        if self._thread.ident is None:  # it closes the port
+            self._port.close()
+        else:
+            self._thread.join()
 
     @property
     def result(self) -> GpsInResult:
@@ -220,36 +231,27 @@ class GpsReader:
         )
 
 
-class GpsInSink(PacketSink):
-    """Sink that gives packets the stamps, state and sentence of a sensor with this receiver on its line.
+class LineStamps:
+    """Stamps of packets by the clock of a line; `clock_ns` is the clock of its instants."""
 
-    Instants of packets follow their due times, even if they are sent late: stamps show no jitter of the host.
-    Only if the stream is late by more than the tolerance, instants are counted again from `clock_ns`, the
-    clock of the line.
-    """
-
-    def __init__(
-        self, sink: PacketSink, line: GpsLine, clock_ns: Callable[[], int] = time.monotonic_ns
-    ) -> None:
-        self._sink = sink
+    def __init__(self, line: GpsLine, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
         self._line = line
         self._clock_ns = clock_ns
         self._ahead_ns: int | None = None
 
-    def send(self, packet: Packet) -> None:
-        """Send one packet; errors of the sink."""
+    def stamped(self, packet: Packet) -> Packet:
+        """Return a data or position packet with its stamp by the line; other packets as they are."""
         if packet.kind not in (PacketKind.DATA, PacketKind.POSITION):
-            self._sink.send(packet)
-            return
+            return packet
         now_ns = self._clock_ns()
         if self._ahead_ns is None or abs(now_ns - packet.due_ns - self._ahead_ns) > TOLERANCE_NS:
             self._ahead_ns = now_ns - packet.due_ns
         sent_ns = packet.due_ns + self._ahead_ns
         if packet.kind is PacketKind.POSITION:
             made_ns = sent_ns - STAMP_LEAD_NS
+        elif packet.fired_ns is None:
+            made_ns = sent_ns - age_ns(packet)
         else:
-            made_ns = sent_ns - (
-                age_ns(packet) if packet.fired_ns is None else packet.due_ns - packet.fired_ns
-            )
+            made_ns = sent_ns - (packet.due_ns - packet.fired_ns)
         line = self._line
-        self._sink.send(restamped(packet, line.clock_ns(made_ns), line.state_at(made_ns), line.sentence))
+        return restamped(packet, line.clock_ns(made_ns), line.state_at(made_ns), line.sentence)

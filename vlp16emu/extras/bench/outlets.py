@@ -9,22 +9,22 @@ import socket
 import termios
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable, Collection, Iterator
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from io import UnsupportedOperation
 from operator import itemgetter
-from typing import Any, Self, TypeVar
+from typing import Any, TypeVar
 
 from vlp16emu.engine import Engine
 from vlp16emu.errors import OutputError, RunError, ScenarioError
 from vlp16emu.extras.bench.imu_frame import IMU_FRAME, imu_frames
-from vlp16emu.extras.bench.options import Outlets, host_and_port
 from vlp16emu.extras.imu.sampler import ImuSampler
-from vlp16emu.extras.imu.settings import Imu
 from vlp16emu.packets import rmc
+from vlp16emu.run.options import host_and_port
+from vlp16emu.run.part import StreamPart
+from vlp16emu.run.scene_stream import SceneStream
 from vlp16emu.sinks import PacketSink
 from vlp16emu.sinks.udp import resolve
 from vlp16emu.types import Packet, PacketKind
@@ -313,54 +313,57 @@ _BITS = 10  # of a byte on the line: start, eight, stop
 _WHERE = "--imu-out"
 
 
-class Ways(PacketSink):
-    """Sinks of sentences, pulses and inertial samples beside the packets of the sensors, as one sink."""
+class OutletSinks(StreamPart):
+    """Sinks of sentences, pulses and inertial samples beside the packets of the sensors.
 
-    def __init__(self, asked: Outlets) -> None:
-        self._asked = asked
-        self._ways = dict[PacketKind, SerialSink | ImuUdpSink]()
-        self._sensors: PacketSink
+    Parameters
+    ----------
+    stream : stream of a scene, with options that ask for outlets
 
-    def __exit__(self, *_: object) -> None:
-        for way in dict.fromkeys(self._ways.values()):
-            way.__exit__()
+    Raises the errors of `Emulator.stream`.
+    """
+
+    def __init__(self, stream: SceneStream) -> None:
+        asked = stream.options.outlets
+        assert asked is not None
+        self._stream = stream
+        self.kinds = list[PacketKind]()  # kinds of packets to make
+        if asked.gps_out:
+            self.kinds += [PacketKind.NMEA] if asked.gps_pps == "off" else [PacketKind.NMEA, PacketKind.PPS]
+        if asked.imu_out:
+            self.kinds.append(PacketKind.IMU)
+        Beside(stream.emulator.engine, self.kinds)  # refuses a scene that lacks a device
+        self.sinks = dict[PacketKind, SerialSink | ImuUdpSink]()
+        self.look_ahead = 0
+        """Packets that a stream computes further ahead, because of samples between sensor packets."""
+        with ExitStack() as stack:
+            if asked.gps_out:
+                line = None if asked.gps_pps == "off" else asked.gps_pps
+                port = SerialSink(SerialPort(asked.gps_out, _GPS_BAUD, "--gps-out", line))
+                stack.push(port)
+                self.sinks[PacketKind.NMEA] = self.sinks[PacketKind.PPS] = port
+            if asked.imu_out:
+                imu = stream.emulator.scenario.imu
+                assert imu is not None
+                self.look_ahead = 2 * imu.rate_hz
+                samples = _imu_sink(asked.imu_out, imu.rate_hz)
+                stack.push(samples)
+                self.sinks[PacketKind.IMU] = samples
+            self._open = stack.pop_all()
+
+    def end(self, _error: BaseException | None) -> None:
+        """Close the sinks, after what waits for them is sent."""
+        self._open.close()
 
     @property
-    def kinds(self) -> tuple[PacketKind, ...]:
-        """Kinds of packets to make."""
-        gps = (PacketKind.NMEA, PacketKind.PPS)[: 1 if self._asked.gps_pps == "off" else 2]
-        return (*(gps if self._asked.gps_out else ()), *((PacketKind.IMU,) if self._asked.imu_out else ()))
-
-    def look_ahead(self, imu: Imu | None) -> int:
-        """Return the number of packets that a stream computes further ahead, because of samples between sensor packets."""
-        return 2 * imu.rate_hz if self._asked.imu_out and imu else 0
-
-    def open(self, sensors: PacketSink, imu: Imu | None) -> Self:
-        """Open the outlets beside `sensors`, the sink of data and position packets; errors as in `Emulator.stream`."""
-        self._sensors = sensors
-        if self._asked.gps_out:
-            line = None if self._asked.gps_pps == "off" else self._asked.gps_pps
-            port = SerialSink(SerialPort(self._asked.gps_out, _GPS_BAUD, "--gps-out", line))
-            self._ways[PacketKind.NMEA] = self._ways[PacketKind.PPS] = port
-        if self._asked.imu_out and imu:
-            self._ways[PacketKind.IMU] = _imu_way(self._asked.imu_out, imu.rate_hz)
-        return self
-
-    def send(self, packet: Packet) -> None:
-        """Send one packet with the sink of its kind; errors of that sink."""
-        self._ways.get(packet.kind, self._sensors).send(packet)
-
-    def results(self, skipped: Counter[PacketKind]) -> tuple[OutletResult | None, OutletResult | None]:
-        """Return the results of receiver and inertial unit, None for an unused one; packets that the stream skipped count as dropped."""
-
-        def result(kind: PacketKind) -> OutletResult | None:
-            sent = self._ways[kind].result if kind in self._ways else None
-            return sent and replace(sent, dropped=sent.dropped + skipped[kind])
-
-        return result(PacketKind.NMEA), result(PacketKind.IMU)
+    def result(self) -> dict[PacketKind, OutletResult]:
+        """Results by kind; packets that the stream skipped count as dropped."""
+        skipped = self._stream.report.skipped
+        sent = {kind: sink.result for kind, sink in self.sinks.items()}
+        return {kind: replace(one, dropped=one.dropped + skipped[kind]) for kind, one in sent.items()}
 
 
-def _imu_way(to: str, rate_hz: int) -> "SerialSink | ImuUdpSink":
+def _imu_sink(to: str, rate_hz: int) -> "SerialSink | ImuUdpSink":
     """Open the sink of samples; InputError if `to` names none, OutputError if a serial line is too slow for the rate."""
     if to.startswith("serial:"):
         most_hz = _BAUD // (_BITS * IMU_FRAME.itemsize)

@@ -16,7 +16,7 @@ from vlp16emu.extras.bench.imu_frame import moved_imu
 from vlp16emu.packets import layout
 from vlp16emu.packets.position import STAMP_LEAD_NS
 from vlp16emu.sensor.beams import SEQUENCE_NS
-from vlp16emu.sinks import PacketSink
+from vlp16emu.sinks import Pacer
 from vlp16emu.types import Packet, PacketKind, PpsState, ReturnMode
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
@@ -124,8 +124,8 @@ def _moved_sentence(field: bytes, by_s: int, now_ns: int | None) -> bytes:
     return b"$%b*%02X%b" % (body, reduce(xor, body), field[found.end() :])
 
 
-class NowSink(PacketSink):
-    """Sink that moves packets by a whole number of seconds to the present of the system's clock.
+class Present:
+    """Move of packets by a whole number of seconds to the present of the system's clock.
 
     Because the number is whole, the intervals between pulses of the receiver, sentences and stamps do not
     change. The stream begins at the instant with the first packet's fraction of a second, so it waits for
@@ -133,12 +133,10 @@ class NowSink(PacketSink):
 
     Parameters
     ----------
-    sink : sink of the moved packets
     clock_ns : clock of the system, UTC
     """
 
-    def __init__(self, sink: PacketSink, *, clock_ns: Callable[[], int] = time.time_ns) -> None:
-        self._sink = sink
+    def __init__(self, *, clock_ns: Callable[[], int] = time.time_ns) -> None:
         self._clock_ns = clock_ns
         self._ahead_ns = 0
         self.moved_s = 0
@@ -146,25 +144,27 @@ class NowSink(PacketSink):
         `began_ns`."""
         self.began_ns = 0  # UTC of the first packet by the sensor's clock
 
-    def begin(self, first: Packet, stop: Event) -> int:
-        """Wait for the instant at which the first packet leaves, or for `stop`.
+    def start(self, first: Packet, pacer: Pacer, stop: Event) -> None:
+        """Start the clock of a stream; wait for the instant at which the first packet leaves, or for `stop`.
 
-        Returns
-        -------
-        Time since the instant, in ns; negative before it
+        A clock that already runs, as in a live run, is joined.
         """
         sent_ns = self._sent_ns(first)
-        now_ns = self._clock_ns()
-        at_ns = now_ns + (sent_ns - now_ns) % S_NS
-        stop.wait((at_ns - now_ns) / S_NS)
-        self._start(first, sent_ns, at_ns)
-        return self._clock_ns() - at_ns
+        if pacer.first_due_ns is None:
+            now_ns = self._clock_ns()
+            at_ns = now_ns + (sent_ns - now_ns) % S_NS
+            stop.wait((at_ns - now_ns) / S_NS)
+            pacer.begin(first.due_ns, self._clock_ns() - at_ns)
+        else:
+            due_ns = self._clock_ns() + pacer.deadline_ns(first.due_ns) - pacer.now_ns()
+            at_ns = sent_ns + round((due_ns - sent_ns) / S_NS) * S_NS
+        self.moved_s = (at_ns - sent_ns) // S_NS
+        self.began_ns = at_ns
+        self._ahead_ns = at_ns - first.due_ns
 
-    def join(self, first: Packet, left_ns: int) -> None:
-        """Begin with a clock that already runs; `left_ns` is the time since the first packet left, negative before."""
-        sent_ns = self._sent_ns(first)
-        due_ns = self._clock_ns() + left_ns
-        self._start(first, sent_ns, sent_ns + round((due_ns - sent_ns) / S_NS) * S_NS)
+    def moved(self, packet: Packet) -> Packet:
+        """Return a packet of the present."""
+        return moved(packet, self.moved_s, packet.due_ns + self._ahead_ns)
 
     def _sent_ns(self, first: Packet) -> int:
         """Return the UTC at which a packet leaves by its own stamp, or its due time if it has none."""
@@ -174,12 +174,3 @@ class NowSink(PacketSink):
         made_ns = stamp_ns(first)
         hour_ns = (first.due_ns - age_ns(first) - made_ns + HOUR_NS // 2) // HOUR_NS * HOUR_NS
         return hour_ns + made_ns + age_ns(first)
-
-    def _start(self, first: Packet, sent_ns: int, at_ns: int) -> None:
-        self.moved_s = (at_ns - sent_ns) // S_NS
-        self.began_ns = at_ns
-        self._ahead_ns = at_ns - first.due_ns
-
-    def send(self, packet: Packet) -> None:
-        """Send one packet; errors of the sink."""
-        self._sink.send(moved(packet, self.moved_s, packet.due_ns + self._ahead_ns))

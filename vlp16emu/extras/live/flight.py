@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
-from threading import Event
 from typing import Self
 
 import numpy as np
@@ -17,14 +16,15 @@ import numpy as np
 from vlp16emu.engine.engine import make_receiver
 from vlp16emu.engine.windows import STEPS
 from vlp16emu.errors import InputError, OutputError
-from vlp16emu.extras.bench.options import PosesIn, host_and_port
 from vlp16emu.extras.live.flown import FLOWN_HEADER, LiveWindows, flown_rows
 from vlp16emu.extras.live.knots import STEP_NS
 from vlp16emu.extras.live.motion import LOST_NS, LiveMotion, PosesLost
 from vlp16emu.extras.live.pose_packet import POSE_BYTES, is_pose, unpack_pose
 from vlp16emu.output import OutputFile, spare
-from vlp16emu.run.emulator import Emulator
-from vlp16emu.sinks import Late, LatenessHistogram, Pacer, PacketSink
+from vlp16emu.run.options import PosesIn, host_and_port
+from vlp16emu.run.part import StreamPart
+from vlp16emu.run.scene_stream import SceneStream
+from vlp16emu.sinks import LatenessHistogram
 from vlp16emu.types import Packet
 from vlp16emu.units import S_NS, seconds_to_ns
 
@@ -119,28 +119,26 @@ class LiveReport:
     flown: str | None  # path of the table of knots, if one is written
 
 
-class Flight(PacketSink):
-    """A live run; a context manager, and the sink of its packets.
+class Flight(StreamPart):
+    """A live run: the part of a stream that takes poses, starts its clock, and measures the latency of packets.
 
     Parameters
     ----------
-    emulator : emulator of a live scene
-    poses : options of the pose port; `where` as for `PoseReceiver`
+    stream : stream of a live scene, with options for its poses
     clock_ns : monotonic clock
 
-    Raises InputError if the scene is not live; OutputError if the table cannot be written, or would be
-    written over a file that is read; and the errors of `PoseReceiver`.
+    Raises InputError if the scene is not live, or the speed is not 1; OutputError if the table cannot be
+    written, or would be written over a file that is read; and the errors of `PoseReceiver`.
     """
 
-    look_ahead = (
-        8  # packets of a unit that are computed before the first leaves: two steps, or one of dual return
-    )
+    look_ahead = 8
+    """Packets of a unit that are computed before the first leaves: two steps, or one of dual return."""
+    lead_ns = _START_NS
+    """Time ahead of now from which an engine that is too slow goes on: nothing is computed further ahead."""
 
-    def __init__(
-        self, emulator: Emulator, poses: PosesIn | None, *, clock_ns: Callable[[], int] = time.monotonic_ns
-    ) -> None:
-        engine = emulator.engine
-        poses = poses or PosesIn()
+    def __init__(self, stream: SceneStream, *, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
+        engine = stream.emulator.engine
+        poses = stream.options.poses or PosesIn()
         motion = engine.parts.carrier
         windows = engine.windows
         if not isinstance(motion, LiveMotion):
@@ -148,16 +146,16 @@ class Flight(PacketSink):
             found = f'found motion.kind = "{engine.scenario.motion.kind}"'
             raise InputError(option, found, 'motion.kind = "live", without motion.flown')
         assert isinstance(windows, LiveWindows)
+        if stream.pacer.speed != 1.0:
+            raise InputError("--speed", f"found {stream.pacer.speed:g}", "1 in a live scene")
         if poses.flown is not None:
-            spare(emulator.files, poses.flown)
+            spare(stream.emulator.files, poses.flown)
+        self._stream = stream
         self._engine = engine
         self._motion = motion
         self._windows = windows
-        self._news = poses.news
         self._clock_ns = clock_ns
         self._latency = LatenessHistogram()
-        self._sink: PacketSink
-        self._pacer: Pacer
         self._lost_ns: int | None = None
         self._written = 0
         self._write_at_ns = 0
@@ -169,26 +167,24 @@ class Flight(PacketSink):
             self._open = stack.pop_all()
         motion.is_open = True
 
-    def __exit__(self, *_: object) -> None:
+    def end(self, error: BaseException | None) -> None:
+        """Sum up, complete the table, and end the motion."""
         with self._open:
+            if error is None:
+                self.result = self._report()
             if self._file and self._motion.knots:
                 with self._file.writing():
                     self._write(self._motion.knots.last + 1)
         self._motion.end()
         self._windows.begin_again()
 
-    def prepare(self, stop: Event, pacer: Pacer) -> Late:
-        """Wait for the first pose or `stop`, open the world around the pose, and compute the first packets once.
-
-        Late packets are dropped, as later poses would wait for them. Raises `InputError` if the speed is not
-        1.
-        """
-        if pacer.speed != 1.0:
-            raise InputError("--speed", f"found {pacer.speed:g}", "1 in a live scene")
-        self._news(f"waiting for poses{f' on {self._receiver.where}' if self._receiver else ''}")
+    def begin(self) -> None:
+        """Wait for the first pose or a stop, open the world around the pose, compute packets once, and start the clock."""
+        stop = self._stream.stop
+        self._stream.say(f"waiting for poses{f' on {self._receiver.where}' if self._receiver else ''}")
         while not self._motion.poses.came.wait(_POLL_S):
             if stop.is_set():
-                return Late.SKIP
+                return
         with suppress(CancelledError):
             # With a receiver of its own: this one sees a body that does not move yet.
             receiver = make_receiver(self._engine.scenario, self._engine.parts, self._engine.windows)
@@ -196,32 +192,23 @@ class Flight(PacketSink):
             while not self._windows.is_here() and not stop.is_set():  # the body has moved meanwhile
                 self._windows.begin_again()
                 self._windows.wait(self._windows.at_block(0))
-        return Late.SKIP
+        self._start_clock()
 
-    def begun(self, sink: PacketSink, pacer: Pacer, *, now: bool) -> Self:
-        """Start the clock: the first pulse is fired in a moment, and packets leave by the same clock, through this to `sink`.
+    def _start_clock(self) -> None:
+        """Fire the first pulse in a moment, and let packets leave by the same clock.
 
         With `now` it is fired where the clock of the system has the fraction of a second that the scene
         begins with.
         """
-        if self._motion.poses.last is not None:
-            start_ns = self._engine.scenario.start_ns
-            in_ns = _START_NS
-            if now:
-                in_ns += (start_ns - time.time_ns() - in_ns) % S_NS
-            self._motion.begin(self._clock_ns() + in_ns)
-            pacer.begin(start_ns, -in_ns)
-        self._sink = sink
-        self._pacer = pacer
-        return self
+        start_ns = self._engine.scenario.start_ns
+        in_ns = _START_NS
+        if self._stream.options.now:
+            in_ns += (start_ns - time.time_ns() - in_ns) % S_NS
+        self._motion.begin(self._clock_ns() + in_ns)
+        self._stream.pacer.begin(start_ns, -in_ns)
 
-    def going_on(self, go_on_from: Callable[[int], None]) -> Callable[[int], None]:
-        """Return what lets an engine that is too slow go on in a moment, and not further ahead: nothing is computed ahead here."""
-        return lambda _due_ns: go_on_from(self._pacer.due_in_ns(_START_NS))
-
-    def send(self, packet: Packet) -> None:
-        """Send one packet and record its latency; errors of the sink."""
-        self._sink.send(packet)
+    def sent(self, packet: Packet) -> None:
+        """Record the latency of a packet, say if poses are lost or back, and write knots that are settled."""
         now_ns = self._clock_ns()
         uses = self._motion.first_uses
         if packet.fired_ns is not None:
@@ -231,19 +218,21 @@ class Flight(PacketSink):
             if self._lost_ns is None and now_ns - last.arrived_ns > LOST_NS:
                 self._lost_ns = last.arrived_ns
                 since_s = self._motion.since_s(last.arrived_ns)
-                self._news(f"poses lost: none since {since_s:.1f} s; the body comes to rest")
+                self._stream.say(f"poses lost: none since {since_s:.1f} s; the body comes to rest")
             elif self._lost_ns is not None and last.arrived_ns > self._lost_ns:
                 gap_s = (last.arrived_ns - self._lost_ns) / S_NS
                 self._lost_ns = None
-                self._news(f"poses are back after {gap_s:.1f} s")
+                self._stream.say(f"poses are back after {gap_s:.1f} s")
         if self._file and now_ns >= self._write_at_ns:
             self._write_at_ns = now_ns + _ROWS_NS
             # Which window a block has is settled before the next one begins.
             settled = STEPS * self._windows.decided
             self._write(min(settled, self._motion.knots.last + 1 if self._motion.knots else 0))
 
-    def report(self, until_s: float) -> LiveReport:
-        """Sum up, and fly on until a time since the first pulse, so that a run that is repeated gets there too."""
+    def _report(self) -> LiveReport:
+        """Sum up, and fly on until the end of the run, so that a run that is repeated gets there too."""
+        report = self._stream.report
+        until_s = report.simulated_s if report.interrupted else self._stream.span_s[1]
         if self._motion.knots:
             self._motion.poses_at(np.array([self._engine.scenario.start_ns + seconds_to_ns(until_s)]))
         poses = self._motion.poses

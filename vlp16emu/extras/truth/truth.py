@@ -35,8 +35,8 @@ from vlp16emu.motion.settings import Mount
 from vlp16emu.output import write_json
 from vlp16emu.packets import SENSOR_R_MANUAL
 from vlp16emu.run.emulator import Emulator
+from vlp16emu.run.feed import PacketFeed
 from vlp16emu.run.options import TruthPlace, TruthTo
-from vlp16emu.run.stream import PacketFeed
 from vlp16emu.scenario import Scenario, named_files
 from vlp16emu.sensor.settings import Sensor, require_packets
 from vlp16emu.types import F8, Packet, PacketKind

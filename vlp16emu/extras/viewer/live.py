@@ -17,7 +17,7 @@ import socket
 import subprocess
 import sys
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -27,10 +27,11 @@ from typing import Any
 import numpy as np
 from numpy.lib.recfunctions import repack_fields
 
-from vlp16emu.engine import Unit
 from vlp16emu.errors import RunError, Vlp16emuError
 from vlp16emu.run.emulator import Emulator
-from vlp16emu.sinks import TOLERANCE_NS, Lateness, LatenessHistogram, Pacer, PacketSink
+from vlp16emu.run.part import StreamPart
+from vlp16emu.run.scene_stream import SceneStream
+from vlp16emu.sinks import TOLERANCE_NS, Lateness, LatenessHistogram
 from vlp16emu.types import F8, Labels, Packet, PacketKind
 from vlp16emu.units import S_NS
 
@@ -100,116 +101,84 @@ def receive(channel: socket.socket) -> Any:
     return pickle.loads(data)  # noqa: S301  # the other end is a process of ours
 
 
-class PageSink(PacketSink):
-    """A sink that passes packets on, and keeps the last ones for the copying thread.
-
-    Parameters
-    ----------
-    sink : sink of the packets
-    pacer : clock of the stream
-    """
-
-    def __init__(self, sink: PacketSink, pacer: Pacer) -> None:
-        self._sink = sink
-        self._pacer = pacer
-        self.held = deque[tuple[Packet, int]](maxlen=_HELD)  # packets with their lateness in ns
-        self.sent = Counter[PacketKind]()
-        self.late = 0
-
-    def send(self, packet: Packet) -> None:
-        """Send one packet; errors of the sink."""
-        self._sink.send(packet)
-        late_ns = self._pacer.late_ns
-        self.sent[packet.kind] += 1
-        self.late += late_ns > TOLERANCE_NS
-        self.held.append((packet, late_ns))
-
-
-class LivePage:
-    """The page of one stream; `open_units`, `serve` and `watch` are called by the stream.
+class LivePage(StreamPart):
+    """The page of one stream: it keeps the last packets for a thread that copies them to the process of the page.
 
     Parameters
     ----------
     url : address of the page
     channel : socket to its process
-    start_ns : UTC of the first pulse
     """
 
-    def __init__(self, url: str, channel: socket.socket, start_ns: int) -> None:
+    def __init__(self, url: str, channel: socket.socket) -> None:
         self.url = url
+        self.held = deque[tuple[Packet, int]](maxlen=_HELD)  # packets with their lateness in ns
+        self.counts = Counter[PacketKind]()  # packets so far
+        self.late = 0
         self._channel = channel
-        self._start_ns = start_ns
-        self._units: Sequence[Unit] = ()
-        self._web: tuple[tuple[str, int], ...] = ()
         self._lateness = LatenessHistogram()
         self._over = Event()
-        self._thread: Thread | None = None
+        self._thread = Thread(target=self._copy, name="page", daemon=True)
+        self._stream: SceneStream
 
-    def open_units(self, units: Sequence[Unit]) -> None:
-        """Note the sensors of the stream, before its first packet."""
-        self._units = units
+    def follow(self, stream: SceneStream) -> None:
+        """Become a part of a stream."""
+        self._stream = stream
+        stream.add(self)
 
-    def serve(self, places: Sequence[tuple[str, int]]) -> None:
-        """Note the web interfaces of the sensors."""
-        self._web = tuple(places)
-
-    def watch(
-        self, sink: PacketSink, pacer: Pacer, *, ended: Callable[[], None] = lambda: None
-    ) -> PacketSink:
-        """Return a sink whose packets the page gets too.
-
-        Parameters
-        ----------
-        sink : sink of the packets
-        pacer : clock of the stream
-        ended : called once if the page ends before the stream does; from another thread
-        """
-        watched = PageSink(sink, pacer)
-        self._thread = Thread(target=self._copy, args=(watched, pacer, ended), name="page", daemon=True)
+    def begin(self) -> None:
+        """Start the copying thread."""
         self._thread.start()
-        return watched
 
-    def end(self) -> None:
+    def sent(self, packet: Packet) -> None:
+        """Keep a packet for the copying thread."""
+        late_ns = self._stream.pacer.late_ns
+        self.counts[packet.kind] += 1
+        self.late += late_ns > TOLERANCE_NS
+        self.held.append((packet, late_ns))
+
+    def end(self, _error: BaseException | None) -> None:
         """Stop the copying thread."""
         self._over.set()
-        if self._thread is not None:
+        if self._thread.is_alive():
             self._thread.join()
 
-    def _copy(self, sink: PageSink, pacer: Pacer, ended: Callable[[], None]) -> None:
-        """Send what the sink holds, until the stream or the page ends."""
+    def _copy(self) -> None:
+        """Send what is held, until the stream or the page ends."""
         while not self._over.wait(_EVERY_S):
-            for _ in range(math.ceil(len(sink.held) / _MOST)):
-                held = [sink.held.popleft() for _ in range(min(_MOST, len(sink.held)))]
+            for _ in range(math.ceil(len(self.held) / _MOST)):
+                held = [self.held.popleft() for _ in range(min(_MOST, len(self.held)))]
                 for _, late_ns in held:
                     self._lateness.add(late_ns)
                 packets = [packet for packet, _ in held if packet.kind in _PAGE_KINDS]
                 try:
-                    batch = self._batch(packets, sink, pacer)
+                    batch = self._batch(packets)
                 except (Vlp16emuError, CancelledError):  # a live run has just ended, and has no more poses
                     return
                 if batch and not offer(self._channel, batch):
-                    ended()
+                    self._stream.say("the page in the browser has ended; the stream goes on")
                     return
 
-    def _batch(self, packets: Sequence[Packet], sink: PageSink, pacer: Pacer) -> Batch | None:
+    def _batch(self, packets: Sequence[Packet]) -> Batch | None:
         if not packets:
             return None
+        stream = self._stream
         t_ns = np.array([instant_ns(packet) for packet in packets])
         number = np.array([packet.unit for packet in packets])
         poses = np.empty((len(packets), 4, 4))
-        for unit in self._units:
+        for unit in stream.emulator.parts.units:
             own = number == unit.number
             if own.any():
                 poses[own] = unit.world_T_sensor(t_ns[own])
         return Batch(
             packets=tuple(with_labels(packet) for packet in packets),
             world_T_sensor=poses,
-            since_s=(packets[-1].due_ns - self._start_ns) / S_NS,
-            sent=dict(sink.sent),
-            late=sink.late,
+            since_s=(packets[-1].due_ns - stream.emulator.scenario.start_ns) / S_NS,
+            sent=dict(self.counts),
+            late=self.late,
             lateness=self._lateness.summary,
-            delay_s=pacer.delay_ns / S_NS,
-            web=self._web,
+            delay_s=stream.pacer.delay_ns / S_NS,
+            web=tuple(stream.web.places) if stream.web else (),
         )
 
 
@@ -248,13 +217,9 @@ def live_page(emulator: Emulator, port: int) -> Iterator[LivePage]:
                 start_new_session=True,
                 env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
             )
-        page = None
         try:
-            page = LivePage(_url(ours, setup), ours, scenario.start_ns)
-            yield page
+            yield LivePage(_url(ours, setup), ours)
         finally:
-            if page is not None:
-                page.end()
             process.kill()  # it has nothing to finish, and may hang
             process.wait()
 

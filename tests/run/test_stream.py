@@ -6,6 +6,7 @@ import os
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,12 +14,28 @@ from listening import MemorySink
 from sinks.kit import PERIOD_NS, make_packets
 
 from vlp16emu.errors import RunError
-from vlp16emu.sinks import Pacer, stream
+from vlp16emu.run.part import StreamPart
+from vlp16emu.run.stream import TRANSITIONS, State, Stream
+from vlp16emu.sinks import Pacer
 from vlp16emu.sinks.pacing import prompt
-from vlp16emu.sinks.stream import LookAhead
 from vlp16emu.types import Packet, PacketKind
 
 FAST = 1000.0
+
+
+def stream(packets, sink, *, speed=FAST, parts=(), **options):
+    """Send packets of all kinds to one sink, and return the report."""
+    made = Stream(packets, dict.fromkeys(PacketKind, sink), Pacer(speed), **options)
+    for part in parts:
+        made.add(part)
+    return made.run()
+
+
+class Notified(StreamPart):
+    """Calls a function each time that its stream falls behind."""
+
+    def __init__(self, notify):
+        self.fell_behind = notify
 
 
 class BreakingSink(MemorySink):
@@ -52,7 +69,7 @@ def test_all_packets_arrive_in_order(look_ahead):
     """Whatever the buffer's size, a sink gets the very packets, in their order, and the report counts them."""
     packets = make_packets(300)
     with MemorySink() as sink:
-        report = stream(iter(packets), sink, Pacer(FAST), look_ahead_packets=look_ahead)
+        report = stream(iter(packets), sink, look_ahead=look_ahead)
     assert sink.packets == packets
     assert report.lateness.packets == 300
     assert report.simulated_s == pytest.approx(299 * 1.327104e-3)
@@ -64,21 +81,9 @@ def test_packets_leave_in_real_time():
     """At speed 1 a quarter of a second of packets takes that time, and at speed 5 a fifth of it."""
     packets = make_packets(190)
     for speed in (1.0, 5.0):
-        report = stream(packets, MemorySink(), Pacer(speed))
+        report = stream(packets, MemorySink(), speed=speed)
         assert report.wall_s >= report.simulated_s / speed - 1e-9  # deadlines are whole nanoseconds
         assert speed / 3 < report.real_time_factor <= speed * (1 + 1e-6)  # other programs may take the cores
-
-
-def test_look_ahead_is_bounded():
-    """The thread computes the buffer and one packet more, then waits until one is taken."""
-    made = []
-    with LookAhead(endless(made), 10, threading.Event()) as ahead:
-        ahead.fill()
-        first = ahead.take()
-        ahead.fill()
-        ahead.fill()
-        assert first.due_ns == 0
-        assert len(made) <= 12
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a thread has a priority of its own on Linux alone")
@@ -96,50 +101,9 @@ def test_threads_that_compute_give_way():
         worker.join()
         yield Packet(PacketKind.DATA, 0, b"")
 
-    stream(computing(), MemorySink(), Pacer(FAST))
+    stream(computing(), MemorySink())
     assert nice == [min(before + 3, 19)] * 2
     assert os.getpriority(os.PRIO_PROCESS, 0) == before
-
-
-class Numbered:
-    """Packets that carry the number of a generation, which begin again on demand."""
-
-    def __init__(self, count):
-        self.count, self.next, self.generation = count, 0, 0
-
-    def __iter__(self):
-        return self
-
-    def __next__(self):
-        if self.next == self.count:
-            raise StopIteration
-        self.next += 1
-        return Packet(PacketKind.DATA, (self.next - 1) * PERIOD_NS, bytes([self.generation]))
-
-    def restart(self, due_ns):
-        """Go on from a time, or from where they are if that is earlier."""
-        self.next, self.generation = min(self.next, -(-due_ns // PERIOD_NS)), self.generation + 1
-
-
-@pytest.mark.parametrize("capacity", [8, 64, 500])
-@pytest.mark.parametrize("cuts", [[40], [40, 40], [90, 60], [60, 90], [299]])
-def test_what_is_made_anew_follows_what_is_sent_without_a_gap(cuts, capacity):
-    """From each cut on packets are of a later generation; none is lost, none comes twice, also where all had been computed."""
-    packets, stop = Numbered(300), threading.Event()
-    with LookAhead(packets, capacity, stop) as ahead:
-        ahead.fill()
-        taken = []
-        while len(taken) < 30:
-            taken.append(ahead.take())
-        for cut in cuts:
-            ahead.redo(cut * PERIOD_NS, packets.restart)
-        while (packet := ahead.take()) is not None:
-            taken.append(packet)
-    assert [packet.due_ns for packet in taken] == [i * PERIOD_NS for i in range(300)]
-    generations = [packet.payload[0] for packet in taken]
-    assert generations == sorted(generations)
-    assert set(generations[:30]) == {0}
-    assert min(generations[max(cuts) :]) > 0
 
 
 def test_errors_and_ctrl_c_end_a_stream():
@@ -154,18 +118,18 @@ def test_errors_and_ctrl_c_end_a_stream():
 
     sink = MemorySink()
     with pytest.raises(RunError, match="the engine is broken"):
-        stream(failing(), sink, Pacer(FAST))
+        stream(failing(), sink)
     assert sink.packets == make_packets(20)
     assert threads() == 0
     with pytest.raises(RunError, match="link is down"):
-        stream(endless([]), BreakingSink(5, RunError("link is down")), Pacer(FAST))
+        stream(endless([]), BreakingSink(5, RunError("link is down")))
     assert threads() == 0
     sink = BreakingSink(25, KeyboardInterrupt())
-    report = stream(endless([]), sink, Pacer(FAST))
+    report = stream(endless([]), sink)
     assert report.interrupted
     assert report.lateness.packets == 26
     assert threads() == 0
-    report = stream([], MemorySink(), Pacer(1.0))
+    report = stream([], MemorySink(), speed=1.0)
     assert (report.lateness.packets, report.wall_s, report.real_time_factor) == (0, 0.0, 0.0)
 
 
@@ -179,7 +143,7 @@ def test_stop_event_ends_even_a_stream_that_waits_for_its_engine():
         time.sleep(0.2)
         yield Packet(PacketKind.DATA, 1, b"")
 
-    report = stream(stuck(), MemorySink(), Pacer(1.0), stop=stop)
+    report = stream(stuck(), MemorySink(), speed=1.0, stop=stop)
     assert report.interrupted
     assert threads() == 0
 
@@ -188,18 +152,19 @@ def test_stop_event_ends_a_stream_whose_receivers_wait_for_a_world():
     """A stream that is stopped before its first packet, while what begins beside it waits for a world, has a report."""
     stop, sink = threading.Event(), MemorySink()
 
-    def begun(_):
-        stop.set()
-        raise concurrent.futures.CancelledError
+    class Waiting(StreamPart):
+        def ready(self):
+            stop.set()
+            raise concurrent.futures.CancelledError
 
-    assert stream(make_packets(3), sink, Pacer(1.0), stop=stop, begun=begun).interrupted
+    assert stream(make_packets(3), sink, speed=1.0, stop=stop, parts=[Waiting()]).interrupted
     assert sink.packets == []
 
 
 def test_stop_event_and_switch_interval_are_left_as_they_were():
     """A stream that ends by itself does not set the caller's event; the interpreter's switch interval is short while it sends, and as before afterwards."""
     stop = threading.Event()
-    assert not stream(make_packets(3), MemorySink(), Pacer(FAST), stop=stop).interrupted
+    assert not stream(make_packets(3), MemorySink(), stop=stop).interrupted
     assert not stop.is_set()
     before_s, during_s = sys.getswitchinterval(), set()
 
@@ -208,7 +173,7 @@ def test_stop_event_and_switch_interval_are_left_as_they_were():
             super().send(packet)
             during_s.add(sys.getswitchinterval())
 
-    stream(make_packets(3), Looking(), Pacer(FAST))
+    stream(make_packets(3), Looking())
     assert sys.getswitchinterval() == before_s
     assert max(during_s) < before_s
 
@@ -226,7 +191,7 @@ def test_a_slow_engine_is_reported_at_once():
     def notify(_behind):
         times.append(len(sink.packets))
 
-    report = stream(pausing(), sink, Pacer(1.0), look_ahead_packets=8, notify=notify)
+    report = stream(pausing(), sink, speed=1.0, look_ahead=8, parts=[Notified(notify)])
     assert len(times) == len(report.behind) == 1
     assert times[0] <= 30
     assert report.delay_s == pytest.approx(sum(behind.total_s for behind in report.behind))
@@ -244,7 +209,9 @@ def test_a_packet_that_does_not_come_is_notified_before_it_comes():
         assert notified.wait(30)
         yield from packets[30:]
 
-    report = stream(stuck(), MemorySink(), Pacer(1.0), look_ahead_packets=8, notify=lambda _: notified.set())
+    report = stream(
+        stuck(), MemorySink(), speed=1.0, look_ahead=8, parts=[Notified(lambda _: notified.set())]
+    )
     assert len(report.behind) == 1
     assert report.behind[0].total_s == pytest.approx(report.delay_s)
 
@@ -271,3 +238,82 @@ def test_streams_that_overlap_leave_the_switch_interval_as_it_was():
     assert sys.getswitchinterval() == short_s < before_s
     second.__exit__(None, None, None)
     assert sys.getswitchinterval() == before_s
+
+
+class Noted(StreamPart):
+    """Notes what its stream asks of it, and the state of the stream then."""
+
+    def __init__(self, made, name, notes, *, fails_at=None):
+        self.made, self.name, self.notes, self.fails_at = made, name, notes, fails_at
+        made.add(self)
+
+    def note(self, what):
+        """Note a call, and fail if that is asked for."""
+        self.notes.append((self.name, what, self.made.state))
+        if what == self.fails_at:
+            raise RunError(what)
+
+    def begin(self):
+        self.note("begin")
+
+    def ready(self):
+        self.note("ready")
+
+    def leaving(self, packet):
+        self.note("leaving")
+        return replace(packet, payload=packet.payload + self.name.encode())
+
+    def sent(self, packet):  # noqa: ARG002
+        self.note("sent")
+
+    def end(self, error):
+        self.error = error
+        self.note("end")
+
+
+def test_parts_are_called_in_their_order_and_end_in_the_reverse_order():
+    """Each part sees the packet that the part before it gives, in the states in which a part is called; the last one ends first."""
+    sink, notes = MemorySink(), []
+    made = Stream(make_packets(1), dict.fromkeys(PacketKind, sink), Pacer(FAST))
+    for name in "ab":
+        Noted(made, name, notes)
+    made.run()
+    called = [
+        *[(what, State.PREPARING) for what in ("begin", "ready")],
+        *[(what, State.SENDING) for what in ("leaving", "sent")],
+    ]
+    assert notes == [
+        *[(name, what, state) for what, state in called for name in "ab"],
+        *[(name, "end", State.SETTLING) for name in "ba"],
+    ]
+    assert sink.packets[0].payload.endswith(b"ab")
+    assert made.state is State.CLOSED
+
+
+@pytest.mark.parametrize("fails_at", ["begin", "ready", "leaving", "sent", "end"])
+def test_a_part_that_fails_closes_the_stream_and_ends_the_others(fails_at):
+    """Its error is raised, the other part has ended, no thread is left, and the stream is closed and cannot run again."""
+    notes = []
+    made = Stream(make_packets(9), dict.fromkeys(PacketKind, MemorySink()), Pacer(FAST))
+    other = Noted(made, "other", notes)
+    Noted(made, "failing", notes, fails_at=fails_at)
+    with pytest.raises(RunError, match=fails_at):
+        made.run()
+    assert notes[-1] == ("other", "end", State.SETTLING)
+    assert str(other.error) == fails_at
+    assert (made.state, threads()) == (State.CLOSED, 0)
+    with pytest.raises(RuntimeError, match="closed, which cannot be"):
+        made.prepare()
+
+
+def test_every_state_leads_to_the_end():
+    """From each state a stream can settle and close, and no state leads back but from measuring to opened."""
+    order = list(State)
+    for state, following in TRANSITIONS.items():
+        back = {after for after in following if order.index(after) <= order.index(state)}
+        assert back == ({State.OPENED} if state is State.MEASURING else set())
+        reached = set(following)
+        while more := {after for each in reached for after in TRANSITIONS[each]} - reached:
+            reached |= more
+        assert state is State.CLOSED or State.CLOSED in reached
+    assert set(TRANSITIONS) == set(State)

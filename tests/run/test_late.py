@@ -5,8 +5,9 @@ import pytest
 from listening import MemorySink
 from sinks.kit import PERIOD_NS
 
+from vlp16emu.run.part import StreamPart
+from vlp16emu.run.stream import Stream
 from vlp16emu.sinks import TOLERANCE_NS, Late, Pacer
-from vlp16emu.sinks.stream import Sender
 from vlp16emu.types import Packet, PacketKind
 
 
@@ -16,14 +17,17 @@ def shortest_ns(left_ns, count):
     return (left_ns[count:] - left_ns[:-count]).min()
 
 
-class Sending:
-    """A sender whose clock runs only while it sleeps, or when a test says so."""
+class Sending(Stream, StreamPart):
+    """A stream whose clock runs only while it sleeps, or when a test says so, and which watches itself."""
 
     def __init__(self, late, go_on_from=None):
         self.now_ns, self.times, self.left_ns = 0, [], []
         self.sink = MemorySink()
         pacer = Pacer(1.0, clock_ns=lambda: self.now_ns, sleep=self.sleep)
-        self.sender = Sender(self.sink, pacer, late=late, notify=self.times.append, go_on_from=go_on_from)
+        super().__init__((), dict.fromkeys(PacketKind, self.sink), pacer, late=late)
+        self.fell_behind = self.times.append
+        self._go_on_from = go_on_from or self._go_on_from
+        self.add(self)
 
     def sleep(self, seconds):
         """Let time pass, to the nanosecond."""
@@ -32,14 +36,9 @@ class Sending:
     def send(self, due_ns, *, had_to_wait=False, kind=PacketKind.DATA):
         """Send a packet, and note when it left."""
         before = len(self.sink.packets)
-        self.sender.send(Packet(kind, due_ns, b""), had_to_wait=had_to_wait, engine_speed=0.8)
+        self._send(Packet(kind, due_ns, b""), had_to_wait=had_to_wait, engine_speed=0.8)
         if len(self.sink.packets) > before:
             self.left_ns.append(self.now_ns)
-
-    @property
-    def report(self):
-        """The report so far."""
-        return self.sender.report(interrupted=False)
 
 
 def test_after_a_stop_packets_keep_the_pace_and_the_delay():
@@ -155,7 +154,7 @@ def test_the_first_packet_after_a_gap_is_punctual():
     """Stopped for 5 s while a packet waits, that one leaves late, and the next one that is not skipped on time."""
     sending = Sending(Late.SKIP)
     sending.send(0)
-    pacer = sending.sender._pacer
+    pacer = sending.pacer
     pacer._sleep = lambda seconds: setattr(sending, "now_ns", sending.now_ns + 5_000_000_000)
     sending.send(PERIOD_NS)
     pacer._sleep = lambda seconds: setattr(sending, "now_ns", sending.now_ns + round(seconds * 1e9))

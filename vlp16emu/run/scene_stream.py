@@ -1,0 +1,228 @@
+"""The stream of a scene over UDP."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager, nullcontext
+from dataclasses import asdict, replace
+from threading import Event
+from typing import TYPE_CHECKING, Any, Protocol
+
+from vlp16emu.doors import door, has_door
+from vlp16emu.errors import InputError
+from vlp16emu.output import write_json
+from vlp16emu.packets import Link
+from vlp16emu.run.feed import PacketFeed
+from vlp16emu.run.options import PosesIn, StreamOptions, TruthTo
+from vlp16emu.run.report import About, Streamed, UnitSent
+from vlp16emu.run.stream import State, Stream, StreamReport
+from vlp16emu.sinks import LOOK_AHEAD_PACKETS, FellBehind, Late, Pacer
+from vlp16emu.types import Packet, PacketKind
+
+if TYPE_CHECKING:
+    from vlp16emu.run.emulator import Emulator
+
+PARTS = {"outlets": "outlets", "gps_in": "gps_in", "http": "web", "poses": "live"}
+"""Options that ask for a part, each with its door, in the order of the parts.
+
+A real receiver changes packets before parts that are added see them. The clock of a live run starts last, when all
+else has begun."""
+
+
+class WebInterfaces(Protocol):
+    """The part that serves the web interfaces of the sensors."""
+
+    places: Sequence[tuple[str, int]]
+    """Host and port of each interface; none before the first packet is ready."""
+
+    def happen(self, kind: str, unit: int = 1, **keys: object) -> int:
+        """Add an event of a unit, from 1, a moment from now, and return its UTC in ns."""
+
+
+class Outlook(Protocol):
+    """Whether this machine keeps up with a stream, and by which settings."""
+
+    @property
+    def line(self) -> str:
+        """The measurement and the choice as a sentence."""
+
+
+class SceneStream(Stream):
+    """Stream of a scene, whose ports are reserved and whose sockets are open once it is made.
+
+    Parameters
+    ----------
+    emulator : the scene
+    options : receiver, span, and what accompanies the packets
+    look_ahead : packets of a sensor that are computed before the first one is sent
+    stop : ends the stream from another thread
+
+    Raises the errors of `Emulator.stream`.
+    """
+
+    def __init__(
+        self,
+        emulator: "Emulator",
+        options: StreamOptions,
+        *,
+        look_ahead: int = LOOK_AHEAD_PACKETS,
+        stop: Event | None = None,
+    ) -> None:
+        if emulator.scenario.motion.takes_poses and options.poses is None:
+            options = replace(options, poses=PosesIn())
+        self.options = options
+        self.truth = TruthTo.of(options.truth)
+        self.host, _ = options.receiver
+        _check(options, self.truth)
+        late = Late.SKIP if options.poses else Late(options.late)  # later poses would wait for late packets
+        super().__init__((), {}, Pacer(options.speed), late=late, now=options.now, stop=stop)
+        with self._opening():
+            self._open(emulator, look_ahead)
+
+    def _open(self, emulator: "Emulator", look_ahead: int) -> None:
+        """Reserve ports, and open parts and sinks: a wrong address fails before any casting."""
+        options = self.options
+        on_ports = self._opened.enter_context(_on_ports(emulator.with_truth_in(self.truth), options))
+        self.emulator = on_ports.stopped_by(self.stop)
+        scenario = self.emulator.scenario
+        self.span_s = scenario.span_s(0.0, options.duration_s)
+        self._asked = dict[str, Any]()  # parts by the option that asks for them
+        for option, name in PARTS.items():
+            if getattr(options, option):
+                self._asked[option] = door(name)(self)
+                self.add(self._asked[option])
+        self.feed = self._new_feed()
+        self.udp = self._open_udp(self.links, options)
+        self._look_ahead = len(self.links) * (
+            self._asked["poses"].look_ahead if options.poses else look_ahead
+        )
+        if options.outlets:
+            self._sinks |= self._asked["outlets"].sinks
+            self._look_ahead += self._asked["outlets"].look_ahead
+
+    @property
+    def links(self) -> list[Link]:
+        """Addresses and ports of the sensors."""
+        return [unit.link for unit in self.emulator.parts.units]
+
+    @property
+    def web(self) -> WebInterfaces | None:
+        """Web interfaces of the sensors; None without any."""
+        return self._asked.get("http")
+
+    def measure(self) -> Outlook | None:
+        """Measure this machine for some seconds, and set beam and reach that leave a fifth of its time free.
+
+        The settings can be given to `vlp16emu record --set` and give the same bytes. Returns
+        `extras.outlook.Outlook`, None if the stream is stopped meanwhile.
+        """
+        self._enter(State.MEASURING)
+        outlook: Outlook | None = None
+        with self._interruptible():
+            self.emulator, outlook = door("outlook").measured(self.emulator, self.pacer.speed, self.stop)
+            self.feed = self._new_feed()
+        self._enter(State.OPENED)
+        return outlook
+
+    def advice(self, times: Sequence[FellBehind]) -> list[str]:
+        """Return options of `vlp16emu stream` with which an engine that fell behind keeps up, each sufficient alone."""
+        if not times or not has_door("outlook"):
+            return []
+        advice: list[str] = door("outlook").advice_after(times, self.emulator.scenario, self.pacer.speed)
+        return advice
+
+    def run(self) -> StreamReport:
+        """Send the packets, and write the time of the first one to the ground truth; see `Stream.run`."""
+        report = super().run()
+        if self.truth and report.first:  # so that live results can be compared with the truth
+            times = {"moved_s": report.moved_s, "speed": self.pacer.speed, "packet_0": asdict(report.first)}
+            write_json(self.truth.folder / "time.json", times)
+        return report
+
+    @property
+    def report(self) -> StreamReport:
+        """Report so far, with the packets that the engine has skipped."""
+        report = super().report
+        return replace(report, skipped=report.skipped + self.feed.skipped)
+
+    @property
+    def result(self) -> Streamed:
+        """Result of the stream, once it is closed."""
+        report = self.report
+        emulator = self.emulator.with_engine(self.feed.engine)  # with settings and events of the run
+        ran_s = (0.0, report.simulated_s)
+        units = zip(emulator.parts.units, self.udp.sent, strict=True)
+        results = {option: part.result for option, part in self._asked.items()}
+        outlets = results.get("outlets", {})
+        return Streamed(
+            about=About.of(emulator.name, emulator.scenario),
+            to=self.host,
+            speed=self.pacer.speed,
+            late=self.late,
+            units=tuple(UnitSent.of(unit, sent, ran_s) for unit, sent in units),
+            sent=report,
+            keeps_up_with=tuple(self.advice(report.behind)),
+            audit=emulator.finding,
+            live=results.get("poses"),
+            gps_in=results.get("gps_in"),
+            gps_out=outlets.get(PacketKind.NMEA),
+            imu_out=outlets.get(PacketKind.IMU),
+        )
+
+    def _new_feed(self) -> PacketFeed:
+        options = self.options
+        prompt = options.http is not None  # settings from there should take effect soon
+        engine = replace(self.emulator.engine, prompt=prompt)
+        also = self._asked["outlets"].kinds if options.outlets else ()
+        return PacketFeed(engine, *self.span_s, also=also)
+
+    @contextmanager
+    def _source(self, progress: Callable[[float], None]) -> Iterator[Iterable[Packet]]:
+        """Yield prepared packets, or those of the feed, with the ground truth written beside them."""
+        if self.options.prepare:
+            yield door("prepared")(self.emulator, self.options, progress=progress, stop=self.stop)
+            return
+        with closing(self.feed), self.emulator.truth(self.truth, self.span_s, of=self.feed) as writer:
+            yield writer.beside(self.feed) if writer else self.feed
+
+    def _go_on_from(self, due_ns: int) -> None:
+        if self.options.poses:  # nothing is computed far ahead
+            due_ns = self.pacer.due_in_ns(self._asked["poses"].lead_ns)
+        if not self.options.prepare:
+            self.feed.go_on_from(due_ns)
+
+
+def _check(options: StreamOptions, truth: TruthTo | None) -> None:
+    """Refuse options that exclude each other."""
+    http = options.http
+    outlets = options.outlets
+    fine = truth and (truth.per_packet or truth.per_return)
+    for given, option, other, excluded in (
+        (options.prepare, "--prepare", "--http", http),
+        (
+            options.prepare,
+            "--prepare",
+            "--gps-out or --imu-out",
+            outlets and (outlets.gps_out or outlets.imu_out),
+        ),
+        (options.now, "--now", "--gps-in", options.gps_in),
+        (http, "--http", "--truth-packets or --truth-returns", fine),
+    ):
+        if given and excluded:
+            raise InputError(other, f"found beside {option}", "one of both")
+
+
+@contextmanager
+def _on_ports(emulator: "Emulator", options: StreamOptions) -> Iterator["Emulator"]:
+    """Yield the emulator with the ports of the options; port 0 gives a reserved free port for each sensor."""
+    _, data_port = options.receiver
+    ports = {"sensor.data_port": data_port, "sensor.position_port": options.position_port}
+    settings: dict[str, object] = {key: port for key, port in ports.items() if port is not None}
+    free = [key for key, port in settings.items() if port == 0]
+    rig = emulator.scenario.rig
+    with door("free_ports")(len(free) * (1 + len(rig))) if free else nullcontext([]) as found:
+        given = iter(found)
+        settings |= {key: next(given) for key in free}
+        if free and rig:
+            own = [{key.removeprefix("sensor."): next(given) for key in free} for _ in rig]
+            tables = (unit.model_dump(mode="json", exclude_none=True) for unit in rig)
+            settings["rig"] = [table | keys for table, keys in zip(tables, own, strict=True)]
+        yield emulator.changed(settings)
