@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vlp16emu.captures import Clock, PacketClock, UnitClock, unit_clocks
+from vlp16emu.captures import UnitClock, unit_clocks
 from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.extras.bag.write import _check_stamps
-from vlp16emu.packets import pack_position, rmc, scan_starts
+from vlp16emu.packets import Clock, PacketClock, pack_position, rmc, scan_starts
 from vlp16emu.packets.layout import DATA_PAYLOAD
 from vlp16emu.sinks import PcapSink
 from vlp16emu.types import GnssFix, Packet, PacketKind, PpsState
@@ -35,11 +35,17 @@ REAL = Path(__file__).resolve().parents[3] / "shared" / "captures" / "mrpt_vlp16
     ],
 )
 def test_the_hour_is_the_one_that_both_clocks_allow(stamps_s, past_hour_s, utc_s):
-    """Steps up to a second are the sensor's; after longer ones the hour is nearest to where the host has gone (velodyne#384)."""
+    """Steps up to a second are the sensor's; after longer ones the hour is nearest to where the host has gone (velodyne#384).
+
+    Packets at once and one by one have the same UTC.
+    """
+    arrival_ns = NINE + np.rint(np.array(stamps_s) * 1e9).astype(np.int64)
+    timestamp_us = np.rint(np.array(past_hour_s) * 1e6).astype(np.int64)
+    at_once = PacketClock().sensor_ns(arrival_ns, timestamp_us)
+    assert (at_once - NINE) / S_NS == pytest.approx(utc_s, abs=1e-9)
     clock = PacketClock()
-    pairs = zip(stamps_s, past_hour_s, strict=True)
-    found = [clock.sensor_ns(NINE + round(stamp * 1e9), round(past * 1e6)) - NINE for stamp, past in pairs]
-    assert np.array(found) / S_NS == pytest.approx(utc_s, abs=1e-9)
+    one_by_one = [clock.sensor_ns(arrival_ns[[i]], timestamp_us[[i]]) for i in range(len(arrival_ns))]
+    assert np.array_equal(np.concatenate(one_by_one), at_once)
 
 
 def captured(path, pps, named_ns=None, past_hour_s=2747.198, host_ns=NINE + 1783 * S_NS):

@@ -33,3 +33,4 @@ from vlp16emu.packets.position import (
     position_due_ns,
     positions_from_ns,
 )
+from vlp16emu.packets.table import Clock, PacketClock, PacketTable

@@ -14,16 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from vlp16emu.captures import (
-    Capture,
-    CaptureReader,
-    Clock,
-    PacketClock,
-    UnitClock,
-    chosen_unit,
-    unit_clocks,
-    units_in,
-)
+from vlp16emu.captures import Capture, CaptureReader, UnitClock, by_unit, chosen_unit, unit_clocks, units_in
 from vlp16emu.captures.capture import CapturedUnit, Datagram
 from vlp16emu.elementary import matvec
 from vlp16emu.engine import Engine
@@ -36,7 +27,7 @@ from vlp16emu.extras.truth.folder import read_json
 from vlp16emu.extras.truth.truth import ATTITUDE, IMU_AXES, STAMP, Samples, attitude_of, rig_of, true_motion
 from vlp16emu.motion.pose import Kinematics
 from vlp16emu.output import spare
-from vlp16emu.packets import DATA_BYTES, POSITION_BYTES
+from vlp16emu.packets import DATA_BYTES, POSITION_BYTES, Clock, PacketClock
 from vlp16emu.run.options import BagOptions
 from vlp16emu.sensor.settings import RPM_STEP
 from vlp16emu.sinks import PacketSink, PcapResult
@@ -298,16 +289,17 @@ def write_bag(
     true = (
         None if truth is None else _truth_of(truth, [every.index(one) for one in units], len(every), images)
     )
+    datagrams = Capture(capture)
 
     with (
         written_beside(out, options.slam, lambda: _rig(true, capture, units[0], frames[0])),
         BagSink(out, frames, lambda number, _: made[number], options, true) as sink,
-        Capture(capture) as datagrams,
     ):
-        for datagram in datagrams:
+        for number, datagram in by_unit(datagrams, units):
             if stop.is_set():
                 break
-            _send(datagram, units, sink, capture)
+            if number is not None:
+                _send(datagram, number, sink, capture)
     first_ns, last_ns = sink.bag.span_ns or (0, 0)
     return {
         "file": str(out),
@@ -324,19 +316,16 @@ def _rig(true: Truth | None, capture: Path, unit: CapturedUnit, frame: str) -> R
     """Return the sensors of the ground truth; without it the unit of the capture, at the rotor speed of its first packets."""
     if true:
         return Rig.of(true.rig, true.scenario, frame)
-    with CaptureReader(capture, unit) as reader:
-        next(reader.points(), None)
-        return Rig(float(max(round(reader.summary.rpm / RPM_STEP), 1) * RPM_STEP), lidar_frame=frame)
+    reader = CaptureReader(capture, unit)
+    next(reader.tables(), None)
+    return Rig(float(max(round(reader.summary.rpm / RPM_STEP), 1) * RPM_STEP), lidar_frame=frame)
 
 
-def _send(datagram: Datagram, units: Sequence[CapturedUnit], sink: BagSink, capture: Path) -> None:
-    """Send a datagram of one of the units to the sink; PacketError names the capture."""
-    of = next((number for number, unit in enumerate(units) if unit.owns(datagram)), None)
-    if of is None:
-        return
+def _send(datagram: Datagram, unit: int, sink: BagSink, capture: Path) -> None:
+    """Send a datagram of a unit, numbered from 0, to the sink; PacketError names the capture."""
     kind = PacketKind.DATA if len(datagram.payload) == DATA_BYTES else PacketKind.POSITION
     try:
-        sink.send(Packet(kind, datagram.stamp_ns, datagram.payload, of, number=datagram.number))
+        sink.send(Packet(kind, datagram.stamp_ns, datagram.payload, unit, number=datagram.number))
     except PacketError as error:
         raise PacketError(f"{capture}: {error.where}", error.found, error.expected) from None
 
