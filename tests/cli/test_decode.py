@@ -11,7 +11,7 @@ import trimesh
 from vlp16emu import Emulator
 from vlp16emu.captures import Capture, CaptureReader
 from vlp16emu.errors import CaptureError, PacketError
-from vlp16emu.packets import data_fields, decode_data
+from vlp16emu.packets import data_fields, decode_data, points_in
 
 NAMES = "xyz_m", "distance_m", "azimuth_deg", "reflectivity", "ring", "laser"
 CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "captures"
@@ -70,9 +70,7 @@ def test_time_goes_on_over_the_full_hour(dual, monkeypatch, size):
     """The time of points rises over the hour, where the sensor's own clock falls back to 0."""
     monkeypatch.setattr("vlp16emu.captures.reading._CHUNK", size)
     reader = CaptureReader(dual)
-    clock_ns = np.concatenate(
-        [reader.columns(table, table.points())["clock_ns"] for table in reader.tables()]
-    )
+    clock_ns = np.concatenate([reader.columns(table)["clock_ns"] for table in reader.tables()])
     stamps_us = data_fields(payloads(dual))["timestamp_us"]
     assert stamps_us[0] > 3_599_000_000
     assert stamps_us[-1] < 1_000_000
@@ -193,7 +191,7 @@ def test_packets_before_a_damaged_record_are_reported(bench, tmp_path):
     damaged.write_bytes(bench.read_bytes() + b"\xff" * 16)
     read = []
     with pytest.raises(CaptureError, match="a length of 4294967295 bytes"):
-        read.extend(table.points().xyz_m for table in CaptureReader(damaged).tables())
+        read.extend(points_in(table).xyz_m for table in CaptureReader(damaged).tables())
     np.testing.assert_array_equal(
         np.concatenate(read), decode_data(payloads(bench), keep_no_returns=False).xyz_m
     )

@@ -8,15 +8,17 @@ from packets.kit import random_returns
 
 from vlp16emu.elementary import matvec
 from vlp16emu.packets import (
+    DATA_PAYLOAD,
     SENSOR_R_MANUAL,
     Clock,
     PacketClock,
-    PacketTable,
     PointFrame,
-    data_fields,
     data_payloads,
     decode_data,
+    packet_table,
+    points_in,
     table,
+    utc_ns_of,
 )
 from vlp16emu.types import ReturnMode, SensorModel
 from vlp16emu.units import HOUR_NS, US_NS
@@ -26,40 +28,35 @@ ARRIVAL_NS = 1_779_267_600_000_000_000  # 2026-05-20 09:00 UTC
 
 
 def made(mode, clock):
-    """Give payloads of random returns, and their table; packets arrive at the full hour."""
+    """Give payloads of random returns, and their table; the first packet arrives at the full hour."""
     payloads = data_payloads(random_returns(120, seed=1), mode, SensorModel.VLP_16)
-    fields = data_fields(payloads)
-    number = np.arange(len(fields))
-    return payloads, PacketTable.of(fields, number, ARRIVAL_NS + number * PERIOD_NS[mode], clock)
+    number = np.arange(len(payloads))
+    return payloads, packet_table(payloads, number + 7, ARRIVAL_NS + number * PERIOD_NS[mode], clock)
 
 
 @pytest.mark.parametrize("mode", ReturnMode)
-def test_columns_are_those_of_the_payloads(mode):
-    """Stamps, modes, azimuths and records are the fields of each payload at the offsets of table 9-2."""
+def test_a_row_has_the_fields_of_its_payload(mode):
+    """Each field of a payload is a column, the last bytes of a row are the payload, and number and arrival stand before."""
     payloads, packets = made(mode, PacketClock())
-    assert packets.timestamp_us.tolist() == payloads[:, 1200:1204].copy().view("<u4")[:, 0].tolist()
-    assert packets.mode.tolist() == payloads[:, 1204].tolist()
-    assert packets.product.tolist() == payloads[:, 1205].tolist()
-    assert packets.is_dual.all() == (mode is ReturnMode.DUAL)
-    first = payloads[:, :1200].reshape(-1, 12, 100)
-    assert np.array_equal(packets.azimuth_cdeg, first[..., 2:4].copy().view("<u2")[..., 0])
-    records = first[..., 4:].reshape(-1, 12, 2, 16, 3)
-    assert np.array_equal(packets.distance_lsb, records[..., :2].copy().view("<u2")[..., 0])
-    assert np.array_equal(packets.reflectivity, records[..., 2])
+    fields = payloads.view(DATA_PAYLOAD)[:, 0]
+    for name in DATA_PAYLOAD.names:
+        np.testing.assert_array_equal(packets[name], fields[name])
+    assert np.array_equal(packets.view(np.uint8).reshape(len(packets), -1)[:, -1206:], payloads)
+    assert packets["number"].tolist() == list(range(7, 7 + len(payloads)))
+    assert set(np.diff(packets["arrival_ns"])) == {PERIOD_NS[mode]}
 
 
 @pytest.mark.parametrize("mode", ReturnMode)
 def test_points_are_decoded_with_the_utc_of_each_pulse(mode):
-    """Points are those of `decode_data`; their UTC in whole hours is the time that the manual gives each pulse."""
+    """Points of a table are those of its payloads; their UTC in whole hours is the time that the manual gives each pulse."""
     payloads, packets = made(mode, PacketClock())
-    points = packets.points()
+    points = points_in(packets)
     expected = decode_data(payloads, keep_no_returns=False)
     for name in expected.__slots__:
         np.testing.assert_array_equal(getattr(points, name), getattr(expected, name))
-    assert np.array_equal(packets.t_ns(points) % HOUR_NS, expected.time_ns)
-    turned_m = packets.points(PointFrame.MANUAL).xyz_m
-    np.testing.assert_allclose(matvec(SENSOR_R_MANUAL, turned_m), points.xyz_m, atol=1e-6)
-    assert np.array_equal(packets.block_ns[:, 0], packets.utc_ns)
+    assert np.array_equal(utc_ns_of(packets, points) % HOUR_NS, expected.time_ns)
+    turned_m = points_in(packets, frame=PointFrame.MANUAL).xyz_m
+    assert np.array_equal(matvec(SENSOR_R_MANUAL, turned_m.astype(np.float64)), points.xyz_m)
 
 
 @pytest.mark.parametrize("mode", ReturnMode)
@@ -67,19 +64,9 @@ def test_the_clock_of_the_host_dates_the_first_pulse_a_packet_before_its_arrival
     """UTC by the host is the stamp minus the duration of a packet; the sensor's clock stays beside it."""
     clock = PacketClock(Clock.HOST)
     _, packets = made(mode, clock)
-    assert set(packets.arrival_ns - packets.utc_ns) == {PERIOD_NS[mode]}
-    assert np.array_equal(packets.sensor_ns % HOUR_NS, packets.timestamp_us * US_NS)
-    assert clock.host_ahead_ns == packets.utc_ns[0] - packets.sensor_ns[0]
-
-
-def test_parts_and_their_joining_are_the_table():
-    """A slice and a mask have the rows of all columns; parts that are joined are the whole."""
-    _, whole = made(ReturnMode.STRONGEST, PacketClock())
-    parts = [whole[:2], whole[np.arange(len(whole)) >= 2]]
-    assert [len(part) for part in parts] == [2, 3]
-    joined = PacketTable.joined(parts)
-    for name in ("number", "arrival_ns", "sensor_ns", "utc_ns", "fields"):
-        np.testing.assert_array_equal(getattr(joined, name), getattr(whole, name))
+    assert set(packets["arrival_ns"] - packets["utc_ns"]) == {PERIOD_NS[mode]}
+    assert np.array_equal(packets["sensor_ns"] % HOUR_NS, packets["timestamp_us"].astype(np.int64) * US_NS)
+    assert clock.host_ahead_ns == packets["utc_ns"][0] - packets["sensor_ns"][0]
 
 
 def test_doctest():

@@ -21,9 +21,8 @@ import numpy as np
 
 from vlp16emu.doors import door, has_door
 from vlp16emu.errors import CaptureError, InputError
-from vlp16emu.packets.layout import BLOCK, BLOCK_FLAG, DATA_BYTES, DATA_PAYLOAD, POSITION_BYTES
-from vlp16emu.packets.table import PacketClock, PacketTable
-from vlp16emu.types import SensorModel
+from vlp16emu.packets.layout import BLOCK, BLOCK_FLAG, DATA_BYTES, POSITION_BYTES
+from vlp16emu.packets.table import PacketClock, PacketTable, packet_table
 from vlp16emu.units import S_NS, US_NS
 
 EXPECTED = "a pcap or pcapng file, also as .gz, .bz2, .xz or .zst (`editcap` converts others)"
@@ -358,13 +357,10 @@ def by_unit(
         yield indices[sender], datagram
 
 
-def table_of(
-    datagrams: Sequence[Datagram], clock: PacketClock, model: SensorModel | None = None
-) -> PacketTable:
-    """Return the table of one or more data packets; parameters as in `PacketTable.of`."""
+def table_of(datagrams: Sequence[Datagram], clock: PacketClock) -> PacketTable:
+    """Return the table of one or more data packets that follow those which `clock` has converted."""
     number, arrival_ns = np.array([(each.number, each.stamp_ns) for each in datagrams]).T
-    fields = np.frombuffer(b"".join(each.payload for each in datagrams), DATA_PAYLOAD)
-    return PacketTable.of(fields, number, arrival_ns, clock, model)
+    return packet_table((each.payload for each in datagrams), number, arrival_ns, clock)
 
 
 @dataclass(slots=True)

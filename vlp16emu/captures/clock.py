@@ -111,9 +111,9 @@ class _Seen:
             raise InputError(where, f"no valid sentence of a GPS receiver in {path}", "sensor or host")
         if self.data is None:
             return UnitClock(Clock(name or Clock.SENSOR), locked, behind_ns, 0)
-        first = table_of([self.data], PacketClock(Clock.HOST, behind_ns))
-        sensor_ns = int(first.sensor_ns[0])
-        host_ns = int(first.utc_ns[0])
+        first = table_of([self.data], PacketClock(Clock.HOST, behind_ns))[0]
+        sensor_ns = int(first["sensor_ns"])
+        host_ns = int(first["utc_ns"])
         follows_utc = locked if locked is not None else abs(host_ns - sensor_ns) <= _CLOSE_NS
         clock = Clock(name) if name else Clock.SENSOR if follows_utc else Clock.HOST
         return UnitClock(clock, locked, behind_ns, host_ns if clock is Clock.HOST else sensor_ns)

@@ -12,8 +12,17 @@ from numpy.typing import NDArray
 from vlp16emu.captures.capture import Capture, CapturedUnit, Datagram, by_unit, table_of
 from vlp16emu.errors import CaptureError, PacketError
 from vlp16emu.packets import layout
-from vlp16emu.packets.decode import JUMP_NS, Points, PositionFields, decode_position, faults_in, scan_starts
-from vlp16emu.packets.table import Clock, PacketClock, PacketTable
+from vlp16emu.packets.decode import (
+    JUMP_NS,
+    PointFrame,
+    Points,
+    PositionFields,
+    decode_position,
+    faults_in,
+    points_in,
+    scan_starts,
+)
+from vlp16emu.packets.table import Clock, PacketClock, PacketTable, utc_ns_of
 from vlp16emu.types import I8, U1, U2, ReturnMode, SensorModel
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
@@ -99,8 +108,8 @@ class CaptureReader:
         from a VLP-16.
         """
         for held in self._chunks():
-            table = table_of(held, self.clock, self._model)
-            faults = faults_in(table.fields, self._factory, self._model)
+            table = table_of(held, self.clock)
+            faults = faults_in(table, self._factory, self._model)
             sound = np.ones(len(held), np.bool_)
             sound[[fault.packet for fault in faults]] = False
             if faults and not self._passes_over:
@@ -117,15 +126,18 @@ class CaptureReader:
         if not self._azimuth_cdeg:
             raise self._capture.no_data()
 
-    def columns(self, table: PacketTable, points: Points) -> dict[str, NDArray[np.generic]]:
+    def columns(
+        self, table: PacketTable, frame: PointFrame = PointFrame.SENSOR
+    ) -> dict[str, NDArray[np.generic]]:
         """Return arrays (m,) of the points of a table by name.
 
         `t_ns` is their UTC, `clock_ns` the sensor's clock from the full hour before the capture, without
         wrapping.
         """
+        points = points_in(table, self._model, frame)
         arrays: dict[str, NDArray[np.generic]] = {name: getattr(points, name) for name in Points.__slots__}
-        arrays["t_ns"] = table.t_ns(points)
-        arrays["clock_ns"] = (table.sensor_ns - self._hour_ns)[points.packet] + points.since_ns
+        arrays["t_ns"] = utc_ns_of(table, points)
+        arrays["clock_ns"] = (table["sensor_ns"] - self._hour_ns)[points.packet] + points.since_ns
         return arrays
 
     @property
@@ -196,12 +208,12 @@ class CaptureReader:
     def _count(self, table: PacketTable) -> None:
         """Note what the summary needs."""
         if not self._azimuth_cdeg:
-            self._hour_ns = int(table.sensor_ns[0]) // HOUR_NS * HOUR_NS
-        self._packet_ns.append(np.stack([table.sensor_ns, table.arrival_ns]))
-        self._codes += np.bincount(table.distance_lsb.ravel(), minlength=2**16)
-        self._azimuth_cdeg.append(table.azimuth_cdeg.copy())
-        self._modes.append(table.mode.copy())
-        self._factory = int(table.product[0])
+            self._hour_ns = int(table["sensor_ns"][0]) // HOUR_NS * HOUR_NS
+        self._packet_ns.append(np.stack([table["sensor_ns"], table["arrival_ns"]]))
+        self._codes += np.bincount(table["blocks"]["records"]["distance_lsb"].ravel(), minlength=2**16)
+        self._azimuth_cdeg.append(table["blocks"]["azimuth_cdeg"].copy())
+        self._modes.append(table["return_mode"].copy())
+        self._factory = int(table["factory"][0])
 
     def _note_other(self, datagram: Datagram) -> None:
         if len(datagram.payload) != layout.POSITION_BYTES:

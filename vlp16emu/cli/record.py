@@ -117,7 +117,7 @@ def _read(reader: "CaptureReader", file: Path, out: Path | None, axes: "PointFra
         try:
             for table in reader.tables():
                 if writer:
-                    writer.write(reader.columns(table, table.points(axes)))
+                    writer.write(reader.columns(table, axes))
                 if stop.is_set():
                     break
         except CaptureError:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import matvec
 from vlp16emu.errors import PacketError
 from vlp16emu.packets import layout
 from vlp16emu.packets.layout import BLOCK_PERIOD_NS, BLOCKS_PER_PACKET
@@ -111,12 +112,18 @@ def decode_data(payloads: U1, *, keep_no_returns: bool, model: SensorModel | Non
     fields = data_fields(payloads)
     if faults := faults_in(fields, None, model):
         raise PacketError(f"data packet {faults[0].packet}: {faults[0].what}", *faults[0][2:])
-    return points_in(fields, model_of(fields, model), keep_no_returns=keep_no_returns)
+    return points_in(fields, model, keep_no_returns=keep_no_returns)
 
 
-def points_in(fields: NDArray[np.void], model: SensorModel, *, keep_no_returns: bool) -> Points:
+def points_in(
+    fields: NDArray[np.void],
+    model: SensorModel | None = None,
+    frame: PointFrame = PointFrame.SENSOR,
+    *,
+    keep_no_returns: bool = False,
+) -> Points:
     """Convert data packets, (n,) `DATA_PAYLOAD` without faults, into points, as `decode_data`."""
-    beams = BEAM_TABLES[model]
+    beams = BEAM_TABLES[_model(fields, model)]
     records = fields["blocks"]["records"]
     source = _pulse_order(fields, keep_no_returns=keep_no_returns)
     packet, slot = np.divmod(source, layout.RECORDS_PER_PACKET)
@@ -132,6 +139,8 @@ def points_in(fields: NDArray[np.void], model: SensorModel, *, keep_no_returns: 
     distance_m = records["distance_lsb"].ravel()[source] * layout.DISTANCE_LSB_M
     xyz_m = in_sensor(azimuth_deg, beams.elevation_deg[laser], beams.vertical_offset_m[laser], distance_m)
     xyz_m[distance_m == 0.0] = np.nan
+    if frame is PointFrame.MANUAL:
+        xyz_m = matvec(SENSOR_R_MANUAL.T, xyz_m)
     last_mode = fields["return_mode"] == layout.RETURN_MODE_BYTE[ReturnMode.LAST]
     return Points(
         packet=packet,
@@ -227,7 +236,7 @@ def decode_position(payload: bytes) -> PositionFields:
     )
 
 
-def model_of(fields: NDArray[np.void], model: SensorModel | None = None) -> SensorModel:
+def _model(fields: NDArray[np.void], model: SensorModel | None) -> SensorModel:
     """Return the model of the first packet's product byte; `model` for a prototype unit, whose byte names another."""
     usual = model or SensorModel.VLP_16
     return _MODEL.get(int(fields["factory"][0]), usual) if len(fields) else usual

@@ -13,13 +13,16 @@ from vlp16emu.extras.bag.bag_file import BagFile
 from vlp16emu.extras.imu.sampler import GRAVITY_M_S2
 from vlp16emu.extras.truth.truth import given_mount, transform
 from vlp16emu.packets import (
-    DATA_PAYLOAD,
+    DATA_BYTES,
     JUMP_NS,
     PacketClock,
     PacketTable,
     decode_position,
     faults_in,
+    packet_table,
+    points_in,
     scan_starts,
+    utc_ns_of,
 )
 from vlp16emu.units import S_NS, US_NS
 
@@ -66,22 +69,21 @@ class UnitMessages:
 
     def data(self, stamp_ns: int, payload: bytes, number: int) -> int:
         """Take a data packet, and return UTC of its first pulse; errors of `check`."""
-        fields = np.frombuffer(payload, DATA_PAYLOAD)
-        packet = PacketTable.of(fields, np.array([number]), np.array([stamp_ns]), self._clock)
+        packet = packet_table([payload], np.array([number]), np.array([stamp_ns]), self._clock)
         ends = False
         if self._last is not None:
-            pair = PacketTable.joined([self._last, packet])
-            if np.abs(np.diff([pair.sensor_ns, pair.utc_ns])).max() > JUMP_NS:
+            pair = np.concatenate([self._last, packet])
+            if np.abs(np.diff([pair["sensor_ns"], pair["utc_ns"]])).max() > JUMP_NS:
                 self._write_scan()
             else:
-                ends = len(scan_starts(pair.azimuth_cdeg[:, 0] / 100, pair.sensor_ns)) > 1
+                ends = len(scan_starts(pair["blocks"]["azimuth_cdeg"][:, 0] / 100, pair["sensor_ns"])) > 1
         self._held.append(packet)
         if ends:
             self._write_scan()
         # A late packet ends no scan.
-        if self._last is None or not 0 < self._last.sensor_ns[0] - packet.sensor_ns[0] <= JUMP_NS:
+        if self._last is None or not 0 < self._last["sensor_ns"][0] - packet["sensor_ns"][0] <= JUMP_NS:
             self._last = packet
-        return int(packet.utc_ns[0])
+        return int(packet["utc_ns"][0])
 
     def position(self, stamp_ns: int, payload: bytes) -> int:
         """Take a position packet, and return its UTC; a new sentence becomes a message."""
@@ -98,10 +100,10 @@ class UnitMessages:
         """Return the packets of the scan so far, None without any; PacketError if one of them is no VLP-16 packet."""
         if not self._held:
             return None
-        table = PacketTable.joined(self._held)
-        for fault in faults_in(table.fields, self._factory):
-            raise PacketError(f"frame {table.number[fault.packet]}: {fault.what}", *fault[2:])
-        self._factory = int(table.product[0])
+        table = np.concatenate(self._held)
+        for fault in faults_in(table, self._factory):
+            raise PacketError(f"frame {table['number'][fault.packet]}: {fault.what}", *fault[2:])
+        self._factory = int(table["factory"][0])
         return table
 
     def _write_scan(self) -> None:
@@ -110,20 +112,21 @@ class UnitMessages:
         if table is None:
             return
         self._held = []
-        begin_ns, end_ns = int(table.utc_ns[0]), int(table.utc_ns[-1])
+        begin_ns, end_ns = int(table["utc_ns"][0]), int(table["utc_ns"][-1])
         topics = [f"{self._space}/velodyne_{name}" for name in ("packets", "points")]
-        payloads = table.fields.view(np.uint8).reshape(len(table), -1)
+        payloads = table.view(np.uint8).reshape(len(table), -1)[:, -DATA_BYTES:]
         raw = [
-            (bag.time(at_ns), payload) for at_ns, payload in zip(table.utc_ns.tolist(), payloads, strict=True)
+            (bag.time(at_ns), payload)
+            for at_ns, payload in zip(table["utc_ns"].tolist(), payloads, strict=True)
         ]
         header = bag.header(begin_ns, self._frame, topics[0])
         bag.write(topics[0], end_ns, "velodyne_msgs/msg/VelodyneScan", header, raw)
-        found = table.points()
+        found = points_in(table)
         points = np.zeros(len(found.ring), _POINT)
         points["x"], points["y"], points["z"] = found.xyz_m.T
         points["intensity"] = found.reflectivity
         points["ring"] = found.ring
-        points["time"] = (table.t_ns(found) - begin_ns) / S_NS
+        points["time"] = (utc_ns_of(table, found) - begin_ns) / S_NS
         size = len(points), _POINT.itemsize
         header = bag.header(begin_ns, self._frame, topics[1])
         data = points.view(np.uint8)

@@ -21,7 +21,7 @@ from vlp16emu.extras.recorded.settings import Recorded
 from vlp16emu.extras.truth.folder import read_json
 from vlp16emu.extras.truth.slots import SlotReader
 from vlp16emu.motion.pose import rotation, rotations
-from vlp16emu.packets import PacketTable, Points
+from vlp16emu.packets import PacketTable, Points, points_in, utc_ns_of
 from vlp16emu.scenario import load
 from vlp16emu.types import F8, I8
 from vlp16emu.units import S_NS, US_NS, seconds_to_ns
@@ -117,7 +117,7 @@ class CaptureTruth:
 
     def of(self, table: PacketTable, points: Points, kept: I8) -> dict[str, NDArray[Any]]:
         """Return labels and true values (n,) of the points `kept` of a table; heights belong to the true positions."""
-        rows = self._rows.rows(table.fields["timestamp_us"], points.packet[kept], points.slot[kept])
+        rows = self._rows.rows(table["timestamp_us"], points.packet[kept], points.slot[kept])
         if self._labels is None or not rows:
             return rows
         world_m = np.column_stack([rows[f"world_{axis}_m"] for axis in "xyz"])
@@ -148,7 +148,7 @@ def write_deskewed(
     stamped = packet_clock(capture, known, clock, where="--clock")
     tables = CaptureReader(capture, known, clock=stamped).tables()
     first = next(tables)
-    start_ns = int(first.utc_ns[0])
+    start_ns = int(first["utc_ns"][0])
     comments = "x, y, z in the world by a trajectory", cloud.time_comment(f"{stamped.clock}'s")
     start_utc = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=start_ns // 1000)
     about = cloud.CloudAbout(comments, start_utc, way.origin, way.unit)
@@ -161,7 +161,7 @@ def write_deskewed(
                 writer.write(block)
                 points = points + len(block["t_ns"])
                 without_pose = without_pose + left_out
-            last_ns = int(table.utc_ns[-1]) - start_ns
+            last_ns = int(table["utc_ns"][-1]) - start_ns
             if stop.is_set():
                 break
         if without_pose and not points:
@@ -195,14 +195,14 @@ def _block(
     table: PacketTable, way: Trajectory, truth: CaptureTruth | None, start_ns: int
 ) -> tuple[dict[str, NDArray[Any]], int]:
     """Return the transformed points of some data packets, each echo once, and the number without a pose."""
-    points = table.points()
-    t_ns = table.t_ns(points)
+    points = points_in(table)
+    t_ns = utc_ns_of(table, points)
     once = np.flatnonzero(~twins(points))
     kept = once[way.has(t_ns[once])]
     t_ns = t_ns[kept]
     sensor_m = points.xyz_m[kept]
     turn, place_m = way.poses_at(t_ns)
-    block = {
+    block: dict[str, NDArray[Any]] = {
         "t_ns": t_ns,
         "since_start_ns": t_ns - start_ns,
         "world_m": matvec(turn, sensor_m.astype(np.float64)) + place_m,

@@ -1,7 +1,7 @@
 """Whole revolutions of a sensor as arrays, from a scene or from a capture."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import compress, pairwise
 from pathlib import Path
 from typing import Any, Self
@@ -18,7 +18,6 @@ from vlp16emu.packets import (
     BLOCK_PERIOD_NS,
     BLOCKS_PER_PACKET,
     DATA_BYTES,
-    DATA_PAYLOAD,
     JUMP_NS,
     SEQUENCES_PER_BLOCK,
     PacketClock,
@@ -26,8 +25,12 @@ from vlp16emu.packets import (
     PointFrame,
     Points,
     faults_in,
+    packet_table,
+    points_in,
     scan_starts,
+    utc_ns_of,
 )
+from vlp16emu.packets.decode import block_since_ns, is_dual
 from vlp16emu.sensor.beams import BeamTable
 from vlp16emu.sensor.head import in_sensor
 from vlp16emu.types import F4, F8, I8, SURFACE, Firings, Labels, Packet, Poses, ReturnMode, Returns, Scan
@@ -144,21 +147,25 @@ def decode(
     path = Path(capture)
     chosen = chosen_unit(path, None if unit is None else str(unit))
     reader = CaptureReader(path, chosen, clock=packet_clock(path, chosen, clock))
-    return cut_scans(chunk_of(table, table.points(PointFrame(frame)), {}) for table in reader.tables())
+    return cut_scans(
+        chunk_of(table, points_in(table, frame=PointFrame(frame)), {}) for table in reader.tables()
+    )
 
 
 def chunk_of(table: PacketTable, points: Points, labels: Mapping[str, NDArray[Any]]) -> Chunk:
     """Return the points of data packets sorted by azimuth readings; labels are arrays of `Labels`, empty if there are none."""
     block = np.arange(BLOCKS_PER_PACKET)
-    is_reading = ~table.is_dual[:, None] | (block % 2 == 0)  # in dual return two blocks share a reading
+    is_reading = ~is_dual(table)[:, None] | (block % 2 == 0)  # in dual return two blocks share a reading
     first = np.concatenate([[0], np.cumsum(is_reading.sum(axis=1))])
+    block_ns = table["utc_ns"][:, None] + block_since_ns(table)
     kept = ~twins(points)
     as_they_are = ("xyz_m", "distance_m", "azimuth_deg", "reflectivity", "is_last")
-    arrays = {"t_ns": table.t_ns(points), "ring": points.ring.astype(np.uint16), **labels}
+    ring = points.ring.astype(np.uint16)
+    arrays: dict[str, NDArray[Any]] = {"t_ns": utc_ns_of(table, points), "ring": ring, **labels}
     arrays |= {name: getattr(points, name) for name in as_they_are}
     return Chunk(
-        t_ns=table.block_ns[is_reading],
-        azimuth_deg=table.azimuth_cdeg[is_reading] / 100,
+        t_ns=block_ns[is_reading],
+        azimuth_deg=table["blocks"]["azimuth_cdeg"][is_reading] / 100,
         reading=(first[points.packet] + points.since_ns // BLOCK_PERIOD_NS)[kept],
         arrays={name: array[kept] for name, array in arrays.items()},
     )
@@ -171,20 +178,21 @@ def chunk_of_packets(packets: Iterable[Packet]) -> Chunk | None:
     first pulse, are dated by their sending.
     """
     whole = [packet for packet in packets if len(packet.payload) == DATA_BYTES]
-    fields = np.frombuffer(b"".join(packet.payload for packet in whole), DATA_PAYLOAD)
-    sound = np.ones(len(whole), np.bool_)
-    sound[[fault.packet for fault in faults_in(fields)]] = False
-    good = [*compress(whole, sound)]
-    if not good:
+    if not whole:
         return None
-    due_ns = np.array([packet.due_ns for packet in good])
-    fired_ns = [packet.due_ns if packet.fired_ns is None else packet.fired_ns for packet in good]
-    table = PacketTable.of(fields[sound], np.arange(len(good)), due_ns, PacketClock())
-    table = replace(table, utc_ns=np.array(fired_ns))
-    points = table.points()
+    payloads = (packet.payload for packet in whole)
+    due_ns = np.array([packet.due_ns for packet in whole])
+    table = packet_table(payloads, np.arange(len(whole)), due_ns, PacketClock())
+    table["utc_ns"] = [packet.due_ns if packet.fired_ns is None else packet.fired_ns for packet in whole]
+    sound = np.ones(len(whole), np.bool_)
+    sound[[fault.packet for fault in faults_in(table)]] = False
+    if not sound.any():
+        return None
+    table = table[sound]
+    points = points_in(table)
     labels = dict[str, NDArray[Any]]()
     if whole[0].slots is not None:
-        slots = np.array([packet.slots for packet in good])[points.packet, points.slot]
+        slots = np.array([packet.slots for packet in compress(whole, sound)])[points.packet, points.slot]
         labels = {name: slots[name] for name in Labels.__slots__}
     return chunk_of(table, points, labels)
 

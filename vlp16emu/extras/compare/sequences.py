@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from vlp16emu.captures import Capture, table_of
 from vlp16emu.errors import CaptureError
 from vlp16emu.packets import PacketClock, PacketTable, layout
+from vlp16emu.packets.decode import is_dual
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.sensor.settings import LEAST_RPM, MOST_RPM
 from vlp16emu.types import I8
@@ -62,7 +63,7 @@ def read_sequences(path: Path) -> Sequences:
     if len(packets) < _LEAST_PACKETS:
         raise CaptureError(str(path), f"{len(packets)} data packets", f"{_LEAST_PACKETS} at least")
     table = table_of(packets, PacketClock())
-    if len(modes := np.unique(table.mode)) > 1:
+    if len(modes := np.unique(table["return_mode"])) > 1:
         raise CaptureError(str(path), f"{len(modes)} return modes", "one")
     sequences = _numbered(path, table)
     if not (1 - _MARGIN) * LEAST_RPM <= sequences.rpm <= (1 + _MARGIN) * MOST_RPM:
@@ -71,11 +72,11 @@ def read_sequences(path: Path) -> Sequences:
 
 
 def _numbered(path: Path, table: PacketTable) -> Sequences:
-    dual = bool(table.is_dual[0])
-    blocks = table.fields["blocks"][:, 1::2] if dual else table.fields["blocks"]
+    dual = bool(is_dual(table)[0])
+    blocks = table["blocks"][:, 1::2] if dual else table["blocks"]
     per_packet = layout.BLOCKS_PER_PACKET // 2 if dual else layout.BLOCKS_PER_PACKET
     # The clock of a sensor that restarts falls; its packets come later all the same.
-    since_ns = np.cumsum(np.diff(table.sensor_ns, prepend=table.sensor_ns[:1]) % HOUR_NS)
+    since_ns = np.cumsum(np.diff(table["sensor_ns"], prepend=table["sensor_ns"][:1]) % HOUR_NS)
     packet = np.rint(since_ns / (per_packet * layout.BLOCK_PERIOD_NS)).astype(np.int64)
     if (np.diff(packet) < 1).any():
         raise CaptureError(
@@ -97,10 +98,10 @@ def _numbered(path: Path, table: PacketTable) -> Sequences:
         reflectivity=reflectivity,
         azimuth_cdeg=np.cumsum(np.append(azimuth_cdeg[:1], step_cdeg)),
         block=block,
-        clock_ns=table.sensor_ns[0] % HOUR_NS + since_ns,
-        stamp_ns=table.arrival_ns,
+        clock_ns=table["sensor_ns"][0] % HOUR_NS + since_ns,
+        stamp_ns=table["arrival_ns"],
         packet=packet,
-        last=_of_lasers(table.fields["blocks"][:, ::2]) if dual else None,
+        last=_of_lasers(table["blocks"][:, ::2]) if dual else None,
     )
 
 

@@ -25,7 +25,7 @@ from vlp16emu.extras.verify.frames import (
     is_rewritten,
 )
 from vlp16emu.packets import layout
-from vlp16emu.packets.decode import PRODUCT_BEFORE_RELEASE
+from vlp16emu.packets.decode import PRODUCT_BEFORE_RELEASE, is_dual
 from vlp16emu.packets.layout import POSITION_PAYLOAD
 from vlp16emu.packets.table import PacketTable, wrap_hour
 from vlp16emu.sensor.settings import LEAST_RPM, MOST_RPM, RPM_STEP
@@ -91,16 +91,18 @@ class DataChunk:
         self.own = slice(1 if continues else 0, n)  # packets whose codes no earlier chunk has judged
         self.judged = slice(0, n if ends else n - 1)
         """Packets whose azimuths are judged; only the next chunk has the neighbour of the last packet."""
-        self.number = table.number
-        self.stamp_ns = table.arrival_ns
-        self.dual = bool(table.is_dual[0])
-        self.timestamp_us = table.timestamp_us
-        self.flag = table.fields["blocks"]["flag"]  # (n, 12)
-        self.azimuth_cdeg = table.azimuth_cdeg.astype(np.int64)
-        self.distance_lsb = np.ascontiguousarray(table.distance_lsb)
-        self.reflectivity = np.ascontiguousarray(table.reflectivity)
-        self.mode = table.mode
-        self.product = table.product
+        blocks = table["blocks"]
+        self.number = table["number"]
+        self.stamp_ns = table["arrival_ns"]
+        self.dual = bool(is_dual(table)[0])
+        self.timestamp_us = table["timestamp_us"].astype(np.int64)
+        self.flag = blocks["flag"]  # (n, 12)
+        self.azimuth_cdeg = blocks["azimuth_cdeg"].astype(np.int64)
+        self.distance_lsb, self.reflectivity = (
+            np.ascontiguousarray(blocks["records"][name]) for name in ("distance_lsb", "reflectivity")
+        )  # (n, 12, 2, 16)
+        self.mode = table["return_mode"]
+        self.product = table["factory"]
         self._read_factory(before)
         self._read_codes()
         self._read_steps()

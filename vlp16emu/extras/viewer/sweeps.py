@@ -19,7 +19,7 @@ from vlp16emu.extras.clouds.scan import chunk_of, cut_scans
 from vlp16emu.extras.verify.frames import Rule
 from vlp16emu.extras.verify.run import verify_units
 from vlp16emu.forest.plants.species import flora
-from vlp16emu.packets import PacketTable, Points
+from vlp16emu.packets import PacketTable, Points, points_in
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.scenario import Scenario, load
 from vlp16emu.types import F8, I8, Labels, Scan
@@ -141,7 +141,7 @@ class CaptureSweeps:
 
         def note(table: PacketTable, _: Points) -> Mapping[str, NDArray[Any]]:
             """Keep frame and time of the packets; return no labels."""
-            packets.append(np.stack([table.number, table.utc_ns]))
+            packets.append(np.stack([table["number"], table["utc_ns"]]))
             return {}
 
         try:
@@ -191,7 +191,7 @@ class CaptureSweeps:
     ) -> Generator[Scan]:
         clock = packet_clock(self._path, self._unit)
         reader = CaptureReader(self._path, self._unit, clock=clock, passes_over=True)
-        decoded = ((table, table.points()) for table in reader.tables())
+        decoded = ((table, points_in(table)) for table in reader.tables())
         for scan in cut_scans(chunk_of(*each, labels_of(*each)) for each in decoded):
             if self._way is None or self._way.has(scan.t_ns).all():
                 yield scan
