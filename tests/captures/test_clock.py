@@ -74,7 +74,7 @@ def captured(path, pps, named_ns=None, past_hour_s=2747.198, host_ns=NINE + 1783
 def test_the_default_is_the_clock_that_follows_utc(tmp_path, pps, past_hour_s, clock):
     """A locked sensor's clock is UTC (63-9243 Rev D, section 7); without lock it counts from power-up, and the host's is the best."""
     (found,) = unit_clocks(captured(tmp_path / "a.pcap", pps, past_hour_s=past_hour_s), [None])
-    assert found.clock == clock
+    assert found.clock.clock == clock
 
 
 def test_sentences_name_date_and_hour_for_a_host_without_a_clock(tmp_path):
@@ -85,14 +85,14 @@ def test_sentences_name_date_and_hour_for_a_host_without_a_clock(tmp_path):
     with pytest.raises(InputError, match="no valid sentence"):
         unit_clocks(captured(tmp_path / "b.pcap", PpsState.ABSENT), [None], "gps")
     with pytest.raises(CaptureError, match="expected 0 to 2147483647 s; --clock chooses another"):
-        _check_stamps(path, [UnitClock(Clock.SENSOR, None, 0, -HOUR_NS)])
+        _check_stamps(path, [UnitClock(PacketClock(), -HOUR_NS)])
 
 
 @pytest.mark.skipif(not REAL.is_file(), reason="no real captures beside the repository")
 def test_a_real_locked_unit_has_one_time_by_its_clock_and_its_sentences():
     """A unit of 2016 with GPS: its clock is the default, and its sentences name the same hour as the host."""
     by = {name: unit_clocks(REAL, [None], name)[0] for name in (None, "gps")}
-    assert by[None].clock == Clock.SENSOR
+    assert by[None].clock.clock == Clock.SENSOR
     assert by[None].first_ns == by["gps"].first_ns
 
 

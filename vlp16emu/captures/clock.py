@@ -21,14 +21,8 @@ _LOOKED_AT = 10_000
 class UnitClock(NamedTuple):
     """Clock of a unit, chosen from its first packets."""
 
-    clock: Clock  # Chosen by name, or the default: the sensor's clock if it is locked, else the host's
-    locked: bool | None  # The first position packet reports a locked pulse per second; None without one
-    host_behind_ns: int
-    first_ns: int  # UTC of the first data packet by the clock
-
-    def make(self) -> PacketClock:
-        """Return a clock for all packets of the unit, from the first."""
-        return PacketClock(self.clock, self.host_behind_ns)
+    clock: PacketClock  # For all packets of the unit, from the first
+    first_ns: int  # UTC of the first data packet by the clock; 0 without data packets
 
 
 def unit_clocks(
@@ -70,7 +64,7 @@ def packet_clock(
         if name == Clock.GPS:
             raise InputError(where, f"found gps for the pipe {path}", "sensor or host, or a file")
         return PacketClock(Clock(name or Clock.SENSOR))
-    return unit_clocks(path, [unit], name, where=where)[0].make()
+    return unit_clocks(path, [unit], name, where=where)[0].clock
 
 
 class _Seen:
@@ -105,15 +99,16 @@ class _Seen:
         )
 
     def clock(self, path: Path, name: str | None, where: str) -> UnitClock:
-        locked = None if self.pps is None else self.pps is PpsState.LOCKED
-        behind_ns = self.behind_ns or 0 if name == Clock.GPS else 0
-        if name == Clock.GPS and self.behind_ns is None:
+        """Return the clock of this name, or the one that follows UTC; parameters and errors as in `unit_clocks`."""
+        behind_ns = self.behind_ns if name == Clock.GPS else 0
+        if behind_ns is None:
             raise InputError(where, f"no valid sentence of a GPS receiver in {path}", "sensor or host")
         if self.data is None:
-            return UnitClock(Clock(name or Clock.SENSOR), locked, behind_ns, 0)
+            return UnitClock(PacketClock(Clock(name or Clock.SENSOR), behind_ns), 0)
         first = table_of([self.data], PacketClock(Clock.HOST, behind_ns))[0]
-        sensor_ns = int(first["sensor_ns"])
-        host_ns = int(first["utc_ns"])
-        follows_utc = locked if locked is not None else abs(host_ns - sensor_ns) <= _CLOSE_NS
+        follows_utc = self.pps is PpsState.LOCKED
+        if self.pps is None:
+            follows_utc = abs(first["utc_ns"] - first["sensor_ns"]) <= _CLOSE_NS
         clock = Clock(name) if name else Clock.SENSOR if follows_utc else Clock.HOST
-        return UnitClock(clock, locked, behind_ns, host_ns if clock is Clock.HOST else sensor_ns)
+        first_ns = first["utc_ns"] if clock is Clock.HOST else first["sensor_ns"]
+        return UnitClock(PacketClock(clock, behind_ns), int(first_ns))

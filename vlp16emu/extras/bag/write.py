@@ -284,7 +284,6 @@ def write_bag(
     units = every if unit is None else [chosen_unit(capture, unit, where="--unit") or every[0]]
     clocks = unit_clocks(capture, units, clock, where="--clock")
     _check_stamps(capture, clocks)
-    made = [one.make() for one in clocks]
     frames = _frames(len(units))
     true = (
         None if truth is None else _truth_of(truth, [every.index(one) for one in units], len(every), images)
@@ -293,7 +292,7 @@ def write_bag(
 
     with (
         written_beside(out, options.slam, lambda: _rig(true, capture, units[0], frames[0])),
-        BagSink(out, frames, lambda number, _: made[number], options, true) as sink,
+        BagSink(out, frames, lambda number, _: clocks[number].clock, options, true) as sink,
     ):
         for number, datagram in by_unit(datagrams, units):
             if stop.is_set():
@@ -305,8 +304,8 @@ def write_bag(
         "file": str(out),
         "messages": dict(sorted(sink.bag.counts.items())),  # by topic
         "duration_s": (last_ns - first_ns) / S_NS,
-        "clocks": tuple(one.clock for one in clocks),  # of each unit, in the order of their topics
-        "host_ahead_s": tuple((one.host_ahead_ns or 0) / S_NS for one in made),
+        "clocks": tuple(each.clock.clock for each in clocks),  # of each unit, in the order of their topics
+        "host_ahead_s": tuple((each.clock.host_ahead_ns or 0) / S_NS for each in clocks),
         "repeats": datagrams.repeated,  # packets left out as repeated
         "interrupted": stop.is_set(),
     }
@@ -334,7 +333,7 @@ def _check_stamps(capture: Path, clocks: Sequence[UnitClock]) -> None:
     """Refuse a capture whose first packets are before 1970 or after the range of bags."""
     for of in clocks:
         if not 0 <= of.first_ns <= LATEST_NS:
-            found = f"a first packet at {of.first_ns / S_NS:.3f} s since 1970 by the {of.clock}'s clock"
+            found = f"a first packet at {of.first_ns / S_NS:.3f} s since 1970 by the {of.clock.clock}'s clock"
             raise CaptureError(str(capture), found, f"0 to {LATEST_NS // S_NS} s; --clock chooses another")
 
 
