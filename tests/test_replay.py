@@ -34,8 +34,7 @@ def test_a_capture_is_sent_as_it_is(capture, listening):
     """All payloads arrive in their order and unchanged, and the report counts them."""
     port = port_of(listening)
     report = replay(capture, data_port=port, position_port=port)
-    with Capture(capture) as datagrams:
-        payloads = [datagram.payload for datagram in datagrams]
+    payloads = [datagram.payload for datagram in Capture(capture)]
     assert waiting(listening) == payloads
     assert report.packets + report.position_packets == len(payloads)
     assert report.sent.simulated_s == pytest.approx(0.3, abs=0.01)

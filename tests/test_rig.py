@@ -67,11 +67,9 @@ def test_each_unit_has_a_capture_of_its_own(rig, tmp_path):
     """Split, a recording is a file for each unit, with that unit's records as they are in the file of both, byte for byte."""
     emulator, _, whole = rig
     split = emulator.record(tmp_path / "own.pcap", duration_s=SPAN_S, split=True)
-    with Capture(Path(whole.file)) as capture:
-        all_of = [datagram._replace(number=0) for datagram in capture]
+    all_of = [datagram._replace(number=0) for datagram in Capture(Path(whole.file))]
     for number, unit in enumerate(emulator.parts.units, start=1):
-        with Capture(tmp_path / f"own_{number}.pcap") as capture:
-            own = [datagram._replace(number=0) for datagram in capture]
+        own = [datagram._replace(number=0) for datagram in Capture(tmp_path / f"own_{number}.pcap")]
         address = IPv4Address(unit.link.source).packed
         assert own == [datagram for datagram in all_of if datagram.source == address]
     assert (split.packets, split.position_packets) == (whole.packets, whole.position_packets)
@@ -93,8 +91,8 @@ def test_a_locked_phase_is_passed_at_each_second(phase_deg):
 def test_a_file_of_two_is_separated_by_others(rig):
     """Frames have each unit's address and port; a decoder that is not ours reads either unit's packets."""
     _, packets, recorded = rig
-    with Capture(Path(recorded.file)) as capture:
-        seen = {(str(IPv4Address(row.source)), row.destination_port, len(row.payload)) for row in capture}
+    datagrams = Capture(Path(recorded.file))
+    seen = {(str(IPv4Address(row.source)), row.destination_port, len(row.payload)) for row in datagrams}
     ports = ((2368, 1206), (8308, 512))
     assert seen == {(f"192.168.1.20{1 + n}", port + n, size) for n in (0, 1) for port, size in ports}
     for number, per_scan in ((0, 28_928), (1, 2 * 28_928)):

@@ -33,8 +33,7 @@ Z_UP = np.array(
 
 def data_payloads(path):
     """Payloads (n,) of the data packets of a capture."""
-    with Capture(path) as capture:
-        found = [one.payload for one in capture if len(one.payload) == DATA_BYTES]
+    found = [one.payload for one in Capture(path) if len(one.payload) == DATA_BYTES]
     return np.frombuffer(b"".join(found), DATA_PAYLOAD)
 
 

@@ -85,8 +85,8 @@ def read(tmp_path, content, name="some.pcap", **options):
     """Read a capture from its bytes."""
     path = tmp_path / name
     path.write_bytes(content)
-    with Capture(path, **options) as capture:
-        return list(capture), capture
+    capture = Capture(path, **options)
+    return list(capture), capture
 
 
 def fragments(ip, size=776, number=9):
@@ -385,8 +385,8 @@ def test_files_of_one_walk_are_one_capture(tmp_path):
     """Files that a pattern names are read in order of time, and their frames are counted through."""
     for name, seconds in (("walk.pcap", 5), ("walk.pcap10", 15), ("walk.pcap2", 7)):
         (tmp_path / name).write_bytes(pcap(DATA[:50] + bytes([seconds]) * 1198, seconds=seconds))
-    with Capture(tmp_path / "walk.pcap*") as capture:
-        assert [(d.number, d.stamp_ns // 10**9) for d in capture] == [(1, 5), (2, 7), (3, 15)]
+    capture = Capture(tmp_path / "walk.pcap*")
+    assert [(d.number, d.stamp_ns // 10**9) for d in capture] == [(1, 5), (2, 7), (3, 15)]
 
 
 def test_units_of_one_address_differ_by_mac(tmp_path):

@@ -11,15 +11,14 @@ import trimesh
 from vlp16emu import Emulator
 from vlp16emu.captures import Capture, CaptureReader
 from vlp16emu.errors import CaptureError, PacketError
-from vlp16emu.packets import data_fields, decode_data
+from vlp16emu.packets import data_fields, decode_data, points_in
 
 NAMES = "xyz_m", "distance_m", "azimuth_deg", "reflectivity", "ring", "laser"
 CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "captures"
 
 
 def payloads(path):
-    with Capture(path) as capture:
-        rows = [datagram.payload for datagram in capture if len(datagram.payload) == 1206]
+    rows = [datagram.payload for datagram in Capture(path) if len(datagram.payload) == 1206]
     return np.frombuffer(b"".join(rows), np.uint8).reshape(-1, 1206)
 
 
@@ -34,8 +33,7 @@ def changed(path, out, at, byte, packets=slice(None)):
 
 def data_frames(path):
     """Numbers of the frames with data packets."""
-    with Capture(path) as capture:
-        return [datagram.number for datagram in capture if len(datagram.payload) == 1206]
+    return [datagram.number for datagram in Capture(path) if len(datagram.payload) == 1206]
 
 
 def xyz_in(path):
@@ -71,8 +69,8 @@ def test_the_summary_is_what_the_packets_say(cli, bench):
 def test_time_goes_on_over_the_full_hour(dual, monkeypatch, size):
     """The time of points rises over the hour, where the sensor's own clock falls back to 0."""
     monkeypatch.setattr("vlp16emu.captures.reading._CHUNK", size)
-    with CaptureReader(dual) as reader:
-        clock_ns = np.concatenate([clock_ns for _, clock_ns, *_ in reader.points()])
+    reader = CaptureReader(dual)
+    clock_ns = np.concatenate([reader.columns(table)["clock_ns"] for table in reader.tables()])
     stamps_us = data_fields(payloads(dual))["timestamp_us"]
     assert stamps_us[0] > 3_599_000_000
     assert stamps_us[-1] < 1_000_000
@@ -192,8 +190,8 @@ def test_packets_before_a_damaged_record_are_reported(bench, tmp_path):
     damaged = tmp_path / "damaged.pcap"
     damaged.write_bytes(bench.read_bytes() + b"\xff" * 16)
     read = []
-    with CaptureReader(damaged) as reader, pytest.raises(CaptureError, match="a length of 4294967295 bytes"):
-        read.extend(points.xyz_m for points, *_ in reader.points())
+    with pytest.raises(CaptureError, match="a length of 4294967295 bytes"):
+        read.extend(points_in(table).xyz_m for table in CaptureReader(damaged).tables())
     np.testing.assert_array_equal(
         np.concatenate(read), decode_data(payloads(bench), keep_no_returns=False).xyz_m
     )
@@ -223,15 +221,15 @@ def test_a_power_cycle_takes_its_time(cli, tmp_path):
 def test_ctrl_c_leaves_the_points_so_far(cli, bench, tmp_path, monkeypatch, suffix):
     """Ctrl-C in the fourth chunk of 7 packets ends decoding after it: 28 packets are told and can be read."""
     monkeypatch.setattr("vlp16emu.captures.reading._CHUNK", 7)
-    blocks = CaptureReader.points
+    tables = CaptureReader.tables
 
     def interrupted(reader):
-        for number, block in enumerate(blocks(reader), start=1):
+        for number, table in enumerate(tables(reader), start=1):
             if number == 4:
                 signal.raise_signal(signal.SIGINT)
-            yield block
+            yield table
 
-    monkeypatch.setattr(CaptureReader, "points", interrupted)
+    monkeypatch.setattr(CaptureReader, "tables", interrupted)
     out = tmp_path / f"x{suffix}"
     outcome = cli("decode", bench, "--out", out, "--json")
     assert outcome.code == 130
@@ -246,12 +244,8 @@ def test_another_model_is_refused_at_any_packet(bench, tmp_path, monkeypatch, si
     """A Puck Hi-Res from the eighth packet on is refused, whether or not a chunk ends before it."""
     monkeypatch.setattr("vlp16emu.captures.reading._CHUNK", size)
     mixed = changed(bench, tmp_path / "mixed.pcap", 1205, 0x24, slice(7, None))
-    with (
-        CaptureReader(mixed) as reader,
-        pytest.raises(PacketError, match="0x24; expected the first packet's"),
-    ):
-        for _ in reader.points():
-            pass
+    with pytest.raises(PacketError, match="0x24; expected the first packet's"):
+        list(CaptureReader(mixed).tables())
 
 
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="the captures of real sensors are not here")

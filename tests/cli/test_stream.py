@@ -54,8 +54,7 @@ def test_the_web_interface_is_where_the_line_says(cli, ports):
 def assert_recorded(listeners, capture):
     """What came to both ports is what a capture holds, in its order; give both."""
     came = [each.end() for each in listeners]
-    with Capture(capture) as datagrams:
-        recorded = [datagram.payload for datagram in datagrams]
+    recorded = [datagram.payload for datagram in Capture(capture)]
     assert came == [[payload for payload in recorded if len(payload) == size] for size in (1206, 512)]
     return came
 

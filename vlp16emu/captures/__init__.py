@@ -1,12 +1,5 @@
-"""Reading of VLP-16 captures: datagrams, the sensors that sent them, the UTC of packets, and points."""
+"""Reading of VLP-16 captures: datagrams, the sensors that sent them, their clocks, and tables of data packets."""
 
-from vlp16emu.captures.capture import Capture, chosen_unit, units_in
-from vlp16emu.captures.reading import (
-    CaptureReader,
-    Clock,
-    PacketChunk,
-    PacketClock,
-    UnitClock,
-    packet_clock,
-    unit_clocks,
-)
+from vlp16emu.captures.capture import Capture, by_unit, chosen_unit, table_of, units_in
+from vlp16emu.captures.clock import UnitClock, packet_clock, unit_clocks
+from vlp16emu.captures.reading import CaptureReader

@@ -10,16 +10,19 @@ import re
 import select
 import struct
 from collections import Counter, defaultdict, deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from ipaddress import ip_address
 from pathlib import Path
 from threading import Event
-from typing import Any, BinaryIO, NamedTuple, Self
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
 
 from vlp16emu.doors import door, has_door
 from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.packets.layout import BLOCK, BLOCK_FLAG, DATA_BYTES, POSITION_BYTES
+from vlp16emu.packets.table import PacketClock, PacketTable, packet_table
 from vlp16emu.units import S_NS, US_NS
 
 EXPECTED = "a pcap or pcapng file, also as .gz, .bz2, .xz or .zst (`editcap` converts others)"
@@ -116,8 +119,7 @@ def is_capture_name(name: str | Path) -> bool:
 class Capture:
     """UDP datagrams of a capture: pcap or pcapng, plain or compressed, of any link type that carries IP.
 
-    A context manager to be iterated over once. Other frames, and packets that the capture holds twice, are
-    skipped and counted.
+    To be iterated over once. Other frames, and packets that the capture holds twice, are skipped and counted.
 
     Parameters
     ----------
@@ -141,12 +143,6 @@ class Capture:
         self._cut_short = 0
         self._recent = set[tuple[bytes, int, bytes]]()
         self._order = deque[tuple[bytes, int, bytes]]()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        return
 
     def __iter__(self) -> Iterator[Datagram]:
         for path in self._files:
@@ -346,6 +342,25 @@ class CapturedUnit(NamedTuple):
         port = datagram.destination_port
         is_ours = datagram.source == self.source and (port == self.data_port or port in self.position_ports)
         return is_ours and (not self.mac or datagram.mac == self.mac)
+
+
+def by_unit(
+    datagrams: Iterable[Datagram], units: Sequence[CapturedUnit | None]
+) -> Iterator[tuple[int | None, Datagram]]:
+    """Yield each datagram with the index of the unit that has sent it, None for others; a unit None has sent all."""
+    indices = dict[tuple[bytes, int, bytes], int | None]()
+    for datagram in datagrams:
+        sender = datagram.source, datagram.destination_port, datagram.mac
+        if sender not in indices:
+            owners = (i for i, unit in enumerate(units) if unit is None or unit.owns(datagram))
+            indices[sender] = next(owners, None)
+        yield indices[sender], datagram
+
+
+def table_of(datagrams: Sequence[Datagram], clock: PacketClock) -> PacketTable:
+    """Return the table of one or more data packets that follow those which `clock` has converted."""
+    number, arrival_ns = np.array([(each.number, each.stamp_ns) for each in datagrams]).T
+    return packet_table((each.payload for each in datagrams), number, arrival_ns, clock)
 
 
 @dataclass(slots=True)

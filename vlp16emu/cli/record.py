@@ -95,7 +95,8 @@ def decode(
     chosen = chosen_unit(file, unit, where="--unit")
     product = SensorModel(model) if model else None
     stamps = packet_clock(file, chosen, clock, where="--clock")
-    with stop_on_ctrl_c() as stop, CaptureReader(file, chosen, axes, product, stamps, stop=stop) as reader:
+    with stop_on_ctrl_c() as stop:
+        reader = CaptureReader(file, chosen, product, stamps, stop=stop)
         _read(reader, file, out, axes, stop)
     interrupted = stop.is_set()
     title = f"{file}, interrupted" if interrupted else str(file)
@@ -114,9 +115,9 @@ def _read(reader: "CaptureReader", file: Path, out: Path | None, axes: "PointFra
             opened = point_file(out, CAPTURE_COLUMNS, about, where=f"--out {out}", inputs=[file])
             writer = stack.enter_context(opened)
         try:
-            for chunk in reader.points():
+            for table in reader.tables():
                 if writer:
-                    writer.write(chunk.columns)
+                    writer.write(reader.columns(table, axes))
                 if stop.is_set():
                     break
         except CaptureError:

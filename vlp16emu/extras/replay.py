@@ -8,7 +8,7 @@ from pathlib import Path
 from threading import Event
 from typing import Unpack
 
-from vlp16emu.captures import Capture, units_in
+from vlp16emu.captures import Capture, by_unit, units_in
 from vlp16emu.errors import CaptureError, InputError, OutputError
 from vlp16emu.extras.bench.retime import moved
 from vlp16emu.extras.free_ports import free_ports
@@ -88,17 +88,12 @@ class Replay:
             later_ns += ((end_ns - begin_ns) // S_NS + 1) * S_NS
 
     def _packets(self) -> Iterator[Packet]:
-        numbers = dict[tuple[bytes, int, bytes], int]()
-        for datagram in Capture(self.path):
-            key = datagram.source, datagram.destination_port, datagram.mac
-            if key not in numbers:
-                owners = (number for number, unit in enumerate(self.units) if unit.owns(datagram))
-                numbers[key] = next(owners, -1)
+        for unit, datagram in by_unit(Capture(self.path), self.units):
             kind = _KINDS.get(len(datagram.payload))
-            if kind is None or numbers[key] < 0:
+            if kind is None or unit is None:
                 self.left_out += self.passes == 1
             else:
-                yield Packet(kind, datagram.stamp_ns, datagram.payload, numbers[key])
+                yield Packet(kind, datagram.stamp_ns, datagram.payload, unit)
 
 
 @dataclass(frozen=True, slots=True)

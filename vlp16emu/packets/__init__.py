@@ -10,6 +10,7 @@ from vlp16emu.packets.decode import (
     decode_data,
     decode_position,
     faults_in,
+    points_in,
     scan_starts,
 )
 from vlp16emu.packets.frames import FACTORY_LINK, Link
@@ -33,3 +34,4 @@ from vlp16emu.packets.position import (
     position_due_ns,
     positions_from_ns,
 )
+from vlp16emu.packets.table import Clock, PacketClock, PacketTable, packet_table, utc_ns_of

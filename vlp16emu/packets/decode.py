@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import matvec
 from vlp16emu.errors import PacketError
 from vlp16emu.packets import layout
 from vlp16emu.packets.layout import BLOCK_PERIOD_NS, BLOCKS_PER_PACKET
@@ -62,6 +63,7 @@ class Points:
 
     packet: I8  # (n,) row of the payload
     slot: I8  # (n,) position of the record in its packet: 32 * block + channel
+    since_ns: I8  # (n,) time of the pulse since the first pulse of its packet
     time_ns: I8  # (n,) time of the pulse on the sensor's clock, ns past its hour
     laser: U1  # (n,) 0..15 in firing order
     ring: U1  # (n,) 0..15 by elevation, lowest first
@@ -108,6 +110,19 @@ def decode_data(payloads: U1, *, keep_no_returns: bool, model: SensorModel | Non
     Raises PacketError for packets of other sensors than VLP-16 and Puck Hi-Res, or of two models.
     """
     fields = data_fields(payloads)
+    if faults := faults_in(fields, None, model):
+        raise PacketError(f"data packet {faults[0].packet}: {faults[0].what}", *faults[0][2:])
+    return points_in(fields, model, keep_no_returns=keep_no_returns)
+
+
+def points_in(
+    fields: NDArray[np.void],
+    model: SensorModel | None = None,
+    frame: PointFrame = PointFrame.SENSOR,
+    *,
+    keep_no_returns: bool = False,
+) -> Points:
+    """Convert data packets, (n,) `DATA_PAYLOAD` without faults, into points, as `decode_data`."""
     beams = BEAM_TABLES[_model(fields, model)]
     records = fields["blocks"]["records"]
     source = _pulse_order(fields, keep_no_returns=keep_no_returns)
@@ -115,9 +130,8 @@ def decode_data(payloads: U1, *, keep_no_returns: bool, model: SensorModel | Non
     block, record = np.divmod(slot, layout.SEQUENCES_PER_BLOCK * layout.LASERS)
     sequence, laser = np.divmod(record, layout.LASERS)
     since_block_ns = sequence * SEQUENCE_NS + laser * LASER_NS
+    since_ns = block_since_ns(fields)[packet, block] + since_block_ns
 
-    dual = _is_dual(fields)
-    block_ns = np.where(dual[packet], block // 2, block) * BLOCK_PERIOD_NS
     clock_ns = fields["timestamp_us"].astype(np.int64)[packet] * US_NS
     step_cdeg = _steps_cdeg(fields)[packet] * (since_block_ns / BLOCK_PERIOD_NS)
     azimuth_cdeg = fields["blocks"]["azimuth_cdeg"][packet, block] + step_cdeg
@@ -125,18 +139,21 @@ def decode_data(payloads: U1, *, keep_no_returns: bool, model: SensorModel | Non
     distance_m = records["distance_lsb"].ravel()[source] * layout.DISTANCE_LSB_M
     xyz_m = in_sensor(azimuth_deg, beams.elevation_deg[laser], beams.vertical_offset_m[laser], distance_m)
     xyz_m[distance_m == 0.0] = np.nan
+    if frame is PointFrame.MANUAL:
+        xyz_m = matvec(SENSOR_R_MANUAL.T, xyz_m)
     last_mode = fields["return_mode"] == layout.RETURN_MODE_BYTE[ReturnMode.LAST]
     return Points(
         packet=packet,
         slot=slot,
-        time_ns=(clock_ns + block_ns + since_block_ns) % HOUR_NS,
+        since_ns=since_ns,
+        time_ns=(clock_ns + since_ns) % HOUR_NS,
         laser=laser.astype(np.uint8),
         ring=beams.ring.astype(np.uint8)[laser],
         azimuth_deg=azimuth_deg,
         distance_m=distance_m.astype(np.float32),
         xyz_m=xyz_m.astype(np.float32),
         reflectivity=records["reflectivity"].ravel()[source],
-        is_last=np.where(dual[packet], block % 2 == 0, last_mode[packet]),
+        is_last=np.where(is_dual(fields)[packet], block % 2 == 0, last_mode[packet]),
     )
 
 
@@ -220,25 +237,27 @@ def decode_position(payload: bytes) -> PositionFields:
 
 
 def _model(fields: NDArray[np.void], model: SensorModel | None) -> SensorModel:
-    """Return the model of the product byte, or `model` for a prototype unit; refuse other sensors."""
-    if faults := faults_in(fields, None, model):
-        raise PacketError(f"data packet {faults[0].packet}: {faults[0].what}", *faults[0][2:])
-    return (
-        _MODEL.get(int(fields["factory"][0]), model or SensorModel.VLP_16)
-        if len(fields)
-        else SensorModel.VLP_16
-    )
+    """Return the model of the first packet's product byte; `model` for a prototype unit, whose byte names another."""
+    usual = model or SensorModel.VLP_16
+    return _MODEL.get(int(fields["factory"][0]), usual) if len(fields) else usual
 
 
-def _is_dual(fields: NDArray[np.void]) -> NDArray[np.bool_]:
+def is_dual(fields: NDArray[np.void]) -> NDArray[np.bool_]:
+    """Return a mask (n,) of packets in dual return."""
     return np.asarray(fields["return_mode"] == layout.RETURN_MODE_BYTE[ReturnMode.DUAL])
+
+
+def block_since_ns(fields: NDArray[np.void]) -> I8:
+    """Return the time (n, 12) of the first pulse of each block since that of its packet; two blocks share it in dual return."""
+    block = np.arange(BLOCKS_PER_PACKET)
+    return np.where(is_dual(fields)[:, None], block // 2, block) * BLOCK_PERIOD_NS
 
 
 def _pulse_order(fields: NDArray[np.void], *, keep_no_returns: bool) -> I8:
     """Return the order of records by pulses, as indices through the bytes of all packets."""
     place = np.arange(layout.RECORDS_PER_PACKET)
     twins = place.reshape(BLOCKS_PER_PACKET // 2, 2, -1).swapaxes(1, 2).ravel()
-    inside = np.where(_is_dual(fields)[:, None], twins, place)
+    inside = np.where(is_dual(fields)[:, None], twins, place)
     source = (np.arange(len(fields))[:, None] * layout.RECORDS_PER_PACKET + inside).ravel()
     if keep_no_returns:
         return source
@@ -253,6 +272,6 @@ def _steps_cdeg(fields: NDArray[np.void]) -> F8:
     azimuth = fields["blocks"]["azimuth_cdeg"].astype(np.int64)
     turned = (azimuth[:, 1:] - azimuth[:, :-1]) % layout.AZIMUTH_CODES
     # In dual return, blocks 0 and 1, 2 and 3 ... are fired together.
-    apart = ~_is_dual(fields)[:, None] | (np.arange(1, BLOCKS_PER_PACKET) % 2 == 0)
+    apart = ~is_dual(fields)[:, None] | (np.arange(1, BLOCKS_PER_PACKET) % 2 == 0)
     known = apart & (turned <= _MAX_STEP_CDEG)
     return np.sum(turned * known, axis=1) / np.maximum(np.count_nonzero(known, axis=1), 1)

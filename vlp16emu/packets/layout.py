@@ -59,6 +59,16 @@ DATA_PAYLOAD = np.dtype(
 )
 """UDP payload of a data packet, 1206 bytes."""
 DATA_BYTES = DATA_PAYLOAD.itemsize
+DATA_ROW = np.dtype(
+    [
+        ("number", "<i8"),  # frame number in the capture, from 1, as in Wireshark
+        ("arrival_ns", "<i8"),  # UTC stamp of the capture, or of sending
+        ("sensor_ns", "<i8"),  # UTC of the first pulse by the sensor's clock
+        ("utc_ns", "<i8"),  # UTC of the first pulse by the chosen clock
+        *DATA_PAYLOAD.descr,
+    ]
+)
+"""Row of a table of data packets: when a packet came and when it was fired, then the fields of its payload."""
 
 SENTENCE_BYTES = 128
 """Length of the field for the NMEA sentence, which ends with CR LF and is padded with NUL.

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from types import NoneType
-from typing import Annotated, Any, NamedTuple, Self, TypedDict, get_args, get_origin
+from typing import Annotated, NamedTuple, Self, TypedDict, get_args, get_origin
 
 from vlp16emu.errors import InputError
 

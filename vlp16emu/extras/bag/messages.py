@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.captures import PacketClock
 from vlp16emu.elementary import inverse, matvec
 from vlp16emu.errors import PacketError
 from vlp16emu.extras.bag.bag_file import BagFile
@@ -15,16 +14,18 @@ from vlp16emu.extras.imu.sampler import GRAVITY_M_S2
 from vlp16emu.extras.truth.tables import Rows, columns
 from vlp16emu.extras.truth.truth import given_mount, transform
 from vlp16emu.packets import (
-    DATA_PAYLOAD,
+    DATA_BYTES,
     JUMP_NS,
-    data_fields,
-    decode_data,
+    PacketClock,
+    PacketTable,
     decode_position,
     faults_in,
+    packet_table,
+    points_in,
     scan_starts,
+    utc_ns_of,
 )
-from vlp16emu.types import U1
-from vlp16emu.units import HOUR_NS, S_NS, US_NS
+from vlp16emu.units import S_NS, US_NS
 
 if TYPE_CHECKING:  # bags without images load no camera
     from vlp16emu.extras.camera.lens import Lens
@@ -61,31 +62,28 @@ class UnitMessages:
         self._frame = frame
         self._clock = clock
         self._space = f"/{frame}".removesuffix("/velodyne")
-        self._last: tuple[float, int, int] | None = None
-        """Azimuth of the latest packet, and its time by the sensor's clock and by the chosen clock."""
+        self._last: PacketTable | None = None  # the latest packet
         self._factory: int | None = None
         self._sentence = b""
-        self._held: list[tuple[int, bytes, int]] = []
+        self._held = list[PacketTable]()  # packets of the scan so far, one by one
 
     def data(self, stamp_ns: int, payload: bytes, number: int) -> int:
         """Take a data packet, and return UTC of its first pulse; errors of `check`."""
-        fields = np.frombuffer(payload, DATA_PAYLOAD)[0]
-        stamps = stamp_ns, int(fields["timestamp_us"]), int(fields["return_mode"])
-        azimuth_deg = fields["blocks"]["azimuth_cdeg"][0] / 100
-        (sensor_ns, t_ns) = self._clock.packet_ns(*stamps)
+        packet = packet_table([payload], np.array([number]), np.array([stamp_ns]), self._clock)
         ends = False
         if self._last is not None:
-            last_deg, last_ns, last_t_ns = self._last
-            if max(abs(sensor_ns - last_ns), abs(t_ns - last_t_ns)) > JUMP_NS:
+            pair = np.concatenate([self._last, packet])
+            if np.abs(np.diff([pair["sensor_ns"], pair["utc_ns"]])).max() > JUMP_NS:
                 self._write_scan()
             else:
-                ends = len(scan_starts(np.array([last_deg, azimuth_deg]), np.array([last_ns, sensor_ns]))) > 1
-        self._held.append((t_ns, payload, number))
+                ends = len(scan_starts(pair["blocks"]["azimuth_cdeg"][:, 0] / 100, pair["sensor_ns"])) > 1
+        self._held.append(packet)
         if ends:
             self._write_scan()
-        if self._last is None or not 0 < self._last[1] - sensor_ns <= JUMP_NS:  # a late packet ends no scan
-            self._last = azimuth_deg, sensor_ns, t_ns
-        return t_ns
+        # A late packet ends no scan.
+        if self._last is None or not 0 < self._last["sensor_ns"][0] - packet["sensor_ns"][0] <= JUMP_NS:
+            self._last = packet
+        return int(packet["utc_ns"][0])
 
     def position(self, stamp_ns: int, payload: bytes) -> int:
         """Take a position packet, and return its UTC; a new sentence becomes a message."""
@@ -98,37 +96,37 @@ class UnitMessages:
         self._sentence = fields.sentence
         return t_ns
 
-    def check(self) -> U1:
-        """Return the payloads (n, 1206) of the scan so far; PacketError if one is no VLP-16 packet."""
-        payloads = np.frombuffer(b"".join(payload for _, payload, _ in self._held), np.uint8)
-        payloads = payloads.reshape(len(self._held), DATA_PAYLOAD.itemsize)
-        if len(payloads):
-            fields = data_fields(payloads)
-            for fault in faults_in(fields, self._factory):
-                raise PacketError(f"frame {self._held[fault.packet][2]}: {fault.what}", *fault[2:])
-            self._factory = int(fields["factory"][0])
-        return payloads
+    def check(self) -> PacketTable | None:
+        """Return the packets of the scan so far, None without any; PacketError if one of them is no VLP-16 packet."""
+        if not self._held:
+            return None
+        table = np.concatenate(self._held)
+        for fault in faults_in(table, self._factory):
+            raise PacketError(f"frame {table['number'][fault.packet]}: {fault.what}", *fault[2:])
+        self._factory = int(table["factory"][0])
+        return table
 
     def _write_scan(self) -> None:
         bag = self._bag
-        payloads = self.check()
-        t_ns = np.array([t_ns for t_ns, _, _ in self._held])
-        if not self._held:
+        table = self.check()
+        if table is None:
             return
         self._held = []
-        begin_ns, end_ns = int(t_ns[0]), int(t_ns[-1])
+        begin_ns, end_ns = int(table["utc_ns"][0]), int(table["utc_ns"][-1])
         topics = [f"{self._space}/velodyne_{name}" for name in ("packets", "points")]
-        raw = [(bag.time(at_ns), payload) for at_ns, payload in zip(t_ns.tolist(), payloads, strict=True)]
+        payloads = table.view(np.uint8).reshape(len(table), -1)[:, -DATA_BYTES:]
+        raw = [
+            (bag.time(at_ns), payload)
+            for at_ns, payload in zip(table["utc_ns"].tolist(), payloads, strict=True)
+        ]
         header = bag.header(begin_ns, self._frame, topics[0])
         bag.write(topics[0], end_ns, "velodyne_msgs/msg/VelodyneScan", header, raw)
-        found = decode_data(payloads, keep_no_returns=False)
-        clock_ns = data_fields(payloads)["timestamp_us"].astype(np.int64) * US_NS
-        since_packet_ns = (found.time_ns - clock_ns[found.packet]) % HOUR_NS
+        found = points_in(table)
         points = np.zeros(len(found.ring), _POINT)
         points["x"], points["y"], points["z"] = found.xyz_m.T
         points["intensity"] = found.reflectivity
         points["ring"] = found.ring
-        points["time"] = (t_ns[found.packet] + since_packet_ns - begin_ns) / S_NS
+        points["time"] = (utc_ns_of(table, found) - begin_ns) / S_NS
         size = len(points), _POINT.itemsize
         header = bag.header(begin_ns, self._frame, topics[1])
         data = points.view(np.uint8)

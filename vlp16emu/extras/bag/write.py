@@ -13,16 +13,7 @@ from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Any
 
-from vlp16emu.captures import (
-    Capture,
-    CaptureReader,
-    Clock,
-    PacketClock,
-    UnitClock,
-    chosen_unit,
-    unit_clocks,
-    units_in,
-)
+from vlp16emu.captures import Capture, CaptureReader, UnitClock, by_unit, chosen_unit, unit_clocks, units_in
 from vlp16emu.captures.capture import CapturedUnit, Datagram
 from vlp16emu.engine import Engine
 from vlp16emu.errors import CaptureError, InputError, PacketError
@@ -42,7 +33,7 @@ from vlp16emu.extras.truth.tables import (
 )
 from vlp16emu.extras.truth.truth import rig_of
 from vlp16emu.output import spare
-from vlp16emu.packets import DATA_BYTES, POSITION_BYTES
+from vlp16emu.packets import DATA_BYTES, POSITION_BYTES, Clock, PacketClock
 from vlp16emu.run.options import BagOptions
 from vlp16emu.sensor.settings import RPM_STEP
 from vlp16emu.sinks import PacketSink, PcapResult
@@ -277,7 +268,6 @@ def write_bag(
     units = every if unit is None else [chosen_unit(capture, unit, where="--unit") or every[0]]
     clocks = unit_clocks(capture, units, clock, where="--clock")
     _check_stamps(capture, clocks)
-    made = [one.make() for one in clocks]
     frames = _frames(len(units))
     true = None
     if truth is not None:
@@ -285,23 +275,24 @@ def write_bag(
         true = _truth_of_folder(truth, [every.index(one) for one in units], len(every), first_ns)
         if images is not None:
             true = _with_images(true, images, first_ns)
+    datagrams = Capture(capture)
 
     with (
         written_beside(out, options.slam, lambda: _rig(true, capture, units[0], frames[0])),
-        BagSink(out, frames, lambda number, _: made[number], options, true) as sink,
-        Capture(capture) as datagrams,
+        BagSink(out, frames, lambda number, _: clocks[number].clock, options, true) as sink,
     ):
-        for datagram in datagrams:
+        for number, datagram in by_unit(datagrams, units):
             if stop.is_set():
                 break
-            _send(datagram, units, sink, capture)
+            if number is not None:
+                _send(datagram, number, sink, capture)
     first_ns, last_ns = sink.bag.span_ns or (0, 0)
     return {
         "file": str(out),
         "messages": dict(sorted(sink.bag.counts.items())),  # by topic
         "duration_s": (last_ns - first_ns) / S_NS,
-        "clocks": tuple(one.clock for one in clocks),  # of each unit, in the order of their topics
-        "host_ahead_s": tuple((one.host_ahead_ns or 0) / S_NS for one in made),
+        "clocks": tuple(each.clock.clock for each in clocks),  # of each unit, in the order of their topics
+        "host_ahead_s": tuple((each.clock.host_ahead_ns or 0) / S_NS for each in clocks),
         "repeats": datagrams.repeated,  # packets left out as repeated
         "interrupted": stop.is_set(),
     }
@@ -314,19 +305,16 @@ def _rig(true: TruthSource | None, capture: Path, unit: CapturedUnit, frame: str
     """
     if true:
         return Rig.of(true.rig, true.scenario, frame)
-    with CaptureReader(capture, unit) as reader:
-        next(reader.points(), None)
-        return Rig(float(max(round(reader.summary.rpm / RPM_STEP), 1) * RPM_STEP), lidar_frame=frame)
+    reader = CaptureReader(capture, unit)
+    next(reader.tables(), None)
+    return Rig(float(max(round(reader.summary.rpm / RPM_STEP), 1) * RPM_STEP), lidar_frame=frame)
 
 
-def _send(datagram: Datagram, units: Sequence[CapturedUnit], sink: BagSink, capture: Path) -> None:
-    """Send a datagram of one of the units to the sink; PacketError names the capture."""
-    of = next((number for number, unit in enumerate(units) if unit.owns(datagram)), None)
-    if of is None:
-        return
+def _send(datagram: Datagram, unit: int, sink: BagSink, capture: Path) -> None:
+    """Send a datagram of a unit, numbered from 0, to the sink; PacketError names the capture."""
     kind = PacketKind.DATA if len(datagram.payload) == DATA_BYTES else PacketKind.POSITION
     try:
-        sink.send(Packet(kind, datagram.stamp_ns, datagram.payload, of, number=datagram.number))
+        sink.send(Packet(kind, datagram.stamp_ns, datagram.payload, unit, number=datagram.number))
     except PacketError as error:
         raise PacketError(f"{capture}: {error.where}", error.found, error.expected) from None
 
@@ -335,7 +323,7 @@ def _check_stamps(capture: Path, clocks: Sequence[UnitClock]) -> None:
     """Refuse a capture whose first packets are before 1970 or after the range of bags."""
     for of in clocks:
         if not 0 <= of.first_ns <= LATEST_NS:
-            found = f"a first packet at {of.first_ns / S_NS:.3f} s since 1970 by the {of.clock}'s clock"
+            found = f"a first packet at {of.first_ns / S_NS:.3f} s since 1970 by the {of.clock.clock}'s clock"
             raise CaptureError(str(capture), found, f"0 to {LATEST_NS // S_NS} s; --clock chooses another")
 
 

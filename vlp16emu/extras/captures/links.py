@@ -1,51 +1,82 @@
-"""UDP datagrams in frames of any link type that carries IP, also behind tags, labels and tunnels."""
+"""UDP datagrams in frames of any link type that carries IP, also behind tags, labels and tunnels.
+
+Numbers are those of dpkt. Its parsers are not used: they give no offsets of headers, join no fragments, and do
+not read 802.11, AVS, PPI, PKTAP, NFLOG, Cisco HDLC, ERSPAN, VXLAN and Geneve.
+"""
 
 import struct
 from collections import Counter
 from typing import NamedTuple
 
-_ETHERNET = 1
-_ETHERTYPE_AT = {_ETHERNET: 12, 113: 14, 276: 0, 104: 2, 138: 16}
-"""Offset of the EtherType by link type: Ethernet, Linux cooked (SLL, SLL2), Cisco HDLC, IP over FireWire.
-Source of all link types: www.tcpdump.org/linktypes.html."""
-_BODY_AT = {_ETHERNET: 14, 113: 16, 276: 20, 104: 4, 138: 18}
-_BARE_IP_AT = {101: 0, 12: 0, 14: 0, 228: 0, 229: 0, 0: 4, 108: 4, 109: 12}
-"""Offset of the IP header by link type: raw IP, BSD loopback, OpenBSD's encapsulation."""
-_PPP_AT = {9: 0, 50: 0, 166: 1, 204: 1, 51: 6}
-"""Offset of PPP by link type: serial, with a direction byte, PPPoE."""
-_WIFI = 105
-_NFLOG = 239
-_NFLOG_PAYLOAD = 9
+from dpkt import pcap
+from dpkt.ethernet import (
+    ETH_TYPE_8021AD,
+    ETH_TYPE_8021Q,
+    ETH_TYPE_IP,
+    ETH_TYPE_IP6,
+    ETH_TYPE_MPLS,
+    ETH_TYPE_MPLS_MCAST,
+    ETH_TYPE_QINQ1,
+    ETH_TYPE_TEB,
+    ETH_TYPE_PPPoE,
+)
+from dpkt.ip import (
+    IP_PROTO_AH,
+    IP_PROTO_DSTOPTS,
+    IP_PROTO_FRAGMENT,
+    IP_PROTO_GRE,
+    IP_PROTO_HOPOPTS,
+    IP_PROTO_IP6,
+    IP_PROTO_IPIP,
+    IP_PROTO_ROUTING,
+    IP_PROTO_UDP,
+)
+from dpkt.ppp import PPP_IP, PPP_IP6
+
+_ETHERTYPE_AT = {
+    pcap.DLT_EN10MB: (12, 14),
+    pcap.DLT_LINUX_SLL: (14, 16),
+    pcap.DLT_LINUX_SLL2: (0, 20),
+    pcap.DLT_C_HDLC: (2, 4),
+    pcap.DLT_APPLE_IP_OVER_IEEE1394: (16, 18),
+}
+"""Offsets of the EtherType and of what follows the header, by link type. Source of all link types:
+www.tcpdump.org/linktypes.html."""
+_BARE_IP_AT = {
+    **dict.fromkeys((12, 14, 101), 0),  # raw IP on Linux, on OpenBSD and in files
+    pcap.DLT_IPV4: 0,
+    pcap.DLT_IPV6: 0,
+    pcap.DLT_NULL: 4,
+    108: 4,  # loopback of OpenBSD
+    109: 12,  # encapsulation of OpenBSD
+}
+"""Offset of the IP header by link type."""
+_PPP_AT = {
+    pcap.DLT_PPP: 0,
+    pcap.DLT_PPP_SERIAL: 0,
+    pcap.DLT_PPP_PPPD: 1,
+    pcap.DLT_PPP_WITH_DIR: 1,
+    pcap.DLT_PPP_ETHER: 6,
+}
+"""Offset of PPP by link type."""
 _WRAPPED = {
-    127: ("<H", 2, None),
-    163: (">I", 4, None),
-    192: ("<H", 2, 4),
-    149: ("<I", 0, 8),
-    258: ("<I", 0, 8),
+    pcap.DLT_IEEE802_11_RADIO: ("<H", 2, None),
+    pcap.DLT_IEEE802_11_RADIO_AVS: (">I", 4, None),
+    pcap.DLT_PPI: ("<H", 2, 4),
+    pcap.DLT_PKTAP: ("<I", 0, 8),
+    pcap.DLT_USER2: ("<I", 0, 8),  # PKTAP of older macOS
 }
 """Link types with a header of their own in front: format and offset of its length, and offset of the inner
-link type, which is IEEE 802.11 if there is no such field. Radiotap, AVS, PPI, and PKTAP of macOS under both
-of its numbers."""
-_LINK_TYPES = frozenset({*_ETHERTYPE_AT, *_BARE_IP_AT, *_PPP_AT, *_WRAPPED, _WIFI, _NFLOG})
+link type, which is IEEE 802.11 if there is no such field."""
+_LINK_TYPES = frozenset(
+    {*_ETHERTYPE_AT, *_BARE_IP_AT, *_PPP_AT, *_WRAPPED, pcap.DLT_IEEE802_11, pcap.DLT_NFLOG}
+)
+_NFLOG_PAYLOAD = 9
 
-_IPV4 = 0x0800
-_IPV6 = 0x86DD
-_TAGS = (0x8100, 0x88A8, 0x9100)
-_MPLS = (0x8847, 0x8848)
-_PPPOE = 0x8864
-_BRIDGED = 0x6558
-_LLC = (0x0001, 0x0004)
-"""EtherTypes of IEEE 802 and RFC 3032, 2516, 1701; the last ones mark 802.3 and 802.2 in SLL."""
+_LLC = (0x0001, 0x0004)  # 802.3 and 802.2 in the place of an EtherType of SLL
 _SMALLEST_ETHERTYPE = 0x0600
-_PPP_IP = (0x0021, 0x0057)
-_UDP = 17
-_IP_IN_IP = 4
-_IP6_IN_IP = 41
-_GRE = 47
-_FRAGMENT6 = 44
-_AUTHENTICATION = 51
-_EXTENSIONS6 = (0, 43, 60, 51, 44)
-"""Protocol numbers of IANA; headers that may stand in front of the payload of IPv6 (RFC 8200)."""
+_EXTENSIONS6 = (IP_PROTO_HOPOPTS, IP_PROTO_ROUTING, IP_PROTO_DSTOPTS, IP_PROTO_AH, IP_PROTO_FRAGMENT)
+"""Headers that may stand in front of the payload of IPv6 (RFC 8200)."""
 _VXLAN = (4789).to_bytes(2)  # UDP ports of RFC 7348 and RFC 8926
 _GENEVE = (6081).to_bytes(2)
 # EtherTypes of mirrored traffic in GRE (draft-foschiano-erspan)
@@ -87,7 +118,7 @@ class Unwrapper:
             self._unread[f"frames of link type {link_type}, which is not read"] += 1
             return None
         ip = _ip_in(link_type, frame)
-        if ip is None or ip.protocol != _UDP:
+        if ip is None or ip.protocol != IP_PROTO_UDP:
             return None
         if ip.fragment or ip.more:
             return self._joined(frame, ip)
@@ -100,9 +131,9 @@ class Unwrapper:
         parts = list[bytes]()
         at = 0
         while at in held:
-            part, one = held[at]
-            parts.append(part[one.body : one.end])
-            if not one.more:
+            part, ip = held[at]
+            parts.append(part[ip.body : ip.end])
+            if not ip.more:
                 del self._held[ip.key]
                 first, begin = held[0]
                 return first[: begin.body] + b"".join(parts), begin.at, begin.body
@@ -122,21 +153,22 @@ def _ip_in(link_type: int, frame: bytes) -> Ip | None:
         form, length_at, kind_at = _WRAPPED[link_type]
         try:
             (begin,) = struct.unpack_from(form, frame, length_at)
-            link_type = _WIFI if kind_at is None else struct.unpack_from("<I", frame, kind_at)[0]
+            link_type = (
+                pcap.DLT_IEEE802_11 if kind_at is None else struct.unpack_from("<I", frame, kind_at)[0]
+            )
         except struct.error:
             return None
     if link_type in _ETHERTYPE_AT:
-        kind_at = begin + _ETHERTYPE_AT[link_type]
-        body = begin + _BODY_AT[link_type]
-        kind = int.from_bytes(frame[kind_at : kind_at + 2])
-        at: int | None = body if kind == _IPV4 else _ip_after(frame, kind, body)
+        kind_at, body = _ETHERTYPE_AT[link_type]
+        kind = int.from_bytes(frame[begin + kind_at : begin + kind_at + 2])
+        at: int | None = _ip_after(frame, kind, begin + body)
     elif link_type in _BARE_IP_AT:
         at = begin + _BARE_IP_AT[link_type]
     elif link_type in _PPP_AT:
         at = _behind_ppp(frame, begin + _PPP_AT[link_type])
-    elif link_type == _WIFI:
+    elif link_type == pcap.DLT_IEEE802_11:
         at = _ip_in_wifi(frame, begin)
-    elif link_type == _NFLOG:
+    elif link_type == pcap.DLT_NFLOG:
         at = _ip_in_nflog(frame)
     else:
         return None
@@ -144,11 +176,9 @@ def _ip_in(link_type: int, frame: bytes) -> Ip | None:
     for _ in range(_MOST_LAYERS):
         found = None if at is None else _ip_at(frame, at)
         if found is None:
-            return ip
+            break
         ip = found
-        at = _ip_in_tunnel(frame, found)
-        if at is None:
-            return ip
+        at = _ip_in_tunnel(frame, ip)
     return ip
 
 
@@ -177,18 +207,18 @@ def _ip_in_nflog(frame: bytes) -> int | None:
 def _ip_after(frame: bytes, kind: int, at: int) -> int | None:
     """Find the IP header after an EtherType whose content begins at `at`."""
     for _ in range(_MOST_LAYERS):
-        if kind in (_IPV4, _IPV6):
+        if kind in (ETH_TYPE_IP, ETH_TYPE_IP6):
             return at
-        if kind in _TAGS:
+        if kind in (ETH_TYPE_8021Q, ETH_TYPE_8021AD, ETH_TYPE_QINQ1):
             kind = int.from_bytes(frame[at + 2 : at + 4])
             at = at + 4
-        elif kind in _MPLS:
+        elif kind in (ETH_TYPE_MPLS, ETH_TYPE_MPLS_MCAST):
             while at + 4 <= len(frame) and not frame[at + 2] & 1:  # the lowest label has this bit
                 at += 4
             return at + 4
-        elif kind == _PPPOE:
+        elif kind == ETH_TYPE_PPPoE:
             return _behind_ppp(frame, at + 6)
-        elif kind == _BRIDGED:
+        elif kind == ETH_TYPE_TEB:
             kind = int.from_bytes(frame[at + 12 : at + 14])
             at = at + 14
         elif (kind < _SMALLEST_ETHERTYPE or kind in _LLC) and frame[at : at + 3] == b"\xaa\xaa\x03":
@@ -206,7 +236,7 @@ def _behind_ppp(frame: bytes, at: int) -> int | None:
         return _ip_after(frame, int.from_bytes(frame[at + 2 : at + 4]), at + 4)
     short = frame[at : at + 1] in (b"\x21", b"\x57")  # RFC 1661, section 6.5: the protocol in one byte
     kind = int.from_bytes(frame[at : at + 2 - short])
-    return at + 2 - short if kind in _PPP_IP else None
+    return at + 2 - short if kind in (PPP_IP, PPP_IP6) else None
 
 
 def _ip_at(frame: bytes, at: int) -> Ip | None:
@@ -236,12 +266,14 @@ def _ip6_at(frame: bytes, at: int) -> Ip | None:
         before = protocol
         protocol = frame[body]
         size = frame[body + 1]
-        if before == _FRAGMENT6:
+        if before == IP_PROTO_FRAGMENT:
             words = int.from_bytes(frame[body + 2 : body + 4])
             fragment = words & 0xFFF8
             more = bool(words & 1)
             key = key + frame[body + 4 : body + 8]
-        body += 8 if before == _FRAGMENT6 else (size + 2) * 4 if before == _AUTHENTICATION else (size + 1) * 8
+        body += (
+            8 if before == IP_PROTO_FRAGMENT else (size + 2) * 4 if before == IP_PROTO_AH else (size + 1) * 8
+        )
         if fragment:
             break
     return Ip(at, body, end, protocol, fragment, more, key)
@@ -251,22 +283,22 @@ def _ip_in_tunnel(frame: bytes, ip: Ip) -> int | None:
     at = ip.body
     if ip.fragment or ip.more:
         return None
-    if ip.protocol in (_IP_IN_IP, _IP6_IN_IP):
+    if ip.protocol in (IP_PROTO_IPIP, IP_PROTO_IP6):
         return at
-    if ip.protocol == _GRE and at + 4 <= len(frame):
+    if ip.protocol == IP_PROTO_GRE and at + 4 <= len(frame):
         flags = frame[at]
         kind = int.from_bytes(frame[at + 2 : at + 4])
         at += 4 + 4 * sum(bool(flags & bit) for bit in (0x80, 0x20, 0x10))
         if kind == _ERSPAN:
             at = at + 8 * bool(flags & 0x10)  # type I has neither a number nor a header
-            kind = _BRIDGED
+            kind = ETH_TYPE_TEB
         elif kind == _ERSPAN_3:
             at = at + 12 + 8 * (at + 12 <= len(frame) and frame[at + 11] & 1)
-            kind = _BRIDGED
+            kind = ETH_TYPE_TEB
         return _ip_after(frame, kind, at)
-    port = frame[at + 2 : at + 4] if ip.protocol == _UDP else b""
+    port = frame[at + 2 : at + 4] if ip.protocol == IP_PROTO_UDP else b""
     if port == _VXLAN:
-        return _ip_after(frame, _BRIDGED, at + 16)
+        return _ip_after(frame, ETH_TYPE_TEB, at + 16)
     if port == _GENEVE and at + 16 <= len(frame):
         return _ip_after(
             frame, int.from_bytes(frame[at + 10 : at + 12]), at + 16 + 4 * (frame[at + 8] & 0x3F)

@@ -1,8 +1,7 @@
 """Deskewed points of a capture: a trajectory transforms each point to the world with the pose at its own pulse."""
 
-from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
-from itertools import chain, pairwise
+from itertools import chain
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.captures import CaptureReader, PacketChunk, chosen_unit, packet_clock
+from vlp16emu.captures import CaptureReader, chosen_unit, packet_clock
 from vlp16emu.elementary import matmul, matvec
 from vlp16emu.errors import InputError, TrajectoryError
 from vlp16emu.extras.clouds import cloud
@@ -22,6 +21,7 @@ from vlp16emu.extras.recorded.settings import Recorded
 from vlp16emu.extras.truth.folder import read_json
 from vlp16emu.extras.truth.slots import SlotReader
 from vlp16emu.motion.pose import rotation, rotations
+from vlp16emu.packets import PacketTable, Points, points_in, utc_ns_of
 from vlp16emu.scenario import load
 from vlp16emu.types import F8, I8
 from vlp16emu.units import S_NS, US_NS, seconds_to_ns
@@ -116,11 +116,9 @@ class CaptureTruth:
         wanted = cloud.TRUTH_COLUMNS + cloud.LABEL_COLUMNS * (self._labels is not None)
         return tuple(column for column in wanted if column.name not in known)
 
-    def of(self, chunk: PacketChunk, packets: slice, points: I8) -> dict[str, NDArray[Any]]:
-        """Return labels and true values (n,) of points in a slice of the chunk's packets; heights belong to the true positions."""
-        stamps_us = chunk.fields["timestamp_us"][packets]
-        packet = chunk.points.packet[points] - packets.start
-        rows = self._rows.rows(stamps_us, packet, chunk.points.slot[points])
+    def of(self, table: PacketTable, points: Points, kept: I8) -> dict[str, NDArray[Any]]:
+        """Return labels and true values (n,) of the points `kept` of a table; heights belong to the true positions."""
+        rows = self._rows.rows(table["timestamp_us"], points.packet[kept], points.slot[kept])
         if self._labels is None or not rows:
             return rows
         world_m = np.column_stack([rows[f"world_{axis}_m"] for axis in "xyz"])
@@ -149,26 +147,26 @@ def write_deskewed(
     """
     known = chosen_unit(capture, way.sensor or str(way.unit), where="--unit")
     stamped = packet_clock(capture, known, clock, where="--clock")
-    with CaptureReader(capture, known, clock=stamped) as reader:
-        chunks = reader.points()
-        first = next(chunks)
-        start_ns = int(first.utc_ns[0])
-        comments = "x, y, z in the world by a trajectory", cloud.time_comment(f"{stamped.clock}'s")
-        start_utc = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=start_ns // 1000)
-        about = cloud.CloudAbout(comments, start_utc, way.origin, way.unit)
-        columns = cloud.DESKEWED_COLUMNS + (truth.columns if truth else ())
-        points = without_pose = last_ns = 0
-        with cloud.point_file(path, columns, about, where=str(path), inputs=(capture, way.path)) as writer:
-            for chunk in chain([first], chunks):
-                for block, left_out in _blocks(chunk, way, truth, start_ns):
-                    writer.write(block)
-                    points = points + len(block["t_ns"])
-                    without_pose = without_pose + left_out
-                last_ns = int(chunk.utc_ns[-1]) - start_ns
-                if stop.is_set():
-                    break
-            if without_pose and not points:
-                raise _without_poses(way, (start_ns, start_ns + last_ns), stamped.clock)
+    tables = CaptureReader(capture, known, clock=stamped).tables()
+    first = next(tables)
+    start_ns = int(first["utc_ns"][0])
+    comments = "x, y, z in the world by a trajectory", cloud.time_comment(f"{stamped.clock}'s")
+    start_utc = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=start_ns // 1000)
+    about = cloud.CloudAbout(comments, start_utc, way.origin, way.unit)
+    columns = cloud.DESKEWED_COLUMNS + (truth.columns if truth else ())
+    points = without_pose = last_ns = 0
+    with cloud.point_file(path, columns, about, where=str(path), inputs=(capture, way.path)) as writer:
+        for table in chain([first], tables):
+            for begin in range(0, len(table), _PACKETS):
+                block, left_out = _block(table[begin : begin + _PACKETS], way, truth, start_ns)
+                writer.write(block)
+                points = points + len(block["t_ns"])
+                without_pose = without_pose + left_out
+            last_ns = int(table["utc_ns"][-1]) - start_ns
+            if stop.is_set():
+                break
+        if without_pose and not points:
+            raise _without_poses(way, (start_ns, start_ns + last_ns), stamped.clock)
     return {
         "file": str(path),
         "capture": str(capture),
@@ -194,33 +192,28 @@ def _without_poses(way: Trajectory, pulses_ns: tuple[int, int], clock: str) -> T
     return TrajectoryError(str(way.path), f"poses {poses}", expected)
 
 
-def _blocks(
-    chunk: PacketChunk, way: Trajectory, truth: CaptureTruth | None, start_ns: int
-) -> Iterator[tuple[dict[str, NDArray[Any]], int]]:
-    """Yield the transformed points of some data packets at a time, each echo once, and the number without a pose."""
-    chunk_t_ns = chunk.t_ns
-    points = chunk.points
-    once = ~twins(chunk.points)
-    cuts = np.searchsorted(points.packet, np.arange(0, len(chunk.fields) + _PACKETS, _PACKETS)).tolist()
-    for number, (begin, end) in enumerate(pairwise(cuts)):
-        part = begin + np.flatnonzero(once[begin:end])
-        has_pose = way.has(chunk_t_ns[part])
-        kept = part[has_pose]
-        t_ns = chunk_t_ns[kept]
-        sensor_m = points.xyz_m[kept]
-        turn, place_m = way.poses_at(t_ns)
-        block = {
-            "t_ns": t_ns,
-            "since_start_ns": t_ns - start_ns,
-            "world_m": matvec(turn, sensor_m.astype(np.float64)) + place_m,
-            "sensor_m": sensor_m,
-            "viewpoint_m": place_m,
-        }
-        block |= {name: getattr(points, name)[kept] for name in _TAKEN}
-        if truth:
-            packets = slice(number * _PACKETS, min((number + 1) * _PACKETS, len(chunk.fields)))
-            block |= truth.of(chunk, packets, kept)
-        yield block, int((~has_pose).sum())
+def _block(
+    table: PacketTable, way: Trajectory, truth: CaptureTruth | None, start_ns: int
+) -> tuple[dict[str, NDArray[Any]], int]:
+    """Return the transformed points of some data packets, each echo once, and the number without a pose."""
+    points = points_in(table)
+    t_ns = utc_ns_of(table, points)
+    once = np.flatnonzero(~twins(points))
+    kept = once[way.has(t_ns[once])]
+    t_ns = t_ns[kept]
+    sensor_m = points.xyz_m[kept]
+    turn, place_m = way.poses_at(t_ns)
+    block: dict[str, NDArray[Any]] = {
+        "t_ns": t_ns,
+        "since_start_ns": t_ns - start_ns,
+        "world_m": matvec(turn, sensor_m.astype(np.float64)) + place_m,
+        "sensor_m": sensor_m,
+        "viewpoint_m": place_m,
+    }
+    block |= {name: getattr(points, name)[kept] for name in _TAKEN}
+    if truth:
+        block |= truth.of(table, points, kept)
+    return block, len(once) - len(kept)
 
 
 def _of_truth(folder: Path, unit: int) -> tuple[Path, tuple[float, float, float] | None, str | None]:

@@ -2,14 +2,14 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import compress, pairwise
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.captures import CaptureReader, PacketChunk, chosen_unit, packet_clock
+from vlp16emu.captures import CaptureReader, chosen_unit, packet_clock
 from vlp16emu.elementary import cos, matvec, sin
 from vlp16emu.engine import Engine, Unit
 from vlp16emu.errors import InputError
@@ -19,19 +19,22 @@ from vlp16emu.packets import (
     BLOCKS_PER_PACKET,
     DATA_BYTES,
     JUMP_NS,
-    RETURN_MODE_BYTE,
     SEQUENCES_PER_BLOCK,
+    PacketClock,
+    PacketTable,
     PointFrame,
     Points,
-    data_fields,
-    decode_data,
     faults_in,
+    packet_table,
+    points_in,
     scan_starts,
+    utc_ns_of,
 )
+from vlp16emu.packets.decode import block_since_ns, is_dual
 from vlp16emu.sensor.beams import BeamTable
 from vlp16emu.sensor.head import in_sensor
 from vlp16emu.types import F4, F8, I8, SURFACE, Firings, Labels, Packet, Poses, ReturnMode, Returns, Scan
-from vlp16emu.units import HOUR_NS, S_NS, US_NS, seconds_to_ns
+from vlp16emu.units import S_NS, seconds_to_ns
 
 _LONGEST_NS = 2 * S_NS
 """Time after which readings without a whole revolution are left out: the rotor stands. The slowest scanner,
@@ -143,28 +146,27 @@ def decode(
         raise InputError("frame", f"found {frame}", " or ".join(PointFrame))
     path = Path(capture)
     chosen = chosen_unit(path, None if unit is None else str(unit))
-    reader = CaptureReader(path, chosen, PointFrame(frame), clock=packet_clock(path, chosen, clock))
-    return cut_scans(chunk_of(chunk, {}) for chunk in reader.points())
+    reader = CaptureReader(path, chosen, clock=packet_clock(path, chosen, clock))
+    return cut_scans(
+        chunk_of(table, points_in(table, frame=PointFrame(frame)), {}) for table in reader.tables()
+    )
 
 
-def chunk_of(chunk: PacketChunk, labels: Mapping[str, NDArray[Any]]) -> Chunk:
+def chunk_of(table: PacketTable, points: Points, labels: Mapping[str, NDArray[Any]]) -> Chunk:
     """Return the points of data packets sorted by azimuth readings; labels are arrays of `Labels`, empty if there are none."""
-    points = chunk.points
-    blocks = chunk.fields["blocks"]
-    dual = chunk.fields["return_mode"] == RETURN_MODE_BYTE[ReturnMode.DUAL]
     block = np.arange(BLOCKS_PER_PACKET)
-    is_reading = ~dual[:, None] | (block % 2 == 0)  # in dual return two blocks share a reading
-    block_ns = np.where(dual[:, None], block // 2, block) * BLOCK_PERIOD_NS
+    is_reading = ~is_dual(table)[:, None] | (block % 2 == 0)  # in dual return two blocks share a reading
     first = np.concatenate([[0], np.cumsum(is_reading.sum(axis=1))])
-    since_ns = chunk.clock_ns - chunk.packet_ns[points.packet]
+    block_ns = table["utc_ns"][:, None] + block_since_ns(table)
     kept = ~twins(points)
     as_they_are = ("xyz_m", "distance_m", "azimuth_deg", "reflectivity", "is_last")
-    arrays: dict[str, NDArray[Any]] = {"t_ns": chunk.t_ns, "ring": points.ring.astype(np.uint16), **labels}
+    ring = points.ring.astype(np.uint16)
+    arrays: dict[str, NDArray[Any]] = {"t_ns": utc_ns_of(table, points), "ring": ring, **labels}
     arrays |= {name: getattr(points, name) for name in as_they_are}
     return Chunk(
-        t_ns=(chunk.utc_ns[:, None] + block_ns)[is_reading],
-        azimuth_deg=blocks["azimuth_cdeg"][is_reading] / 100,
-        reading=(first[points.packet] + since_ns // BLOCK_PERIOD_NS)[kept],
+        t_ns=block_ns[is_reading],
+        azimuth_deg=table["blocks"]["azimuth_cdeg"][is_reading] / 100,
+        reading=(first[points.packet] + points.since_ns // BLOCK_PERIOD_NS)[kept],
         arrays={name: array[kept] for name, array in arrays.items()},
     )
 
@@ -176,29 +178,30 @@ def chunk_of_packets(packets: Iterable[Packet]) -> Chunk | None:
     first pulse, are dated by their sending.
     """
     whole = [packet for packet in packets if len(packet.payload) == DATA_BYTES]
-    payloads = np.frombuffer(b"".join(packet.payload for packet in whole), np.uint8).reshape(-1, DATA_BYTES)
-    bad = {fault.packet for fault in faults_in(data_fields(payloads))}
-    good = [row for row in range(len(whole)) if row not in bad]
-    if not good:
+    if not whole:
         return None
-    points = decode_data(payloads[good], keep_no_returns=False)
-    fields = data_fields(payloads[good])
-    packet_ns = fields["timestamp_us"].astype(np.int64) * US_NS
-    clock_ns = packet_ns[points.packet] + (points.time_ns - packet_ns[points.packet]) % HOUR_NS
-    fired_ns = [whole[row].due_ns if whole[row].fired_ns is None else whole[row].fired_ns for row in good]
+    payloads = (packet.payload for packet in whole)
+    due_ns = np.array([packet.due_ns for packet in whole])
+    table = packet_table(payloads, np.arange(len(whole)), due_ns, PacketClock())
+    table["utc_ns"] = [packet.due_ns if packet.fired_ns is None else packet.fired_ns for packet in whole]
+    sound = np.ones(len(whole), np.bool_)
+    sound[[fault.packet for fault in faults_in(table)]] = False
+    if not sound.any():
+        return None
+    table = table[sound]
+    points = points_in(table)
     labels = dict[str, NDArray[Any]]()
     if whole[0].slots is not None:
-        slots = np.array([whole[row].slots for row in good])[points.packet, points.slot]
+        slots = np.array([packet.slots for packet in compress(whole, sound)])[points.packet, points.slot]
         labels = {name: slots[name] for name in Labels.__slots__}
-    chunk = PacketChunk(points, clock_ns, packet_ns, np.array(fired_ns, np.int64), fields, np.array(good))
-    return chunk_of(chunk, labels)
+    return chunk_of(table, points, labels)
 
 
 def twins(points: Points) -> NDArray[np.bool_]:
     """Return a mask (n,) of records in dual return that repeat the record before, which marks a single return (63-9243 Rev D, section 9.3.2)."""
     same = points.is_last[:-1] & ~points.is_last[1:]
     same &= np.diff(points.packet) == 0
-    same &= np.diff(points.time_ns) == 0
+    same &= np.diff(points.since_ns) == 0
     same &= points.laser[1:] == points.laser[:-1]
     same &= points.distance_m[1:] == points.distance_m[:-1]
     return np.concatenate([np.zeros(min(1, len(points.laser)), np.bool_), same])

@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.captures.capture import Capture
+from vlp16emu.captures import Capture, table_of
 from vlp16emu.errors import CaptureError
-from vlp16emu.packets import layout
+from vlp16emu.packets import PacketClock, PacketTable, layout
+from vlp16emu.packets.decode import is_dual
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.sensor.settings import LEAST_RPM, MOST_RPM
-from vlp16emu.types import I8, ReturnMode
+from vlp16emu.types import I8
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
 _LEAST_PACKETS = 80  # one revolution at 600 rpm has 75
@@ -57,27 +58,25 @@ def read_sequences(path: Path) -> Sequences:
     Raises CaptureError if it is no capture, has less than a revolution or two return modes, or its rotor
     speed is not possible for a VLP-16.
     """
-    with Capture(path) as capture:
-        packets = list(
-            islice((one for one in capture if len(one.payload) == layout.DATA_BYTES), _MOST_PACKETS)
-        )
+    data = (datagram for datagram in Capture(path) if len(datagram.payload) == layout.DATA_BYTES)
+    packets = list(islice(data, _MOST_PACKETS))
     if len(packets) < _LEAST_PACKETS:
         raise CaptureError(str(path), f"{len(packets)} data packets", f"{_LEAST_PACKETS} at least")
-    fields = np.frombuffer(b"".join(packet.payload for packet in packets), layout.DATA_PAYLOAD)
-    if len(modes := np.unique(fields["return_mode"])) > 1:
+    table = table_of(packets, PacketClock())
+    if len(modes := np.unique(table["return_mode"])) > 1:
         raise CaptureError(str(path), f"{len(modes)} return modes", "one")
-    sequences = _numbered(path, fields, np.array([packet.stamp_ns for packet in packets], np.int64))
+    sequences = _numbered(path, table)
     if not (1 - _MARGIN) * LEAST_RPM <= sequences.rpm <= (1 + _MARGIN) * MOST_RPM:
         raise CaptureError(str(path), f"a rotor at {sequences.rpm:.1f} rpm", f"{LEAST_RPM} to {MOST_RPM} rpm")
     return sequences
 
 
-def _numbered(path: Path, fields: NDArray[np.void], stamp_ns: I8) -> Sequences:
-    dual = bool(fields["return_mode"][0] == layout.RETURN_MODE_BYTE[ReturnMode.DUAL])
-    blocks = fields["blocks"][:, 1::2] if dual else fields["blocks"]
+def _numbered(path: Path, table: PacketTable) -> Sequences:
+    dual = bool(is_dual(table)[0])
+    blocks = table["blocks"][:, 1::2] if dual else table["blocks"]
     per_packet = layout.BLOCKS_PER_PACKET // 2 if dual else layout.BLOCKS_PER_PACKET
-    clock_ns = fields["timestamp_us"].astype(np.int64) * US_NS
-    since_ns = np.cumsum(np.diff(clock_ns, prepend=clock_ns[:1]) % HOUR_NS)
+    # The clock of a sensor that restarts falls; its packets come later all the same.
+    since_ns = np.cumsum(np.diff(table["sensor_ns"], prepend=table["sensor_ns"][:1]) % HOUR_NS)
     packet = np.rint(since_ns / (per_packet * layout.BLOCK_PERIOD_NS)).astype(np.int64)
     if (np.diff(packet) < 1).any():
         raise CaptureError(
@@ -99,10 +98,10 @@ def _numbered(path: Path, fields: NDArray[np.void], stamp_ns: I8) -> Sequences:
         reflectivity=reflectivity,
         azimuth_cdeg=np.cumsum(np.append(azimuth_cdeg[:1], step_cdeg)),
         block=block,
-        clock_ns=clock_ns[0] + since_ns,
-        stamp_ns=stamp_ns,
+        clock_ns=table["sensor_ns"][0] % HOUR_NS + since_ns,
+        stamp_ns=table["arrival_ns"],
         packet=packet,
-        last=_of_lasers(fields["blocks"][:, ::2]) if dual else None,
+        last=_of_lasers(table["blocks"][:, ::2]) if dual else None,
     )
 
 

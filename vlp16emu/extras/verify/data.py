@@ -23,13 +23,13 @@ from vlp16emu.extras.verify.frames import (
     Findings,
     Rule,
     is_rewritten,
-    wrap_hour_us,
 )
 from vlp16emu.packets import layout
-from vlp16emu.packets.decode import PRODUCT_BEFORE_RELEASE
+from vlp16emu.packets.decode import PRODUCT_BEFORE_RELEASE, is_dual
 from vlp16emu.packets.layout import POSITION_PAYLOAD
+from vlp16emu.packets.table import PacketTable, wrap_hour
 from vlp16emu.sensor.settings import LEAST_RPM, MOST_RPM, RPM_STEP
-from vlp16emu.types import F8, I8, PpsState, ReturnMode
+from vlp16emu.types import F8, I8, PpsState
 from vlp16emu.units import MS_NS, S_NS, US_NS
 
 _UNEQUAL_REFLECTIVITY_SHARE = 0.05
@@ -75,7 +75,7 @@ class DataChunk:
 
     Parameters
     ----------
-    datagrams : the packets, at least one
+    table : the packets, at least one
     before : factory bytes of the packet before the first; empty if there is none
     continues : True if the first packet was the last one of the chunk before, and is here only as a neighbour
     ends : True if no chunk follows that begins with the last packet
@@ -86,31 +86,31 @@ class DataChunk:
     jitter_ms = JITTER_US / 1e3
     held_rpm = _HELD_RPM
 
-    def __init__(self, datagrams: Sequence[Datagram], before: bytes, *, continues: bool, ends: bool) -> None:
-        n = len(datagrams)
+    def __init__(self, table: PacketTable, before: bytes, *, continues: bool, ends: bool) -> None:
+        n = len(table)
         self.own = slice(1 if continues else 0, n)  # packets whose codes no earlier chunk has judged
         self.judged = slice(0, n if ends else n - 1)
         """Packets whose azimuths are judged; only the next chunk has the neighbour of the last packet."""
-        self.number, self.stamp_ns = np.array([(each.number, each.stamp_ns) for each in datagrams]).T
-        payload = np.frombuffer(b"".join(each.payload for each in datagrams), layout.DATA_PAYLOAD)
-        blocks = payload["blocks"]
-        self.dual = bool(payload["return_mode"][0] == layout.RETURN_MODE_BYTE[ReturnMode.DUAL])
-        self.timestamp_us = payload["timestamp_us"].astype(np.int64)
+        blocks = table["blocks"]
+        self.number = table["number"]
+        self.stamp_ns = table["arrival_ns"]
+        self.dual = bool(is_dual(table)[0])
+        self.timestamp_us = table["timestamp_us"].astype(np.int64)
         self.flag = blocks["flag"]  # (n, 12)
         self.azimuth_cdeg = blocks["azimuth_cdeg"].astype(np.int64)
         self.distance_lsb, self.reflectivity = (
             np.ascontiguousarray(blocks["records"][name]) for name in ("distance_lsb", "reflectivity")
         )  # (n, 12, 2, 16)
-        self._read_factory(payload, before)
+        self.mode = table["return_mode"]
+        self.product = table["factory"]
+        self._read_factory(before)
         self._read_codes()
         self._read_steps()
         self._read_times()
         self._read_revolutions()
 
-    def _read_factory(self, payload: NDArray[np.void], before: bytes) -> None:
+    def _read_factory(self, before: bytes) -> None:
         """Find changes of return mode and product; findings of the chunk before are not repeated."""
-        self.mode = payload["return_mode"]
-        self.product = payload["factory"]
         pairs = zip(before or bytes([self.mode[0], self.product[0]]), (self.mode, self.product), strict=True)
         self.mode_before, self.product_before = (
             np.append(np.uint8(first), codes[:-1]) for first, codes in pairs
@@ -193,7 +193,7 @@ class DataChunk:
         """Find which of the n - 1 steps of time are regular, and excuse azimuths that time explains."""
         self.period_ns = layout.BLOCK_PERIOD_NS * self.forward_cdeg.shape[1]
         self.after = self.number[1:]
-        self.step_us = wrap_hour_us(np.diff(self.timestamp_us))
+        self.step_us = wrap_hour(np.diff(self.timestamp_us), HOUR_US)
         self.low_us = self.period_ns // US_NS
         self.high_us = self.low_us + 1
         self.is_regular = (self.step_us == self.low_us) | (self.step_us == self.high_us)
@@ -233,7 +233,7 @@ class DataChunk:
     def _find_late(self, takes_longer: NDArray[np.bool_]) -> None:
         """Compare time stamps with capture stamps; packets (n,) that take longer contain a gap of the revolution."""
         offset_us = self.stamp_ns // US_NS - self.timestamp_us
-        moved_us = wrap_hour_us(offset_us - offset_us[0])
+        moved_us = wrap_hour(offset_us - offset_us[0], HOUR_US)
         after_us = np.minimum.accumulate(moved_us[::-1])[::-1]
         late_us = moved_us - np.maximum(np.minimum.accumulate(moved_us), after_us)
         self.late_ms = late_us / 1e3

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from importlib.resources import files
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import dpkt
 import numpy as np
@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from vlp16emu.captures.capture import Datagram
 from vlp16emu.packets import layout
 from vlp16emu.packets.frames import DATA_PORT, DATA_TTL, POSITION_PORT, POSITION_TTL
+from vlp16emu.packets.table import wrap_hour
 from vlp16emu.sensor.beams import SEQUENCE_NS
-from vlp16emu.types import I8, PacketKind
+from vlp16emu.types import PacketKind
 from vlp16emu.units import HOUR_NS, MS_NS, US_NS
 
 
@@ -171,8 +172,6 @@ class Findings:
             self.counts[row.level][row.rule] += len(places)
 
 
-Microseconds = TypeVar("Microseconds", int, I8)
-
 HOUR_US = HOUR_NS // US_NS
 JITTER_US = (
     5 * MS_NS // US_NS
@@ -205,12 +204,6 @@ _HEADER = np.dtype(
 )  # IPv4 header without options and UDP header (RFC 791, RFC 768)
 
 
-def wrap_hour_us(difference_us: Microseconds) -> Microseconds:
-    """Wrap a difference of two times past the hour to half an hour around 0; number or (n,)."""
-    half_us = HOUR_US // 2
-    return (difference_us + half_us) % HOUR_US - half_us
-
-
 class ClockWatch:
     """Monitor of the offset between capture stamps and time stamps of one stream."""
 
@@ -228,7 +221,7 @@ class ClockWatch:
             self._reference = stamp_ns, offset_us
             return
         since_ns = abs(stamp_ns - self._reference[0])
-        moved_us = wrap_hour_us(offset_us - self._reference[1])
+        moved_us = wrap_hour(offset_us - self._reference[1], HOUR_US)
         if abs(moved_us) > JITTER_US + since_ns / US_NS * _DRIFT_PPM / 1e6:
             found = f"time stamps {-moved_us / 1e3:+.1f} ms off the capture stamps"
             expected = f"within {JITTER_US / 1e3:.0f} ms and {_DRIFT_PPM} ppm"
@@ -379,7 +372,7 @@ class InOrder:
         return abs(behind_ns - round(behind_ns / period_ns) * period_ns) <= 2 * US_NS
 
     def _since_us(self, datagram: Datagram, other: Datagram) -> int:
-        return wrap_hour_us(self._stamp_us(datagram) - self._stamp_us(other))
+        return wrap_hour(self._stamp_us(datagram) - self._stamp_us(other), HOUR_US)
 
     def _stamp_us(self, datagram: Datagram) -> int:
         return int.from_bytes(datagram.payload[self._stamp_at : self._stamp_at + 4], "little")

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from vlp16emu.captures.capture import Capture, CapturedUnit, Datagram, chosen_unit
+from vlp16emu.captures.capture import Capture, CapturedUnit, Datagram, by_unit, chosen_unit, table_of
 from vlp16emu.errors import CaptureError
 from vlp16emu.extras.verify.data import DataChunk, DataRules, PositionRules
 from vlp16emu.extras.verify.frames import (
@@ -20,6 +20,7 @@ from vlp16emu.extras.verify.frames import (
     kind_of,
 )
 from vlp16emu.packets.layout import RETURN_MODE_BYTE, SEQUENCES_PER_PACKET
+from vlp16emu.packets.table import PacketClock
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import PacketKind, ReturnMode
 from vlp16emu.units import S_NS, US_NS
@@ -87,13 +88,12 @@ def verify_units(
 ) -> list[Verification]:
     """Check each of several units on its own, in one pass and with little memory; None stands for all packets."""
     chunk_packets = min(_CHUNK_PACKETS, max(_HELD_PACKETS // max(len(units), 1), _SMALLEST_CHUNK))
-    checks = [(unit, _Check(Findings(limit_per_rule), chunk_packets)) for unit in units]
-    with Capture(path, repeats=True) as capture:
-        for datagram in capture:
-            for unit, check in checks:
-                if unit is None or unit.owns(datagram):
-                    check.take(datagram)
-        return [check.finish(path, capture) for _, check in checks]
+    checks = [_Check(Findings(limit_per_rule), chunk_packets) for _ in units]
+    capture = Capture(path, repeats=True)
+    for unit, datagram in by_unit(capture, units):
+        if unit is not None:
+            checks[unit].take(datagram)
+    return [check.finish(path, capture) for check in checks]
 
 
 class _Check:
@@ -192,7 +192,8 @@ class _Check:
         if chunk:
             continues = chunk[0] is self._before
             check_frames(chunk[continues:], PacketKind.DATA, self._findings)
-            self._data.check(DataChunk(chunk, self._factory, continues=continues, ends=ends))
+            table = table_of(chunk, PacketClock())
+            self._data.check(DataChunk(table, self._factory, continues=continues, ends=ends))
             self._before = chunk[-1]
             self._factory = chunk[-1].payload[_MODE_AT:]
         self._chunk[PacketKind.DATA] = [] if ends else chunk[-1:]

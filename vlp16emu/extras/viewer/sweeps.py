@@ -12,13 +12,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.captures import CaptureReader, PacketChunk, chosen_unit, packet_clock
+from vlp16emu.captures import CaptureReader, chosen_unit, packet_clock
 from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.extras.clouds.deskew import CaptureTruth, Trajectory
 from vlp16emu.extras.clouds.scan import chunk_of, cut_scans
 from vlp16emu.extras.verify.frames import Rule
 from vlp16emu.extras.verify.run import verify_units
 from vlp16emu.forest.plants.species import flora
+from vlp16emu.packets import PacketTable, Points, points_in
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.scenario import Scenario, load
 from vlp16emu.types import F8, I8, AnyArray, Labels, Scan
@@ -144,9 +145,9 @@ class CaptureSweeps:
         packets = list[I8]()
         self._starts_ns = list[int]()
 
-        def note(chunk: PacketChunk) -> Mapping[str, AnyArray]:
+        def note(table: PacketTable, _: Points) -> Mapping[str, AnyArray]:
             """Keep frame and time of the packets; return no labels."""
-            packets.append(np.stack([chunk.number, chunk.utc_ns]))
+            packets.append(np.stack([table["number"], table["utc_ns"]]))
             return {}
 
         try:
@@ -191,17 +192,18 @@ class CaptureSweeps:
             self._reading.close()
             self._reading = None
 
-    def _scans(self, labels_of: Callable[[PacketChunk], Mapping[str, AnyArray]]) -> Generator[Scan]:
+    def _scans(self, labels_of: Callable[[PacketTable, Points], Mapping[str, AnyArray]]) -> Generator[Scan]:
         clock = packet_clock(self._path, self._unit)
         reader = CaptureReader(self._path, self._unit, clock=clock, passes_over=True)
-        for scan in cut_scans(chunk_of(chunk, labels_of(chunk)) for chunk in reader.points()):
+        decoded = ((table, points_in(table)) for table in reader.tables())
+        for scan in cut_scans(chunk_of(*each, labels_of(*each)) for each in decoded):
             if self._way is None or self._way.has(scan.t_ns).all():
                 yield scan
 
 
-def _labels(truth: CaptureTruth | None, chunk: PacketChunk) -> Mapping[str, AnyArray]:
-    """Return the labels (n,) of the points of a chunk by field of `Labels`; none without ground truth."""
+def _labels(truth: CaptureTruth | None, table: PacketTable, points: Points) -> Mapping[str, AnyArray]:
+    """Return the labels (n,) of the points of packets by field of `Labels`; none without ground truth."""
     if truth is None:
         return {}
-    rows = truth.of(chunk, slice(0, len(chunk.fields)), np.arange(len(chunk.clock_ns)))
+    rows = truth.of(table, points, np.arange(len(points.ring)))
     return {field.name: rows.get(field.name, np.zeros(0, np.uint8)) for field in fields(Labels)}

@@ -1,0 +1,114 @@
+"""The clock of each unit of a capture, chosen from its first packets."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from vlp16emu.captures.capture import Capture, CapturedUnit, Datagram, by_unit, table_of
+from vlp16emu.errors import InputError, PacketError
+from vlp16emu.packets.decode import decode_position
+from vlp16emu.packets.layout import DATA_BYTES, POSITION_BYTES
+from vlp16emu.packets.nmea import rmc_time
+from vlp16emu.packets.table import Clock, PacketClock
+from vlp16emu.types import PpsState
+from vlp16emu.units import S_NS
+
+_CLOSE_NS = S_NS  # without position packets, a clock this close to the host's is taken as UTC
+_LOOKED_AT = 10_000
+"""The first position packet is looked for among this many packets of a unit: 7 s in dual return."""
+
+
+class UnitClock(NamedTuple):
+    """Clock of a unit, chosen from its first packets."""
+
+    clock: PacketClock  # For all packets of the unit, from the first
+    first_ns: int  # UTC of the first data packet by the clock; 0 without data packets
+
+
+def unit_clocks(
+    path: Path, units: Sequence[CapturedUnit | None], name: str | None = None, *, where: str = "clock"
+) -> list[UnitClock]:
+    """Choose the clock of each unit of a capture.
+
+    Parameters
+    ----------
+    units : None stands for all packets
+    name : "sensor", "gps" or "host"; by default the sensor's clock if the unit is locked to GPS, or if it has
+        no position
+        packets and is within a second of the host; else the host's clock, which stamps everything else of a
+        recording
+    where : name of the option in error lines
+
+    Raises CaptureError if the file is not a capture; InputError if there is no such clock, or no valid
+    sentence for "gps".
+    """
+    if name not in (None, *Clock):
+        raise InputError(where, f"found {name}", ", ".join(Clock))
+    seen = [_Seen() for _ in units]
+    for unit, datagram in by_unit(Capture(path), units):
+        if unit is not None:
+            seen[unit].take(datagram)
+        if all(of.is_known(wants_sentence=name == Clock.GPS) for of in seen):
+            break
+    return [of.clock(path, name, where) for of in seen]
+
+
+def packet_clock(
+    path: Path, unit: CapturedUnit | None, name: str | None = None, *, where: str = "clock"
+) -> PacketClock:
+    """Return the clock for the packets of one unit, as `unit_clocks`; by default a pipe has the sensor's clock.
+
+    Raises InputError for "gps" of a pipe, whose packets cannot be read again after its sentences.
+    """
+    if path.is_fifo() and name in (None, *Clock):
+        if name == Clock.GPS:
+            raise InputError(where, f"found gps for the pipe {path}", "sensor or host, or a file")
+        return PacketClock(Clock(name or Clock.SENSOR))
+    return unit_clocks(path, [unit], name, where=where)[0].clock
+
+
+class _Seen:
+    """What the first packets of a unit say about its clock."""
+
+    def __init__(self) -> None:
+        self.data: Datagram | None = None
+        self.pps: PpsState | None = None
+        self.behind_ns: int | None = None
+        self.count = 0
+
+    def take(self, datagram: Datagram) -> None:
+        self.count += 1
+        if len(datagram.payload) == DATA_BYTES:
+            self.data = self.data or datagram
+        elif len(datagram.payload) == POSITION_BYTES and (self.pps is None or self.behind_ns is None):
+            try:
+                fields = decode_position(datagram.payload)
+                self.pps = fields.pps if self.pps is None else self.pps
+                second_ns, valid = rmc_time(fields.sentence)
+            except PacketError:
+                return
+            if second_ns is not None and valid and self.behind_ns is None:
+                self.behind_ns = second_ns - datagram.stamp_ns
+
+    def is_known(self, *, wants_sentence: bool) -> bool:
+        """Return whether further packets cannot change the choice."""
+        if self.data is None:
+            return False
+        return (
+            self.behind_ns is not None if wants_sentence else self.pps is not None or self.count > _LOOKED_AT
+        )
+
+    def clock(self, path: Path, name: str | None, where: str) -> UnitClock:
+        """Return the clock of this name, or the one that follows UTC; parameters and errors as in `unit_clocks`."""
+        behind_ns = self.behind_ns if name == Clock.GPS else 0
+        if behind_ns is None:
+            raise InputError(where, f"no valid sentence of a GPS receiver in {path}", "sensor or host")
+        if self.data is None:
+            return UnitClock(PacketClock(Clock(name or Clock.SENSOR), behind_ns), 0)
+        first = table_of([self.data], PacketClock(Clock.HOST, behind_ns))[0]
+        follows_utc = self.pps is PpsState.LOCKED
+        if self.pps is None:
+            follows_utc = abs(first["utc_ns"] - first["sensor_ns"]) <= _CLOSE_NS
+        clock = Clock(name) if name else Clock.SENSOR if follows_utc else Clock.HOST
+        first_ns = first["utc_ns"] if clock is Clock.HOST else first["sensor_ns"]
+        return UnitClock(PacketClock(clock, behind_ns), int(first_ns))
