@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from vlp16emu.elementary import atan2, exp
-from vlp16emu.extras.recorded.motion import Pieces
 from vlp16emu.kernels.compiler import array_kernel
+from vlp16emu.motion.piecewise import Piecewise
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import F8
 from vlp16emu.units import S_NS
@@ -26,7 +26,7 @@ GAP_RAD = 0.2
 _SMALL = 1e-6  # angle in rad below which series are exact to float64
 
 
-class Knots(Pieces):
+class Knots(Piecewise):
     """Motion between knots: cubic Hermite pieces of position and quaternion, with continuous velocity and angular rate.
 
     Parameters
