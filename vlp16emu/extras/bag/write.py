@@ -51,7 +51,10 @@ _OFTEN_NS = S_NS // 10  # span of ground truth that is written together
 
 @dataclass(frozen=True, slots=True)
 class TruthSource:
-    """Ground truth of a run, from its engine or from its files; all from an instant on and before another."""
+    """Ground truth of a run, from its engine or from its files.
+
+    Functions return the samples from an instant on and before another one.
+    """
 
     rig: Mapping[str, Any]  # `rig.json`, with the units that are written
     scenario: Mapping[str, Any]  # `scenario.json`
