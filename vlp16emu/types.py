@@ -371,6 +371,24 @@ AnyArray = NDArray[Any]  # an array whose type depends on what it holds
 HeightField = Callable[[F8, F8], F8]  # Ground height in metres over arrays of x and y in metres
 
 
+@dataclass(frozen=True, slots=True)
+class Inertial:
+    """Samples of an inertial unit at n instants, in its own axes."""
+
+    t_ns: I8  # (n,) UTC
+    angular_rate_rad_s: F8  # (n, 3)
+    specific_force_m_s2: F8  # (n, 3) acceleration minus gravity: at rest it points up
+    true_angular_rate_rad_s: F8  # (n, 3) without errors, like the next field
+    true_specific_force_m_s2: F8
+    gyro_bias_rad_s: F8
+    """(n, 3) bias at switch-on and its random walk since, like the next field; the rest of an error is white
+    noise."""
+    accel_bias_m_s2: F8
+    world_R_imu: F8 | None = None
+    """(n, 3, 3) attitude that the unit reports, with its drift; None without `attitude`."""
+    stamp_ns: I8 | None = None  # (n,) UTC of the unit's time stamps; None if equal to `t_ns`
+
+
 class MovingTrees(Protocol):
     """The trees of a world in the wind."""
 

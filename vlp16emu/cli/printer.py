@@ -18,9 +18,9 @@ if TYPE_CHECKING:  # help prints none of them
     from vlp16emu.extras.bench.gps_in import GpsInResult
     from vlp16emu.extras.bench.outlets import Away, OutletResult
     from vlp16emu.run.report import Turn, UnitSent
+    from vlp16emu.run.stream import FirstPacket
     from vlp16emu.sinks import FellBehind
     from vlp16emu.sinks.pacing import Lateness
-    from vlp16emu.sinks.stream import FirstPacket
 
 INTERRUPTED = (
     130  # exit code after Ctrl-C: 128 + SIGINT, as shells count (POSIX.1-2024, Shell, section 2.8.2)

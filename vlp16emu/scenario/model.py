@@ -133,6 +133,22 @@ class Mounted(Protocol):
         """Mount on the carrier as it is documented."""
 
 
+class InertialSection(Mounted, Protocol):
+    """Section of an inertial unit."""
+
+    @property
+    def rate_hz(self) -> int:
+        """Samples per second."""
+
+    @property
+    def attitude(self) -> bool:
+        """True if the unit also reports its attitude."""
+
+    @property
+    def is_late(self) -> bool:
+        """True if its time stamps are later than its samples."""
+
+
 IMU_SECTION = Part[type[Section]]("vlp16emu.extras.imu.settings:Imu")
 CAMERA_SECTION = Part[type[Section]]("vlp16emu.extras.camera.settings:Camera")
 WIND_SECTION = Part[type[Section]]("vlp16emu.forest.settings:Wind")
@@ -185,7 +201,7 @@ class Scenario(Section):
     capture: CaptureClock = CaptureClock()
     motion: Annotated[MotionSection, OneOf(MotionSection, "motions")]
     """Motion of the sensor."""
-    imu: Annotated[Mounted, LazySection(IMU_SECTION)] | None = None
+    imu: Annotated[InertialSection, LazySection(IMU_SECTION)] | None = None
     """An inertial measurement unit beside the sensor; its samples are part of the ground truth."""
     camera: Annotated[Mounted, LazySection(CAMERA_SECTION)] | None = None
     """A camera beside the sensor, whose images bags have."""

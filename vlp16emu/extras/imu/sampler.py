@@ -1,7 +1,6 @@
 """Samples of an inertial measurement unit on the moving body."""
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -11,7 +10,7 @@ from vlp16emu.extras.imu.settings import Imu
 from vlp16emu.kernels.compiler import array_kernel
 from vlp16emu.motion.pose import Motion, rotations
 from vlp16emu.random import Purpose, normal, normal_pair, uniform
-from vlp16emu.types import F8, I8
+from vlp16emu.types import F8, I8, Inertial
 from vlp16emu.units import S_NS
 
 GRAVITY_M_S2 = 9.80665  # standard gravity, downwards (3rd CGPM, 1901)
@@ -27,24 +26,6 @@ _AXIS_ERROR = 0.005
 """Error of sensitivity and of alignment of an axis, one sigma: half of the tolerance of 1 % each (Bosch
 BNO055; assumption)."""
 _HEADING = 6  # lane of the heading's random walk; the six axes have lanes 0 to 5
-
-
-@dataclass(frozen=True, slots=True)
-class Inertial:
-    """Samples at n instants, in the unit's own axes."""
-
-    t_ns: I8  # (n,) UTC
-    angular_rate_rad_s: F8  # (n, 3)
-    specific_force_m_s2: F8  # (n, 3) acceleration minus gravity: at rest it points up
-    true_angular_rate_rad_s: F8  # (n, 3) without errors, like the next field
-    true_specific_force_m_s2: F8
-    gyro_bias_rad_s: F8
-    """(n, 3) bias at switch-on and its random walk since, like the next field; the rest of an error is white
-    noise."""
-    accel_bias_m_s2: F8
-    world_R_imu: F8 | None = None
-    """(n, 3, 3) attitude that the unit reports, with its drift; None without `attitude`."""
-    stamp_ns: I8 | None = None  # (n,) UTC of the unit's time stamps; None if equal to `t_ns`
 
 
 class ImuSampler:

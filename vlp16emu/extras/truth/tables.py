@@ -15,10 +15,10 @@ from vlp16emu.elementary import matvec
 from vlp16emu.engine import Engine
 from vlp16emu.errors import InputError, readable
 from vlp16emu.extras.imu.sampler import ImuSampler
-from vlp16emu.extras.imu.settings import Imu
 from vlp16emu.motion.gnss import Receiver, to_geodetic
 from vlp16emu.motion.pose import Kinematics, Motion
 from vlp16emu.motion.settings import Gps
+from vlp16emu.scenario.model import InertialSection
 from vlp16emu.types import F8, I8
 from vlp16emu.units import S_NS
 
@@ -126,7 +126,7 @@ _AXES = ("wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2")
 _ATTITUDE = ("qx", "qy", "qz", "qw")
 
 
-def inertial_table(imu: Imu) -> Table:
+def inertial_table(imu: InertialSection) -> Table:
     """Return the table of an inertial unit, all in its own axes; the text has what the unit reports."""
     header = ["t_utc_s", *_AXES, *(f"true_{axis}" for axis in _AXES), *(f"bias_{axis}" for axis in _AXES)]
     formats = dict.fromkeys((INERTIAL.names or ())[:-2], ".9f")
