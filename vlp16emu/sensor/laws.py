@@ -2,7 +2,9 @@
 
 import tomllib
 from functools import cache
-from importlib.resources import files
+from pathlib import Path
+
+_TABLE = Path(__file__).with_name("laws.toml")
 
 
 def law(name: str) -> float:
@@ -20,4 +22,4 @@ def span(name: str) -> tuple[float, ...]:
 
 @cache
 def _laws() -> dict[str, dict[str, dict[str, float | list[float]]]]:
-    return tomllib.loads(files(__package__).joinpath("laws.toml").read_text(encoding="utf-8"))
+    return tomllib.loads(_TABLE.read_text(encoding="utf-8"))

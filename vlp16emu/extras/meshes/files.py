@@ -34,6 +34,7 @@ _TALLEST_M = 500.0
 _WIDEST_M = 10_000.0
 _SMALLEST_M = 0.001
 """Greatest height, greatest width and least size of an object in a forest."""
+# trimesh's own `process` and `validate` drop faces with a NaN without a word, and faces below 1e-8 units.
 _FLAT = 1e-7  # height over longest side below which a triangle is a line: the resolution of single precision
 _OBJ_BAD_FACE = re.compile(
     rb"^f[ \t]+(?:\S++(?:[ \t]+\S++)?[ \t]*\r?$|(?:[^\s0]\S*+[ \t]+)*+0)", re.MULTILINE

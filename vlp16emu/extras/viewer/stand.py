@@ -40,6 +40,9 @@ _CELL_M = 1.0  # cell of the ground mesh
 _LEFT_OUT = PlantPart.ROOT_FLARE, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.DEAD_BRANCH
 """Parts that are too fine to be visible among leaves."""
 _ONE = np.eye(3, 4)[None]
+# Quadric decimation (fast-simplification 0.2) is no substitute: of the 219 016 faces of the stems of
+# `birch_walk` it leaves 182 268 where `slim_stem` leaves 33 123, in ten times the time; of crowns, which are
+# separate leaves, 8 % of the area.
 
 
 def pieces_of(seen: Survey) -> Iterator[tuple[str, dict[str, Any]]]:
