@@ -50,6 +50,8 @@ class Flown:
         settings = [*BARE, LIVE, *ports, "gps.connected=true"]
 
         def news(line):
+            if "poses" not in line:
+                return  # a busy machine is behind
             self.lines.append(line)
             if len(self.lines) == 1:  # it waits for poses
                 flight.append(

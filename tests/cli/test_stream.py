@@ -13,11 +13,7 @@ import pytest
 from listening import Listener
 
 from vlp16emu.captures import Capture
-from vlp16emu.cli.stream import behind_line
-from vlp16emu.extras.outlook import Outlook
 from vlp16emu.packets.position import STAMP_LEAD_NS
-from vlp16emu.scenario import load
-from vlp16emu.sinks import FellBehind, Late
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
@@ -202,17 +198,3 @@ def test_port_0_is_a_free_one(cli):
     assert len({port for pair in pairs for port in pair} - {"2368", "2369", "8308", "8309"}) == 4
     units = cli("stream", "static_bench", "--duration", "0.05", *free, "--json").tree["units"]
     assert 20_000 <= units[0]["data_port"] != units[0]["position_port"] < 32_768
-
-
-def test_the_line_names_seconds_cause_policy_and_settings():
-    """A stream that is late says how late, why, what becomes of packets, and what would keep up."""
-    advice = Outlook(load("birch_walk"), 0.83).advice
-    assert behind_line(FellBehind(14.2, 0.051, True, 0.83), Late.PACE, advice) == (
-        "behind: 0.051 s late at 14.2 s, as the engine computes 0.83 x real time; the delay stays, at the sensor's own "
-        "spacing (--late pace); to keep up: --set beam.model=none, or "
-        "--set beam.model=none --set sensor.max_range_m=45, or --speed 0.66"
-    )
-    assert behind_line(FellBehind(12.3, 5.01, False, 0.1), Late.SKIP, []) == (
-        "behind: 5.010 s late at 12.3 s, as the process stood still or got no core; late packets are dropped until the "
-        "stream is at now (--late skip)"
-    )

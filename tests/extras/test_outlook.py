@@ -7,8 +7,6 @@ import pytest
 from vlp16emu import Emulator
 from vlp16emu.extras import outlook
 from vlp16emu.extras.outlook import LADDER, Outlook
-from vlp16emu.run.options import StreamOptions
-from vlp16emu.run.scene_stream import SceneStream
 from vlp16emu.scenario import load
 from vlp16emu.sinks import FellBehind
 
@@ -80,27 +78,6 @@ def test_the_line_names_rung_settings_error_and_cores(monkeypatch):
     assert Outlook(scenario, 8.0, rung_speed=8.0).line == (
         "keep-up: the scene as it is: measured 8 x real time on 2 cores"
     )
-
-
-def test_a_stream_that_is_measured_sends_what_is_chosen(monkeypatch):
-    """The packets of a stream are those of the rung, on the ports of the stream; stopped meanwhile, it has no outlook."""
-    speeds = iter([0.6, 2.0])
-    monkeypatch.setattr(outlook, "_measured", lambda _run: next(speeds))
-    emulator = Emulator("static_bench", {"beam.model": "adaptive", "beam.rays": 64})
-    options = StreamOptions(duration_s=0.1, data_port=0, position_port=0)
-    with SceneStream(emulator, options) as stream:
-        ports = stream.links
-        assert stream.measure().rung == LADDER[3]
-        assert stream.links == ports
-        assert stream.emulator.scenario.beam.model == "none"
-        stream.run()
-    assert stream.result.about.beam.startswith("none")
-    stop = Event()
-    stop.set()
-    monkeypatch.undo()
-    with SceneStream(emulator, options, stop=stop) as stream:
-        assert stream.measure() is None
-        assert stream.run().interrupted
 
 
 @pytest.mark.parametrize(

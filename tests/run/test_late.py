@@ -21,11 +21,11 @@ class Sending(Stream, StreamPart):
     """A stream whose clock runs only while it sleeps, or when a test says so, and which watches itself."""
 
     def __init__(self, late, go_on_from=None):
-        self.now_ns, self.times, self.left_ns = 0, [], []
+        self.now_ns, self.lines, self.left_ns = 0, [], []
         self.sink = MemorySink()
         pacer = Pacer(1.0, clock_ns=lambda: self.now_ns, sleep=self.sleep)
         super().__init__((), dict.fromkeys(PacketKind, self.sink), pacer, late=late)
-        self.fell_behind = self.times.append
+        self.news = self.lines.append
         self._go_on_from = go_on_from or self._go_on_from
         self.add(self)
 
@@ -102,7 +102,7 @@ def test_an_engine_that_is_too_slow_falls_behind_once_and_never_bursts():
         sending.now_ns = max(sending.now_ns, made_ns)
         sending.send(i * PERIOD_NS, had_to_wait=late)
     report = sending.report
-    assert len(sending.times) == len(report.behind) == 1
+    assert len(sending.lines) == len(report.behind) == 1
     assert report.behind[0].engine
     assert report.behind[0].engine_speed == 0.8
     assert report.delay_s == pytest.approx(report.simulated_s / 4, abs=0.06)
@@ -116,8 +116,8 @@ def test_two_stops_far_apart_are_two_times():
         if i in (1000, 6000):
             sending.now_ns += 1_000_000_000
         sending.send(i * PERIOD_NS)
-    assert len(sending.times) == 2
-    assert [times.total_s for times in sending.times] == pytest.approx([1.0, 1.0], abs=0.002)
+    assert len(sending.lines) == 2
+    assert [times.total_s for times in sending.report.behind] == pytest.approx([1.0, 1.0], abs=0.002)
 
 
 def test_a_slow_engine_is_asked_to_go_on_further_ahead():

@@ -32,10 +32,10 @@ def stream(packets, sink, *, speed=FAST, parts=(), **options):
 
 
 class Notified(StreamPart):
-    """Calls a function each time that its stream falls behind."""
+    """Calls a function with each line of its stream."""
 
     def __init__(self, notify):
-        self.fell_behind = notify
+        self.news = notify
 
 
 class BreakingSink(MemorySink):
@@ -188,7 +188,8 @@ def test_a_slow_engine_is_reported_at_once():
                 time.sleep(0.2)
             yield packet
 
-    def notify(_behind):
+    def notify(line):
+        assert line.startswith("behind: ")
         times.append(len(sink.packets))
 
     report = stream(pausing(), sink, speed=1.0, look_ahead=8, parts=[Notified(notify)])

@@ -25,14 +25,8 @@ if TYPE_CHECKING:
     from vlp16emu.packets import Link
     from vlp16emu.run.emulator import Emulator
     from vlp16emu.run.report import Streamed
-    from vlp16emu.run.scene_stream import SceneStream
-    from vlp16emu.sinks import FellBehind
     from vlp16emu.types import Packet
 
-_POLICY = {
-    "pace": "the delay stays, at the sensor's own spacing (--late pace)",
-    "skip": "late packets are dropped until the stream is at now (--late skip)",
-}
 _LATE = 1  # exit code of a strict stream that was late
 
 Strict = Annotated[bool, Option("Exit with 1 if packets were late by more than 50 ms, or were skipped.")]
@@ -102,12 +96,10 @@ def stream(
         if page is not None:
             options = _with_settings(options, is_prepared=is_prepared)
         stream = stack.enter_context(SceneStream(emulator, options, stop=stop))
-        if is_measured:
-            print("keep-up: measuring this machine", file=sys.stderr, flush=True)
-            if outlook := stream.measure():
-                print(outlook.line, file=sys.stderr, flush=True)
         progress = stack.enter_context(Progress(stop_s))
-        stream.add(SceneProgress(progress, stream))
+        stream.add(Terminal(progress, emulator.scenario.start_ns))
+        if is_measured:
+            stream.measure()
         if page is not None:
             page.follow(stream)
         _announce(f"streaming {title}", stream.links, quiet=as_json)
@@ -134,49 +126,28 @@ def replay(
         ReplayStream(file, options, stop=stop) as stream,
         Progress(0.0, "sending") as progress,
     ):
-        stream.add(ReplayProgress(progress))
+        stream.add(Terminal(progress))
         units = ", ".join(map(str, stream.replay.units))
         _announce(f"replaying {file} to {stream.host}: sensors {units}", stream.links, quiet=as_json)
         stream.run()
     _close(stream.result, f"{file} to {stream.host}", strict=strict, as_json=as_json)
 
 
-class SceneProgress(StreamPart):
-    """The terminal of a stream: its progress, and a line each time that it falls behind or a part has news."""
+class Terminal(StreamPart):
+    """The terminal of a stream: its news, and the simulated seconds so far, counted from `start_ns` if that is known."""
 
-    def __init__(self, progress: Progress, stream: "SceneStream") -> None:
+    def __init__(self, progress: Progress, start_ns: int | None = None) -> None:
         self._progress = progress
-        self._stream = stream
-        self._start_ns = stream.emulator.scenario.start_ns
+        self._start_ns = start_ns
 
     def sent(self, packet: "Packet") -> None:
         """Show the simulated seconds so far."""
-        self._progress.show("streaming", (packet.due_ns - self._start_ns) / S_NS)
-
-    def fell_behind(self, behind: "FellBehind") -> None:
-        """Print how late the stream is, why, and how it keeps up."""
-        self._progress.say(behind_line(behind, self._stream.late, self._stream.advice([behind])))
+        if self._start_ns is not None:
+            self._progress.show("streaming", (packet.due_ns - self._start_ns) / S_NS)
 
     def news(self, line: str) -> None:
         """Print a line."""
         self._progress.say(line)
-
-
-class ReplayProgress(StreamPart):
-    """The terminal of a replay: a line each time that it falls behind."""
-
-    def __init__(self, progress: Progress) -> None:
-        self._progress = progress
-
-    def fell_behind(self, behind: "FellBehind") -> None:
-        """Print how late the replay is."""
-        self._progress.say(f"behind: {behind.behind_s:.3f} s late at {behind.at_s:.1f} s")
-
-
-def behind_line(behind: "FellBehind", late: str, advice: Sequence[str]) -> str:
-    """Return the line to print when the stream falls behind."""
-    line = f"behind: {behind.behind_s:.3f} s late at {behind.at_s:.1f} s, as {behind.cause}; {_POLICY[late]}"
-    return f"{line}; to keep up: {', or '.join(advice)}" if advice else line
 
 
 def _is_measured(*, wanted: bool | None, is_prepared: bool, is_live: bool) -> bool:

@@ -3,7 +3,6 @@
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from vlp16emu.sinks import FellBehind
     from vlp16emu.types import Packet
 
 
@@ -30,11 +29,8 @@ class StreamPart:
     def sent(self, packet: "Packet") -> None:
         """Take note of a packet that has just been sent."""
 
-    def fell_behind(self, behind: "FellBehind") -> None:
-        """Take note that the stream falls behind, at once."""
-
     def news(self, line: str) -> None:
-        """Take note of a line of a part; from any thread."""
+        """Take note of a line for people: the stream falls behind, or another part has news; from any thread."""
 
     def end(self, error: BaseException | None) -> None:
         """End; `error` is what ended the stream before its time."""

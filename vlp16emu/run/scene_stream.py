@@ -25,6 +25,10 @@ PARTS = {"outlets": "outlets", "gps_in": "gps_in", "http": "web", "poses": "live
 
 A real receiver changes packets before parts that are added see them. The clock of a live run starts last, when all
 else has begun."""
+_LATE = {
+    Late.PACE: "the delay stays, at the sensor's own spacing (--late pace)",
+    Late.SKIP: "late packets are dropped until the stream is at now (--late skip)",
+}
 
 
 class WebInterfaces(Protocol):
@@ -35,14 +39,6 @@ class WebInterfaces(Protocol):
 
     def happen(self, kind: str, unit: int = 1, **keys: object) -> int:
         """Add an event of a unit, from 1, a moment from now, and return its UTC in ns."""
-
-
-class Outlook(Protocol):
-    """Whether this machine keeps up with a stream, and by which settings."""
-
-    @property
-    def line(self) -> str:
-        """The measurement and the choice as a sentence."""
 
 
 class SceneStream(Stream):
@@ -91,9 +87,8 @@ class SceneStream(Stream):
                 self.add(self._asked[option])
         self.feed = self._new_feed()
         self.udp = self._open_udp(self.links, options)
-        self._look_ahead = len(self.links) * (
-            self._asked["poses"].look_ahead if options.poses else look_ahead
-        )
+        of_unit = self._asked["poses"].look_ahead if options.poses else look_ahead
+        self._look_ahead = len(self.links) * of_unit
         if options.outlets:
             self._sinks |= self._asked["outlets"].sinks
             self._look_ahead += self._asked["outlets"].look_ahead
@@ -108,26 +103,18 @@ class SceneStream(Stream):
         """Web interfaces of the sensors; None without any."""
         return self._asked.get("http")
 
-    def measure(self) -> Outlook | None:
+    def measure(self) -> None:
         """Measure this machine for some seconds, and set beam and reach that leave a fifth of its time free.
 
-        The settings can be given to `vlp16emu record --set` and give the same bytes. Returns
-        `extras.outlook.Outlook`, None if the stream is stopped meanwhile.
+        A line names them; given to `vlp16emu record --set` they give the same bytes.
         """
         self._enter(State.MEASURING)
-        outlook: Outlook | None = None
+        self.say("keep-up: measuring this machine")
         with self._interruptible():
             self.emulator, outlook = door("outlook").measured(self.emulator, self.pacer.speed, self.stop)
             self.feed = self._new_feed()
+            self.say(outlook.line)
         self._enter(State.OPENED)
-        return outlook
-
-    def advice(self, times: Sequence[FellBehind]) -> list[str]:
-        """Return options of `vlp16emu stream` with which an engine that fell behind keeps up, each sufficient alone."""
-        if not times or not has_door("outlook"):
-            return []
-        advice: list[str] = door("outlook").advice_after(times, self.emulator.scenario, self.pacer.speed)
-        return advice
 
     def run(self) -> StreamReport:
         """Send the packets, and write the time of the first one to the ground truth; see `Stream.run`."""
@@ -159,13 +146,26 @@ class SceneStream(Stream):
             late=self.late,
             units=tuple(UnitSent.of(unit, sent, ran_s) for unit, sent in units),
             sent=report,
-            keeps_up_with=tuple(self.advice(report.behind)),
+            keeps_up_with=tuple(self._advice(report.behind)),
             audit=emulator.finding,
             live=results.get("poses"),
             gps_in=results.get("gps_in"),
             gps_out=outlets.get(PacketKind.NMEA),
             imu_out=outlets.get(PacketKind.IMU),
         )
+
+    def _behind_line(self, behind: FellBehind) -> str:
+        """Return the line for people, with cause, treatment of late packets, and options that would keep up."""
+        line = f"{super()._behind_line(behind)}, as {behind.cause}; {_LATE[self.late]}"
+        advice = self._advice([behind])
+        return f"{line}; to keep up: {', or '.join(advice)}" if advice else line
+
+    def _advice(self, times: Sequence[FellBehind]) -> list[str]:
+        """Return options of `vlp16emu stream` with which an engine that fell behind keeps up, each sufficient alone."""
+        if not times or not has_door("outlook"):
+            return []
+        advice: list[str] = door("outlook").advice_after(times, self.emulator.scenario, self.pacer.speed)
+        return advice
 
     def _new_feed(self) -> PacketFeed:
         options = self.options

@@ -286,6 +286,10 @@ class Stream:
         """Return the packets, as a context manager that ends their computation."""
         return nullcontext(self._packets)
 
+    def _behind_line(self, behind: FellBehind) -> str:
+        """Return the line for people when the stream falls behind."""
+        return f"behind: {behind.behind_s:.3f} s late at {behind.at_s:.1f} s"
+
     def _go_on_from(self, due_ns: int) -> None:
         """Leave out packets due before a UTC time in ns, if the packets are computed at once."""
 
@@ -346,7 +350,7 @@ class Stream:
             part.sent(packet)
 
     def _watch(self, engine_speed: float | None) -> None:
-        """Notify if the awaited packet is already late by more than the tolerance; its delay is added when it is sent."""
+        """Say if the awaited packet is already late by more than the tolerance; its delay is added when it is sent."""
         if self._next_due_ns is None:
             return
         deadline_ns = self.pacer.deadline_ns(self._next_due_ns)
@@ -357,15 +361,14 @@ class Stream:
     def _falls_behind(
         self, late_ns: int, deadline_ns: int, engine_speed: float | None, *, engine: bool
     ) -> FellBehind:
-        """Return the present period behind, or start one and notify of it."""
+        """Return the present period behind, or start one and say so."""
         before_ns = self._last_late_ns
         self._last_late_ns = deadline_ns + late_ns
         if not self._behind or self._last_late_ns - before_ns > _SETTLED_NS:
             at_s = (deadline_ns - self.pacer.start_ns) / S_NS
             behind = FellBehind(at_s, late_ns / S_NS, engine, engine_speed, self.pacer.speed)
             self._behind.append(behind)
-            for part in self.parts:
-                part.fell_behind(behind)
+            self.say(self._behind_line(behind))
         elif engine:
             self._behind[-1].engine_speed = engine_speed
         return self._behind[-1]

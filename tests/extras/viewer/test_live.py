@@ -155,8 +155,8 @@ def received(emulator, page, ended, while_sending=lambda: None):
             begun.set()
 
         def news(self, line):
-            assert line == "the page in the browser has ended; the stream goes on"
-            ended()
+            if line == "the page in the browser has ended; the stream goes on":
+                ended()
 
     meanwhile = threading.Thread(target=lambda: begun.wait() and while_sending())
     meanwhile.start()
