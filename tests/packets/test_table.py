@@ -15,6 +15,7 @@ from vlp16emu.packets import (
     PointFrame,
     data_payloads,
     decode_data,
+    packet_row,
     packet_table,
     points_in,
     table,
@@ -30,8 +31,11 @@ ARRIVAL_NS = 1_779_267_600_000_000_000  # 2026-05-20 09:00 UTC
 def made(mode, clock):
     """Give payloads of random returns, and their table; the first packet arrives at the full hour."""
     payloads = data_payloads(random_returns(120, seed=1), mode, SensorModel.VLP_16)
-    number = np.arange(len(payloads))
-    return payloads, packet_table(payloads, number + 7, ARRIVAL_NS + number * PERIOD_NS[mode], clock)
+    rows = (
+        packet_row(7 + i, ARRIVAL_NS + i * PERIOD_NS[mode], payload.tobytes(), clock)
+        for i, payload in enumerate(payloads)
+    )
+    return payloads, packet_table(rows)
 
 
 @pytest.mark.parametrize("mode", ReturnMode)
@@ -71,4 +75,4 @@ def test_the_clock_of_the_host_dates_the_first_pulse_a_packet_before_its_arrival
 
 def test_doctest():
     """The example shows UTC over the full hour."""
-    assert doctest.testmod(table) == (0, 6)
+    assert doctest.testmod(table) == (0, 9)

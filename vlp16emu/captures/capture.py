@@ -17,12 +17,10 @@ from pathlib import Path
 from threading import Event
 from typing import Any, BinaryIO, NamedTuple
 
-import numpy as np
-
 from vlp16emu.doors import door, has_door
 from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.packets.layout import BLOCK, BLOCK_FLAG, DATA_BYTES, POSITION_BYTES
-from vlp16emu.packets.table import PacketClock, PacketTable, packet_table
+from vlp16emu.packets.table import PacketClock, PacketTable, packet_row, packet_table
 from vlp16emu.units import S_NS, US_NS
 
 EXPECTED = "a pcap or pcapng file, also as .gz, .bz2, .xz or .zst (`editcap` converts others)"
@@ -308,17 +306,13 @@ def pcap_frames(path: Path, file: BinaryIO) -> Iterator[Frame | None]:
 
 def read(file: BinaryIO, size: int) -> bytes:
     """Read `size` bytes, or fewer at the end of a file, a pipe or a truncated archive."""
-    parts = []
-    while size > 0:
-        try:
-            part = file.read(size)
-        except EOFError:
-            break
-        if not part:
-            break
-        parts.append(part)
-        size -= len(part)
-    return parts[0] if len(parts) == 1 else b"".join(parts)
+    content = b""
+    try:
+        while len(content) < size and (part := file.read(size - len(content))):
+            content += part
+    except EOFError:
+        return content
+    return content
 
 
 def not_a_capture(path: Path, head: bytes) -> CaptureError:
@@ -357,10 +351,9 @@ def by_unit(
         yield indices[sender], datagram
 
 
-def table_of(datagrams: Sequence[Datagram], clock: PacketClock) -> PacketTable:
+def table_of(datagrams: Iterable[Datagram], clock: PacketClock) -> PacketTable:
     """Return the table of one or more data packets that follow those which `clock` has converted."""
-    number, arrival_ns = np.array([(each.number, each.stamp_ns) for each in datagrams]).T
-    return packet_table((each.payload for each in datagrams), number, arrival_ns, clock)
+    return packet_table(packet_row(each.number, each.stamp_ns, each.payload, clock) for each in datagrams)
 
 
 @dataclass(slots=True)

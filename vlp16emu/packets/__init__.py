@@ -34,4 +34,4 @@ from vlp16emu.packets.position import (
     position_due_ns,
     positions_from_ns,
 )
-from vlp16emu.packets.table import Clock, PacketClock, PacketTable, packet_table, utc_ns_of
+from vlp16emu.packets.table import Clock, PacketClock, PacketTable, packet_row, packet_table, utc_ns_of

@@ -5,14 +5,18 @@ only if it is locked to GPS (63-9243 Rev D, sections 7.1 and 9.3.1). So the hour
 captured the packets, or from the sentences of a GPS receiver.
 
 >>> import numpy as np
->>> from vlp16emu.packets import DATA_PAYLOAD, PacketClock, packet_table
+>>> from vlp16emu.packets import DATA_PAYLOAD, PacketClock, packet_row, packet_table
 >>> payloads = np.zeros(2, DATA_PAYLOAD)
 >>> payloads["timestamp_us"] = 3_599_999_000, 327
->>> arrival_ns = np.array([7_199_999_900_000, 7_200_001_230_000])
->>> packet_table(payloads, np.array([1, 2]), arrival_ns, PacketClock())["utc_ns"].tolist()
+>>> arrivals_ns = 7_199_999_900_000, 7_200_001_230_000
+>>> clock = PacketClock()
+>>> captured = zip((1, 2), arrivals_ns, payloads)
+>>> table = packet_table(packet_row(i, t_ns, each.tobytes(), clock) for i, t_ns, each in captured)
+>>> table["utc_ns"].tolist()
 [7199999000000, 7200000327000]
 """
 
+import struct
 from collections.abc import Iterable
 from enum import StrEnum
 from typing import TypeVar
@@ -20,11 +24,16 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.packets.decode import Points, is_dual
-from vlp16emu.packets.layout import BLOCK_PERIOD_NS, BLOCKS_PER_PACKET, DATA_BYTES, DATA_ROW
+from vlp16emu.packets.decode import Points
+from vlp16emu.packets.layout import BLOCK, BLOCKS_PER_PACKET, DATA_ROW, RETURN_MODE_BYTE, SEQUENCES_PER_PACKET
+from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import I8
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
+_HEAD = struct.Struct("<4q")  # the columns of `DATA_ROW` before the payload
+_STAMP_AND_MODE = struct.Struct("<IB")
+_STAMP_AT = BLOCKS_PER_PACKET * BLOCK.itemsize  # they follow the blocks
+_PERIOD_NS = {RETURN_MODE_BYTE[mode]: n * SEQUENCE_NS for mode, n in SEQUENCES_PER_PACKET.items()}
 _Time = TypeVar("_Time", int, I8)
 _STEADY_NS = S_NS
 """Step of the sensor's clock up to which its hour is kept, even if the host's clock jumps."""
@@ -54,23 +63,29 @@ class PacketClock:
         """Capture stamp of the first packet minus its end on the sensor's clock; None before the first
         packet."""
 
-    def sensor_ns(self, arrival_ns: I8, timestamp_us: I8) -> I8:
-        """Return UTC (n,) of time stamps by the sensor's clock; after each gap the hour is determined again."""
-        first_ns = int(arrival_ns[0])
-        arrival_before_ns, before_ns = self._before or (first_ns, first_ns + self._host_behind_ns)
-        gone_ns = np.diff(arrival_ns, prepend=arrival_before_ns)
-        step_ns = wrap_hour(np.diff(timestamp_us * US_NS, prepend=before_ns), HOUR_NS)
-        hours = np.rint((gone_ns - step_ns) / HOUR_NS).astype(np.int64)
-        hours[np.abs(step_ns) <= _STEADY_NS] = 0
-        t_ns: I8 = before_ns + np.cumsum(step_ns + hours * HOUR_NS)
-        self._before = int(arrival_ns[-1]), int(t_ns[-1])
+    def sensor_ns(self, arrival_ns: int, timestamp_us: int) -> int:
+        """Return UTC of a time stamp by the sensor's clock; after each gap the hour is determined again."""
+        before = self._before or (arrival_ns, arrival_ns + self._host_behind_ns)
+        gone_ns = arrival_ns - before[0]
+        step_ns = wrap_hour(timestamp_us * US_NS - before[1], HOUR_NS)
+        if abs(step_ns) > _STEADY_NS:
+            step_ns += round((gone_ns - step_ns) / HOUR_NS) * HOUR_NS
+        t_ns = before[1] + step_ns
+        self._before = arrival_ns, t_ns
         return t_ns
+
+    def packet_ns(self, arrival_ns: int, payload: bytes) -> tuple[int, int]:
+        """Return UTC of a data packet's first pulse, by the sensor's clock and by the chosen one."""
+        timestamp_us, mode = _STAMP_AND_MODE.unpack_from(payload, _STAMP_AT)
+        sensor_ns = self.sensor_ns(arrival_ns, timestamp_us)
+        fired_ns = arrival_ns - _PERIOD_NS.get(mode, 0)
+        if self.host_ahead_ns is None:
+            self.host_ahead_ns = fired_ns - sensor_ns
+        return sensor_ns, fired_ns if self.clock is Clock.HOST else sensor_ns
 
     def position_ns(self, arrival_ns: int, timestamp_us: int) -> int:
         """Return UTC of a position packet by the chosen clock."""
-        if self.clock is Clock.HOST:
-            return arrival_ns
-        return int(self.sensor_ns(np.array([arrival_ns]), np.array([timestamp_us]))[0])
+        return arrival_ns if self.clock is Clock.HOST else self.sensor_ns(arrival_ns, timestamp_us)
 
 
 def wrap_hour(difference: _Time, hour: int) -> _Time:
@@ -85,29 +100,14 @@ What takes payloads, (n,) `DATA_PAYLOAD`, takes tables too: `points_in`, `faults
 """
 
 
-def packet_table(payloads: Iterable[bytes], number: I8, arrival_ns: I8, clock: PacketClock) -> PacketTable:
-    """Make the table of one or more packets that follow those which `clock` has converted.
+def packet_row(number: int, arrival_ns: int, payload: bytes, clock: PacketClock) -> bytes:
+    """Return the row of a data packet that follows those which `clock` has converted."""
+    return _HEAD.pack(number, arrival_ns, *clock.packet_ns(arrival_ns, payload)) + payload
 
-    Parameters
-    ----------
-    payloads : 1206 bytes each
-    number : (n,) frame numbers
-    arrival_ns : (n,) capture stamps
-    """
-    table = np.zeros(len(number), DATA_ROW)
-    # Rows end with the payload. To copy it field by field takes 70 times as long.
-    content = np.frombuffer(b"".join(payloads), np.uint8).reshape(-1, DATA_BYTES)
-    table.view(np.uint8).reshape(len(table), -1)[:, -DATA_BYTES:] = content
-    sensor_ns = clock.sensor_ns(arrival_ns, table["timestamp_us"].astype(np.int64))
-    blocks = np.where(is_dual(table), BLOCKS_PER_PACKET // 2, BLOCKS_PER_PACKET)
-    fired_ns = arrival_ns - blocks * BLOCK_PERIOD_NS
-    if clock.host_ahead_ns is None:
-        clock.host_ahead_ns = int(fired_ns[0] - sensor_ns[0])
-    table["number"] = number
-    table["arrival_ns"] = arrival_ns
-    table["sensor_ns"] = sensor_ns
-    table["utc_ns"] = fired_ns if clock.clock is Clock.HOST else sensor_ns
-    return table
+
+def packet_table(rows: Iterable[bytes]) -> PacketTable:
+    """Return the table of packets from their rows, which can be written."""
+    return np.frombuffer(bytearray().join(rows), DATA_ROW)
 
 
 def utc_ns_of(table: PacketTable, points: Points) -> I8:

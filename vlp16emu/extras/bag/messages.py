@@ -20,6 +20,7 @@ from vlp16emu.packets import (
     PacketTable,
     decode_position,
     faults_in,
+    packet_row,
     packet_table,
     points_in,
     scan_starts,
@@ -62,28 +63,30 @@ class UnitMessages:
         self._frame = frame
         self._clock = clock
         self._space = f"/{frame}".removesuffix("/velodyne")
-        self._last: PacketTable | None = None  # the latest packet
+        self._last: np.void | None = None  # `DATA_ROW` of the latest packet
         self._factory: int | None = None
         self._sentence = b""
-        self._held = list[PacketTable]()  # packets of the scan so far, one by one
+        self._held = list[bytes]()  # rows of the scan so far
 
     def data(self, stamp_ns: int, payload: bytes, number: int) -> int:
         """Take a data packet, and return UTC of its first pulse; errors of `check`."""
-        packet = packet_table([payload], np.array([number]), np.array([stamp_ns]), self._clock)
+        content = packet_row(number, stamp_ns, payload, self._clock)
+        (row,) = packet_table([content])
         ends = False
         if self._last is not None:
-            pair = np.concatenate([self._last, packet])
-            if np.abs(np.diff([pair["sensor_ns"], pair["utc_ns"]])).max() > JUMP_NS:
+            azimuth_deg = np.array([each["blocks"]["azimuth_cdeg"][0] for each in (self._last, row)]) / 100
+            times_ns = np.array([(each["sensor_ns"], each["utc_ns"]) for each in (self._last, row)])
+            if np.abs(times_ns[1] - times_ns[0]).max() > JUMP_NS:
                 self._write_scan()
             else:
-                ends = len(scan_starts(pair["blocks"]["azimuth_cdeg"][:, 0] / 100, pair["sensor_ns"])) > 1
-        self._held.append(packet)
+                ends = len(scan_starts(azimuth_deg, times_ns[:, 0])) > 1
+        self._held.append(content)
         if ends:
             self._write_scan()
         # A late packet ends no scan.
-        if self._last is None or not 0 < self._last["sensor_ns"][0] - packet["sensor_ns"][0] <= JUMP_NS:
-            self._last = packet
-        return int(packet["utc_ns"][0])
+        if self._last is None or not 0 < self._last["sensor_ns"] - row["sensor_ns"] <= JUMP_NS:
+            self._last = row
+        return int(row["utc_ns"])
 
     def position(self, stamp_ns: int, payload: bytes) -> int:
         """Take a position packet, and return its UTC; a new sentence becomes a message."""
@@ -100,7 +103,7 @@ class UnitMessages:
         """Return the packets of the scan so far, None without any; PacketError if one of them is no VLP-16 packet."""
         if not self._held:
             return None
-        table = np.concatenate(self._held)
+        table = packet_table(self._held)
         for fault in faults_in(table, self._factory):
             raise PacketError(f"frame {table['number'][fault.packet]}: {fault.what}", *fault[2:])
         self._factory = int(table["factory"][0])

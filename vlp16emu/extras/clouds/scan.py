@@ -25,6 +25,7 @@ from vlp16emu.packets import (
     PointFrame,
     Points,
     faults_in,
+    packet_row,
     packet_table,
     points_in,
     scan_starts,
@@ -180,9 +181,9 @@ def chunk_of_packets(packets: Iterable[Packet]) -> Chunk | None:
     whole = [packet for packet in packets if len(packet.payload) == DATA_BYTES]
     if not whole:
         return None
-    payloads = (packet.payload for packet in whole)
-    due_ns = np.array([packet.due_ns for packet in whole])
-    table = packet_table(payloads, np.arange(len(whole)), due_ns, PacketClock())
+    clock = PacketClock()
+    rows = (packet_row(i, packet.due_ns, packet.payload, clock) for i, packet in enumerate(whole))
+    table = packet_table(rows)
     table["utc_ns"] = [packet.due_ns if packet.fired_ns is None else packet.fired_ns for packet in whole]
     sound = np.ones(len(whole), np.bool_)
     sound[[fault.packet for fault in faults_in(table)]] = False

@@ -311,25 +311,24 @@ class InOrder:
         self._kind = kind
         self._findings = findings
         self._stamp_at: int = _LAYOUTS[kind].fields["timestamp_us"][1]  # type: ignore[index]  # it has fields
-        self._held: list[Datagram] = []
+        self._held: list[tuple[int, Datagram]] = []  # packets with their time stamps, us
         self._repeats = 0
         self.duplicates = 0  # repeated packets so far, without the packets of a sensor that hangs
 
     def take(self, datagram: Datagram) -> Iterator[Datagram]:
         """Insert a packet in order, and yield the packets that no later packet can precede."""
-        for known in reversed(self._held):
+        stamp_us = int.from_bytes(datagram.payload[self._stamp_at : self._stamp_at + 4], "little")
+        for known_us, known in reversed(self._held):
             if datagram.payload == known.payload:
                 self._report_again(datagram, known)
                 return
-            if self._stamp_us(known) <= self._stamp_us(datagram):
+            if known_us <= stamp_us:
                 break
         self._repeats = 0
         place = len(self._held)
-        if self._held and self._since_us(datagram, self._held[-1]) < 0:
-            if self._is_late(datagram):
-                place = next(
-                    n for n in range(place, 0, -1) if self._since_us(datagram, self._held[n - 1]) >= 0
-                )
+        if self._held and self._since_us(stamp_us, -1) < 0:
+            if self._is_late(stamp_us, datagram):
+                place = next(n for n in range(place, 0, -1) if self._since_us(stamp_us, n - 1) >= 0)
                 found = f"a {self._kind} packet overtaken by {len(self._held) - place}"
                 self._findings.add(
                     Rule.PACKET_ORDER, datagram.number, found, "packets in order of their time stamps"
@@ -337,15 +336,15 @@ class InOrder:
             else:
                 yield from self.rest()
                 place = 0
-        self._held.insert(place, datagram)
+        self._held.insert(place, (stamp_us, datagram))
         if len(self._held) > _HELD:
-            yield self._held.pop(0)
+            yield self._held.pop(0)[1]
 
     def rest(self) -> Iterator[Datagram]:
         """Yield the packets that are still held."""
         held = self._held
         self._held = []
-        yield from held
+        yield from (datagram for _, datagram in held)
 
     def _report_again(self, datagram: Datagram, known: Datagram) -> None:
         """Report a repeated packet; a sensor that hangs sends it again and again."""
@@ -359,20 +358,18 @@ class InOrder:
         self.duplicates += rule is Rule.DUPLICATE
         self._findings.add(rule, datagram.number, found, f"a new {self._kind} packet")
 
-    def _is_late(self, datagram: Datagram) -> bool:
+    def _is_late(self, stamp_us: int, datagram: Datagram) -> bool:
         """Return True if a packet belongs between held ones: by the period of data packets, or the count of position packets."""
-        if self._since_us(datagram, self._held[0]) <= 0:
+        if self._since_us(stamp_us, 0) <= 0:
             return False
         if self._kind is PacketKind.POSITION:
-            return 0 < (self._held[-1].identification - datagram.identification) % 0x10000 <= _HELD
+            return 0 < (self._held[-1][1].identification - datagram.identification) % 0x10000 <= _HELD
         period_ns = _PERIODS_NS.get(datagram.payload[_MODE_AT])
         if period_ns is None:
             return False
-        behind_ns = -self._since_us(datagram, self._held[-1]) * US_NS
+        behind_ns = -self._since_us(stamp_us, -1) * US_NS
         return abs(behind_ns - round(behind_ns / period_ns) * period_ns) <= 2 * US_NS
 
-    def _since_us(self, datagram: Datagram, other: Datagram) -> int:
-        return wrap_hour(self._stamp_us(datagram) - self._stamp_us(other), HOUR_US)
-
-    def _stamp_us(self, datagram: Datagram) -> int:
-        return int.from_bytes(datagram.payload[self._stamp_at : self._stamp_at + 4], "little")
+    def _since_us(self, stamp_us: int, place: int) -> int:
+        """Return the time from the packet at a place among the held ones until a time stamp."""
+        return wrap_hour(stamp_us - self._held[place][0], HOUR_US)
