@@ -155,8 +155,15 @@ def side_branches(rng: np.random.Generator, twigs: Twigs, bearers: Branches, ord
     return Branches(nodes, azimuth, length, np.maximum(radius, THINNEST_M))
 
 
+# Basal stems of shrubs; assumptions.
+_BASE_SHARE = 0.08  # radius of the circle in which they start, over the width
+_REACH_SHARE = 0.45  # greatest distance of a stem from the middle, over the width
+_SHORTEST_STEM = 0.75  # least length over the greatest that height and width allow
+_RISE_SIGMA_DEG = 4.0
+
+
 def ground_stems(rng: np.random.Generator, shrub: Shrub, height_m: float, width_m: float) -> Branches:
-    """Stems of a shrub of a height and width, close together at the ground."""
+    """Grow the basal stems of a shrub of the given height and width."""
     stems = shrub.stems
     rise_deg = shrub.rise_deg
     inward = (np.arange(stems) + rng.random(stems)) / stems
@@ -164,15 +171,15 @@ def ground_stems(rng: np.random.Generator, shrub: Shrub, height_m: float, width_
     base = np.zeros((stems, 3))
     base[:, 0] = cos(azimuth)
     base[:, 1] = sin(azimuth)
-    base *= (0.08 * width_m * np.sqrt(1 - inward))[:, None]
+    base *= (_BASE_SHARE * width_m * np.sqrt(1 - inward))[:, None]
     share = (np.arange(_NODES[1] - 1) + 0.5) / (_NODES[1] - 1)
-    rise = rise_deg[0] + (rise_deg[1] - rise_deg[0]) * inward + rng.normal(0.0, 4.0, stems)
+    rise = rise_deg[0] + (rise_deg[1] - rise_deg[0]) * inward + rng.normal(0.0, _RISE_SIGMA_DEG, stems)
     elevation = np.radians(rise[:, None] - shrub.droop_deg * share)
     unit = curves(rng, base * 0, azimuth, elevation, np.ones(stems), shrub.crook_deg)
     # As long as height and width allow.
     up = unit[:, :, 2].max(axis=1) / height_m
-    out = hypot(unit[..., 0], unit[..., 1]).max(axis=1) / (0.45 * width_m)
-    length_m = rng.uniform(0.75, 1.0, stems) / np.maximum(up, out)
+    out = hypot(unit[..., 0], unit[..., 1]).max(axis=1) / (_REACH_SHARE * width_m)
+    length_m = rng.uniform(_SHORTEST_STEM, 1.0, stems) / np.maximum(up, out)
     # Starts below the ground, as a slope may fall away under the foot.
     base[:, 2] = -0.03 * width_m
     nodes = base[:, None] + unit * length_m[:, None, None]

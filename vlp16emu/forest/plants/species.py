@@ -235,7 +235,7 @@ class Species(Plant):
         logit = self.crown_base(dbh_cm, height_m, *rivals) - self.spread.crown_ratio * residual
         return height_m / (1 + exp(-logit))
 
-    def rival_m2(self, dbh_cm: F8) -> F8:
+    def competition_m2(self, dbh_cm: F8) -> F8:
         """Return competition areas (n, 2) in m2: section at breast height, open-grown crown projection.
 
         Dead trees have 0.

@@ -128,10 +128,10 @@ def _set_crowns(trees: Trees, table: Table, kinds: list[Species], seed: int) -> 
     _, ratio, wide, taper = residuals(
         generator(seed, Growth.GIVEN_TREE, 1).standard_normal((len(trees), 4))
     ).T
-    rival_m2 = np.zeros((len(trees), 2))
+    competition_m2 = np.zeros((len(trees), 2))
     for kind in kinds:
         is_kind = trees["species"] == kind.number
-        rival_m2[is_kind] = kind.rival_m2(dbh_cm[is_kind])
+        competition_m2[is_kind] = kind.competition_m2(dbh_cm[is_kind])
         trees["taper"][is_kind] = np.where(np.isnan(trees["taper"]), kind.taper_of(taper), trees["taper"])[
             is_kind
         ]
@@ -139,7 +139,7 @@ def _set_crowns(trees: Trees, table: Table, kinds: list[Species], seed: int) -> 
     for i, near in enumerate(cKDTree(xy_m).query_ball_point(xy_m, RIVALS_M)):
         larger = (dbh_cm[near] > dbh_cm[i])[None]
         pressure[:, i : i + 1] = competition(
-            rival_m2[near], np.pi * RIVALS_M * RIVALS_M, larger, np.ones_like(larger)
+            competition_m2[near], np.pi * RIVALS_M * RIVALS_M, larger, np.ones_like(larger)
         )
     for kind in kinds:
         is_kind = trees["species"] == kind.number

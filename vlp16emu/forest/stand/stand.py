@@ -255,12 +255,12 @@ class Stand:
         """
         storeys = [self._sow_storey(number, ix, iy) for number in range(len(self._patterns))]
         trees, ratio = (np.concatenate(column) for column in zip(*storeys, strict=True))
-        rival_m2 = np.zeros((len(trees), 2))
+        competition_m2 = np.zeros((len(trees), 2))
         for i, cohort in enumerate(self._all_cohorts):
             in_cohort = trees["cohort"] == i
-            rival_m2[in_cohort] = cohort.species.rival_m2(100 * trees["dbh_m"][in_cohort])
+            competition_m2[in_cohort] = cohort.species.competition_m2(100 * trees["dbh_m"][in_cohort])
         return trees, np.column_stack(
-            [foot_discs(trees, table=self._land.plants.trees), trees["dbh_m"], rival_m2, ratio]
+            [foot_discs(trees, table=self._land.plants.trees), trees["dbh_m"], competition_m2, ratio]
         )
 
     def _sow_storey(self, number: int, ix: int, iy: int) -> tuple[Trees, F8]:
@@ -313,7 +313,7 @@ class Stand:
 def _sample(pattern: PointPattern, cohorts: list[_Cohort]) -> tuple[F8, F8]:
     """Diameters (n,) of sample trees of a storey, and areas (n, 3) in m2 per ha of each.
 
-    The areas are `rival_m2` and the crown projection.
+    The areas are `competition_m2` and the crown projection.
     """
     whole = sum(cohort.share.share for cohort in cohorts)
     areas_m2 = []
@@ -323,7 +323,7 @@ def _sample(pattern: PointPattern, cohorts: list[_Cohort]) -> tuple[F8, F8]:
         # Ratio of the mean of squares to the square of the mean.
         wider = exp(species.spread.crown_width * species.spread.crown_width)
         area_m2 = np.column_stack(
-            [species.rival_m2(dbh_cm), wider * _projection_m2(species.crown_width_m(dbh_cm))]
+            [species.competition_m2(dbh_cm), wider * _projection_m2(species.crown_width_m(dbh_cm))]
         )
         areas_m2.append(pattern.per_ha * cohort.share.share / whole / len(dbh_cm) * area_m2)
     return np.concatenate([cohort.sample_cm for cohort in cohorts]), np.concatenate(areas_m2)
