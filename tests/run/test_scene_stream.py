@@ -35,7 +35,7 @@ class Lines(StreamPart):
     ],
 )
 def test_the_line_names_seconds_cause_treatment_and_settings(late, treatment):
-    """A stream that is late says how late, why and what becomes of packets; only a slow engine is a matter of settings."""
+    """A late stream says how late, why and what becomes of packets; only a slow engine gets advice."""
     with SceneStream(Emulator("static_bench", WIDE), StreamOptions(late=late, **FREE)) as stream:
         slow = stream._behind_line(FellBehind(14.2, 0.051, True, 0.83))
         stood_still = stream._behind_line(FellBehind(12.3, 5.01, False, 0.1))
@@ -49,7 +49,7 @@ def test_the_line_names_seconds_cause_treatment_and_settings(late, treatment):
 
 
 def test_a_stream_that_is_measured_sends_what_is_chosen(monkeypatch):
-    """The packets are those of the rung, on the ports of the stream, and a line names it; stopped meanwhile, nothing is chosen."""
+    """Packets are those of the rung, which a line names, on the same ports; a stop chooses nothing."""
     speeds = iter([0.6, 2.0])
     monkeypatch.setattr(outlook, "_measured", lambda _run: next(speeds))
     emulator = Emulator("static_bench", WIDE)
@@ -72,8 +72,8 @@ def test_a_stream_that_is_measured_sends_what_is_chosen(monkeypatch):
         assert stream.run().interrupted
 
 
-def test_what_cannot_be_opened_leaves_nothing_open():
-    """A receiver that is unknown, or a device that the scene lacks, is an error of the call, and its ports are free again."""
+def test_what_cannot_be_opened_is_an_error_of_the_call():
+    """A receiver that is unknown, or a device that the scene lacks, is an error of the call."""
     emulator = Emulator("static_bench")
     with pytest.raises(OutputError, match="which is unknown"):
         SceneStream(emulator, StreamOptions(to="nobody.invalid"))

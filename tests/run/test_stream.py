@@ -273,7 +273,7 @@ class Noted(StreamPart):
 
 
 def test_parts_are_called_in_their_order_and_end_in_the_reverse_order():
-    """Each part sees the packet that the part before it gives, in the states in which a part is called; the last one ends first."""
+    """Each part gets the packet of the part before it, in the states that the base names; the last ends first."""
     sink, notes = MemorySink(), []
     made = Stream(make_packets(1), dict.fromkeys(PacketKind, sink), Pacer(FAST))
     for name in "ab":
@@ -293,7 +293,7 @@ def test_parts_are_called_in_their_order_and_end_in_the_reverse_order():
 
 @pytest.mark.parametrize("fails_at", ["begin", "ready", "leaving", "sent", "end"])
 def test_a_part_that_fails_closes_the_stream_and_ends_the_others(fails_at):
-    """Its error is raised, the other part has ended, no thread is left, and the stream is closed and cannot run again."""
+    """Its error is raised, the other part has ended, no thread is left, and the stream cannot run again."""
     notes = []
     made = Stream(make_packets(9), dict.fromkeys(PacketKind, MemorySink()), Pacer(FAST))
     other = Noted(made, "other", notes)

@@ -134,7 +134,7 @@ def replay(
 
 
 class Terminal(StreamPart):
-    """The terminal of a stream: its news, and the simulated seconds so far, counted from `start_ns` if that is known."""
+    """The terminal of a stream: its news, and the simulated seconds since `start_ns`, if that is known."""
 
     def __init__(self, progress: Progress, start_ns: int | None = None) -> None:
         self._progress = progress
@@ -173,7 +173,7 @@ def _page(emulator: "Emulator", port: int | None, *, quiet: bool) -> Iterator["L
 
 
 def _with_settings(options: StreamOptions, *, is_prepared: bool) -> StreamOptions:
-    """Return options with a web interface, by which the page sets the sensor, unless packets must not change any more."""
+    """Return options with a web interface, by which the page sets the sensor, if packets may change."""
     truth = TruthTo.of(options.truth)
     is_fixed = is_prepared or (truth is not None and (truth.per_packet or truth.per_return))
     if options.http or is_fixed:

@@ -41,7 +41,9 @@ def stream(
     look_ahead: int = LOOK_AHEAD_PACKETS,
     **options: Unpack[LiveKeys],
 ) -> "Live":
-    """Start to stream a scene over UDP, and return when the first data packet is sent; errors as `Emulator.stream`.
+    """Start to stream a scene over UDP, and return when the first data packet is sent.
+
+    Raises the errors of `Emulator.stream`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Outlook of a stream: whether this machine keeps up with a scene, and by which beams and ranges of a ladder it would."""
+"""Outlook of a stream: whether this machine keeps up with a scene, and with which beams and ranges it would."""
 
 import math
 import time
@@ -78,7 +78,7 @@ class Outlook:
 
     @classmethod
     def measured(cls, emulator: Emulator, speed: float, stop: Event) -> tuple[Emulator, Self]:
-        """Measure this machine for some seconds, and return the emulator with the settings of the rung that is chosen.
+        """Measure this machine for some seconds, and return the emulator with the settings of a rung.
 
         The unchanged scene is measured first; then the rungs that are fast enough according to their gains,
         from the best down, until one leaves a fifth of the time free. The bytes equal a recording with these
@@ -102,7 +102,7 @@ class Outlook:
 
     @classmethod
     def advice_after(cls, times: Sequence[FellBehind], scenario: Scenario, speed: float) -> list[str]:
-        """Return options with which an engine that fell behind keeps up; none if the engine was not the cause."""
+        """Return options with which a late engine keeps up; none if it was not the cause."""
         speeds = [
             behind.engine_speed for behind in times if behind.engine and behind.engine_speed is not None
         ]
@@ -148,7 +148,7 @@ class Outlook:
 
     @property
     def candidates(self) -> list[Rung]:
-        """Rungs to choose from, the best first; none if the unchanged scene leaves a fifth of the time free."""
+        """Rungs to choose from, the best first; none if the scene leaves a fifth of the time free."""
         if self.engine_speed * (1 - _FREE) >= self.speed:
             return []
         return self.enough or self.lower[-1:]

@@ -136,7 +136,7 @@ class Stage:
 
 
 def stages(engine: Engine, repeats: int) -> list[Stage]:
-    """Measure the stages of the chain with the first sensor, in the order of the chain: the best of the repeats.
+    """Measure the stages of the chain with the first sensor, in their order: the best of the repeats.
 
     Each works on the same pulses, spread over the first window, as many at once as in a run. Rays that end at
     `world.near_m` give the first stage of casting, and the further cost of the full range the second one.
@@ -235,7 +235,7 @@ def recording_outlook(
 
 
 def stream_outlook(scenario: Scenario, speed: float) -> dict[str, object]:
-    """Return if a stream keeps up at a speed of the engine, and options with which it would, each sufficient alone."""
+    """Return if a stream keeps up at a speed of the engine, and options with which it would."""
     outlook = Outlook(scenario, speed)
     rung = next(iter(outlook.candidates), None)
     return {

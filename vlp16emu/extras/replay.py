@@ -117,7 +117,7 @@ class Replayed(OfUnits):
 
 
 class ReplayStream(Stream):
-    """Stream of the packets of a capture, whose ports are reserved and whose sockets are open once it is made.
+    """Stream of a capture, whose ports are reserved and whose sockets are open once it is made.
 
     Parameters
     ----------
@@ -185,7 +185,9 @@ def replay(
     stop: Event | None = None,
     **options: Unpack[ReplayKeys],
 ) -> Replayed:
-    """Send the packets of a capture over UDP at their own pace; nothing leaves this machine unless `to` names another machine.
+    """Send the packets of a capture over UDP at their own pace.
+
+    Nothing leaves this machine unless `to` names another one.
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ class StreamPart:
         """Take note of a packet that has just been sent."""
 
     def news(self, line: str) -> None:
-        """Take note of a line for people: the stream falls behind, or another part has news; from any thread."""
+        """Take note of a line for people, such as that the stream falls behind; from any thread."""
 
     def end(self, error: BaseException | None) -> None:
         """End; `error` is what ended the stream before its time."""

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 PARTS = {"outlets": "outlets", "gps_in": "gps_in", "http": "web", "poses": "live"}
 """Options that ask for a part, each with its door, in the order of the parts.
 
-A real receiver changes packets before parts that are added see them. The clock of a live run starts last, when all
-else has begun."""
+A real receiver changes packets before parts that are added see them. The clock of a live run starts last,
+when all else has begun."""
 _LATE = {
     Late.PACE: "the delay stays, at the sensor's own spacing (--late pace)",
     Late.SKIP: "late packets are dropped until the stream is at now (--late skip)",
@@ -155,13 +155,13 @@ class SceneStream(Stream):
         )
 
     def _behind_line(self, behind: FellBehind) -> str:
-        """Return the line for people, with cause, treatment of late packets, and options that would keep up."""
+        """Return the line with cause, treatment of late packets, and options that would keep up."""
         line = f"{super()._behind_line(behind)}, as {behind.cause}; {_LATE[self.late]}"
         advice = self._advice([behind])
         return f"{line}; to keep up: {', or '.join(advice)}" if advice else line
 
     def _advice(self, times: Sequence[FellBehind]) -> list[str]:
-        """Return options of `vlp16emu stream` with which an engine that fell behind keeps up, each sufficient alone."""
+        """Return options of `vlp16emu stream` with which the engine keeps up, each sufficient alone."""
         if not times or not has_door("outlook"):
             return []
         advice: list[str] = door("outlook").advice_after(times, self.emulator.scenario, self.pacer.speed)

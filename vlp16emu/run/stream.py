@@ -208,7 +208,7 @@ class Stream:
                 part.ready()
 
     def run(self) -> StreamReport:
-        """Send packets until they end, `stop` is set, or Ctrl-C is pressed; close the stream, and return its report.
+        """Send packets until they end, `stop` is set, or Ctrl-C is pressed; close the stream, and report.
 
         Raises errors of packets, parts and sinks, such as RunError if the system can no longer send.
         """
@@ -350,7 +350,7 @@ class Stream:
             part.sent(packet)
 
     def _watch(self, engine_speed: float | None) -> None:
-        """Say if the awaited packet is already late by more than the tolerance; its delay is added when it is sent."""
+        """Say if the awaited packet is late by more than the tolerance; its delay is added when it is sent."""
         if self._next_due_ns is None:
             return
         deadline_ns = self.pacer.deadline_ns(self._next_due_ns)
@@ -374,7 +374,7 @@ class Stream:
         return self._behind[-1]
 
     def _skip(self, packet: Packet, now_ns: int, *, had_to_wait: bool) -> None:
-        """Drop a packet; if dropping continues because the engine is too slow, let the engine skip further ahead.
+        """Drop a packet, and if that goes on because the engine is too slow, let it skip further ahead.
 
         The lead doubles until the engine's first packet from there on is in time.
         """

@@ -146,7 +146,7 @@ class GpsInResult:
 
 
 class GpsReader(StreamPart):
-    """Reader of a receiver in a thread of its own, which gives packets the stamps, state and sentence of a sensor on its line.
+    """Reader of a receiver in a thread of its own, which sets stamps, state and sentence of packets.
 
     Instants of packets follow their due times, even if they are sent late: stamps show no jitter of the host.
     Only if the stream is late by more than the tolerance, instants are counted again from the host's clock.

@@ -120,7 +120,7 @@ class LiveReport:
 
 
 class Flight(StreamPart):
-    """A live run: the part of a stream that takes poses, starts its clock, and measures the latency of packets.
+    """A live run: the part of a stream that takes poses, starts its clock, and measures latency.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ class Flight(StreamPart):
         self._windows.begin_again()
 
     def begin(self) -> None:
-        """Wait for the first pose or a stop, open the world around the pose, compute packets once, and start the clock."""
+        """Wait for the first pose or a stop, open the world around it, and start the clock."""
         stop = self._stream.stop
         self._stream.say(f"waiting for poses{f' on {self._receiver.where}' if self._receiver else ''}")
         while not self._motion.poses.came.wait(_POLL_S):

@@ -102,7 +102,7 @@ def receive(channel: socket.socket) -> Any:
 
 
 class LivePage(StreamPart):
-    """The page of one stream: it keeps the last packets for a thread that copies them to the process of the page.
+    """The page of one stream, which keeps the last packets for a thread that copies them to its process.
 
     Parameters
     ----------
