@@ -309,6 +309,10 @@ def test_empty_capture_is_a_capture(tmp_path, empty):
             pcapng() + struct.pack("<II", 6, 13),
             "block 3: a length of 13 bytes; expected 12 to 16777216, in steps of 4",
         ),
+        (
+            pcapng((0, DATA), options=struct.pack("<HHBxxx", 9, 1, 0)),
+            "block 3: a stamp of 1700000000123456 s since 1970; expected one from 1824 to 2116",
+        ),
         (b"\x1f\x8b\x08\0" + bytes(40), r"some\.pcap: "),
         (lzma.compress(pcap(DATA))[:40] + bytes(400), r"some\.pcap: "),
     ],

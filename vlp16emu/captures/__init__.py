@@ -1,4 +1,4 @@
-"""Reading of VLP-16 captures: datagrams, the sensors that sent them, their clocks, and tables of data packets."""
+"""Reading of VLP-16 captures: datagrams, the sensors that sent them, clocks, and tables of data packets."""
 
 from vlp16emu.captures.capture import Capture, by_unit, chosen_unit, table_of, units_in
 from vlp16emu.captures.clock import UnitClock, packet_clock, unit_clocks

@@ -341,7 +341,10 @@ class CapturedUnit(NamedTuple):
 def by_unit(
     datagrams: Iterable[Datagram], units: Sequence[CapturedUnit | None]
 ) -> Iterator[tuple[int | None, Datagram]]:
-    """Yield each datagram with the index of the unit that has sent it, None for others; a unit None has sent all."""
+    """Yield each datagram with the index of the unit that has sent it, None for others.
+
+    A unit None has sent all.
+    """
     indices = dict[tuple[bytes, int, bytes], int | None]()
     for datagram in datagrams:
         sender = datagram.source, datagram.destination_port, datagram.mac

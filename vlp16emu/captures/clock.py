@@ -56,9 +56,10 @@ def unit_clocks(
 def packet_clock(
     path: Path, unit: CapturedUnit | None, name: str | None = None, *, where: str = "clock"
 ) -> PacketClock:
-    """Return the clock for the packets of one unit, as `unit_clocks`; by default a pipe has the sensor's clock.
+    """Return the clock for the packets of one unit, as `unit_clocks`.
 
-    Raises InputError for "gps" of a pipe, whose packets cannot be read again after its sentences.
+    By default a pipe has the sensor's clock. Raises InputError for "gps" of a pipe, whose packets cannot be
+    read again after its sentences.
     """
     if path.is_fifo() and name in (None, *Clock):
         if name == Clock.GPS:
@@ -99,7 +100,7 @@ class _Seen:
         )
 
     def clock(self, path: Path, name: str | None, where: str) -> UnitClock:
-        """Return the clock of this name, or the one that follows UTC; parameters and errors as in `unit_clocks`."""
+        """Return the clock of this name, or the one that follows UTC; errors as in `unit_clocks`."""
         behind_ns = self.behind_ns if name == Clock.GPS else 0
         if behind_ns is None:
             raise InputError(where, f"no valid sentence of a GPS receiver in {path}", "sensor or host")

@@ -102,7 +102,7 @@ class CaptureReader:
         self.first_stamp_ns = 0  # Capture stamp (UTC) of the first data packet; 0 before it is read
 
     def tables(self) -> Iterator[PacketTable]:
-        """Read chunk by chunk; all packets before a faulty packet or record are yielded before the error is raised.
+        """Read chunk by chunk; packets before a faulty packet or record come before its error is raised.
 
         Raises CaptureError if a record is damaged or there is no data packet; PacketError if a packet is not
         from a VLP-16.

@@ -237,7 +237,7 @@ def decode_position(payload: bytes) -> PositionFields:
 
 
 def _model(fields: NDArray[np.void], model: SensorModel | None) -> SensorModel:
-    """Return the model of the first packet's product byte; `model` for a prototype unit, whose byte names another."""
+    """Return the model of the first packet's product byte; `model` for the byte of a prototype unit."""
     usual = model or SensorModel.VLP_16
     return _MODEL.get(int(fields["factory"][0]), usual) if len(fields) else usual
 
@@ -248,7 +248,10 @@ def is_dual(fields: NDArray[np.void]) -> NDArray[np.bool_]:
 
 
 def block_since_ns(fields: NDArray[np.void]) -> I8:
-    """Return the time (n, 12) of the first pulse of each block since that of its packet; two blocks share it in dual return."""
+    """Return the time (n, 12) of the first pulse of each block since that of its packet.
+
+    In dual return two blocks share it.
+    """
     block = np.arange(BLOCKS_PER_PACKET)
     return np.where(is_dual(fields)[:, None], block // 2, block) * BLOCK_PERIOD_NS
 

@@ -68,7 +68,7 @@ DATA_ROW = np.dtype(
         *DATA_PAYLOAD.descr,
     ]
 )
-"""Row of a table of data packets: when a packet came and when it was fired, then the fields of its payload."""
+"""Row of a table of data packets: when a packet came, when it was fired, and the fields of its payload."""
 
 SENTENCE_BYTES = 128
 """Length of the field for the NMEA sentence, which ends with CR LF and is padded with NUL.

@@ -89,7 +89,7 @@ class PacketClock:
 
 
 def wrap_hour(difference: _Time, hour: int) -> _Time:
-    """Wrap a difference of times past the hour, a number or (n,), to half an hour around 0; `hour` is in its unit."""
+    """Wrap a difference of times past the hour, a number or (n,), to half an hour around 0; in any unit."""
     return (difference + hour // 2) % hour - hour // 2
 
 

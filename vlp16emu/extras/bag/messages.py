@@ -100,7 +100,7 @@ class UnitMessages:
         return t_ns
 
     def check(self) -> PacketTable | None:
-        """Return the packets of the scan so far, None without any; PacketError if one of them is no VLP-16 packet."""
+        """Return the packets of the scan so far, None without any; PacketError if one is no VLP-16 packet."""
         if not self._held:
             return None
         table = packet_table(self._held)

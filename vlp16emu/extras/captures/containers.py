@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from vlp16emu.captures.capture import EXPECTED, PCAP, Frame, not_a_capture, pcap_frames, read
 from vlp16emu.errors import CaptureError
-from vlp16emu.units import S_NS, US_NS
+from vlp16emu.units import FOREVER_NS, S_NS, US_NS
 
 _SECTION = 0x0A0D0D0A
 _INTERFACE = 1
@@ -122,6 +122,9 @@ def _pcapng(path: Path, file: Any) -> Frames:
             expected = "its fields"
             raise CaptureError(f"{path}: block {blocks}", found, expected) from None
         if frame is not None:
+            if abs(frame.stamp_ns) > FOREVER_NS:
+                found = f"a stamp of {frame.stamp_ns // S_NS} s since 1970"
+                raise CaptureError(f"{path}: block {blocks}", found, "one from 1824 to 2116")
             yield frame
         head = read(file, 4)
         if len(head) < 4:  # a block type
@@ -153,9 +156,9 @@ def _frame(body: bytes, kind: int, order: str, interfaces: list[_Interface]) -> 
     """Read a packet block; None for other blocks and for packets of an interface that is not described."""
     if kind == _SIMPLE_PACKET and interfaces:
         wire = struct.unpack_from(f"{order}I", body)[0]
-        own = interfaces[0]
-        captured = min(wire, own.snap_bytes or wire)
-        return Frame(0, own.link_type, wire, body[4 : 4 + captured])
+        interface = interfaces[0]
+        captured = min(wire, interface.snap_bytes or wire)
+        return Frame(0, interface.link_type, wire, body[4 : 4 + captured])
     if kind not in (_PACKET, _OLD_PACKET) or len(body) < 20:  # the fields before the frame
         return None
     number, high, low, captured, wire = struct.unpack_from(
@@ -163,6 +166,6 @@ def _frame(body: bytes, kind: int, order: str, interfaces: list[_Interface]) -> 
     )
     if number >= len(interfaces):
         return None
-    own = interfaces[number]
-    stamp_ns = own.offset_s * S_NS + (high << 32 | low) * S_NS // own.units_per_s
-    return Frame(stamp_ns, own.link_type, wire, body[20 : 20 + captured])
+    interface = interfaces[number]
+    stamp_ns = interface.offset_s * S_NS + (high << 32 | low) * S_NS // interface.units_per_s
+    return Frame(stamp_ns, interface.link_type, wire, body[20 : 20 + captured])

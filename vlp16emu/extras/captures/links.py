@@ -1,7 +1,7 @@
 """UDP datagrams in frames of any link type that carries IP, also behind tags, labels and tunnels.
 
-Numbers are those of dpkt. Its parsers are not used: they give no offsets of headers, join no fragments, and do
-not read 802.11, AVS, PPI, PKTAP, NFLOG, Cisco HDLC, ERSPAN, VXLAN and Geneve.
+Numbers are those of dpkt. Its parsers are not used: they give no offsets of headers, join no fragments, and
+do not read 802.11, AVS, PPI, PKTAP, NFLOG, Cisco HDLC, ERSPAN, VXLAN and Geneve.
 """
 
 import struct

@@ -117,7 +117,7 @@ class CaptureTruth:
         return tuple(column for column in wanted if column.name not in known)
 
     def of(self, table: PacketTable, points: Points, kept: I8) -> dict[str, NDArray[Any]]:
-        """Return labels and true values (n,) of the points `kept` of a table; heights belong to the true positions."""
+        """Return labels and true values (n,) of the points `kept`; heights are at true positions."""
         rows = self._rows.rows(table["timestamp_us"], points.packet[kept], points.slot[kept])
         if self._labels is None or not rows:
             return rows
