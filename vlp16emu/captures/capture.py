@@ -10,18 +10,21 @@ import re
 import select
 import struct
 from collections import Counter, defaultdict, deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from ipaddress import ip_address
 from pathlib import Path
 from threading import Event
-from typing import Any, BinaryIO, NamedTuple
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple, Protocol
 
-from vlp16emu.doors import door, has_door
+from vlp16emu.doors import Part
 from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.packets.layout import BLOCK, BLOCK_FLAG, DATA_BYTES, POSITION_BYTES
 from vlp16emu.packets.table import PacketClock, PacketTable, packet_row, packet_table
 from vlp16emu.units import S_NS, US_NS
+
+if TYPE_CHECKING:
+    from _typeshed import WriteableBuffer
 
 EXPECTED = "a pcap or pcapng file, also as .gz, .bz2, .xz or .zst (`editcap` converts others)"
 PCAP = {
@@ -68,6 +71,23 @@ class Frame(NamedTuple):
     link_type: int  # LINKTYPE_ value of tcpdump.org
     wire_bytes: int  # Length of the frame on the wire
     content: bytes
+
+
+class UdpFinder(Protocol):
+    """Finder of UDP in the frames of one capture that are not plain."""
+
+    @property
+    def missed(self) -> Mapping[str, int]:
+        """Numbers of what was left out, by description."""
+
+    def udp_in(self, link_type: int, frame: bytes) -> tuple[bytes, int, int] | None:
+        """Return a frame with a whole datagram, and the offsets of its IP and UDP headers."""
+
+
+UNWRAPPER = Part[Callable[[], UdpFinder]]("vlp16emu.extras.captures.links:Unwrapper")
+FRAMES = Part[Callable[[Path, BinaryIO], Iterator[Frame | None]]](
+    "vlp16emu.extras.captures.containers:frames"
+)
 
 
 class Datagram(NamedTuple):
@@ -137,7 +157,7 @@ class Capture:
         self.cut = False  # True if a file ended in the middle of a record; what came before it is whole
         self.repeated = 0  # Repeated packets that were skipped
         self._files = _files(path)
-        self._unwrapper: Any = None  # made for the first frame that is not plain
+        self._unwrapper: UdpFinder | None = None  # made for the first frame that is not plain
         self._cut_short = 0
         self._recent = set[tuple[bytes, int, bytes]]()
         self._order = deque[tuple[bytes, int, bytes]]()
@@ -172,8 +192,8 @@ class Capture:
         at = _IP_AT
         body = _UDP_AT
         if not _is_plain(link_type, content):
-            if self._unwrapper is None and has_door("unwrapper"):
-                self._unwrapper = door("unwrapper")()
+            if self._unwrapper is None and UNWRAPPER.is_installed:
+                self._unwrapper = UNWRAPPER.load()()
             if not self._unwrapper or (found := self._unwrapper.udp_in(link_type, content)) is None:
                 return None
             if found[0] is not content:  # reassembled from fragments
@@ -249,7 +269,7 @@ class _Pipe(io.RawIOBase):
     def readable(self) -> bool:
         return True
 
-    def readinto(self, buffer: Any) -> int:
+    def readinto(self, buffer: "WriteableBuffer") -> int:
         while not self._stop.is_set():
             if select.select([self._opened], [], [], _POLL_S)[0]:
                 return os.readv(self._opened, [buffer])
@@ -268,7 +288,7 @@ def _frames_in(path: Path, stop: Event | None = None) -> Iterator[Frame | None]:
     """
     try:
         with io.BufferedReader(_Pipe(path, stop)) if stop and path.is_fifo() else path.open("rb") as file:
-            yield from pcap_frames(path, file) if file.peek(4)[:4] in PCAP else door("frames")(path, file)
+            yield from pcap_frames(path, file) if file.peek(4)[:4] in PCAP else FRAMES.load()(path, file)
     except OSError as error:  # gzip and bz2 also report damage this way
         raise CaptureError(str(path), error.strerror or f"{error}", EXPECTED) from error
 

@@ -10,12 +10,11 @@ from typing import Self, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.doors import door
 from vlp16emu.errors import InputError, RunError
 from vlp16emu.extras.clouds.scan import Chunk, chunk_of_packets, cut_scans
 from vlp16emu.extras.truth.slots import SLOT
 from vlp16emu.packets.layout import DATA_PAYLOAD
-from vlp16emu.run.emulator import Emulator, Scene
+from vlp16emu.run.emulator import TRUTH_OF_RECORDS, Emulator, Scene
 from vlp16emu.run.options import Http, LiveKeys, StreamOptions
 from vlp16emu.run.part import StreamPart
 from vlp16emu.run.report import Streamed
@@ -100,7 +99,7 @@ class Live(StreamPart):
         **options: Unpack[LiveKeys],
     ) -> None:
         if truth:
-            emulator = emulator.with_engine(replace(emulator.engine, truth_of=door("truth_of_records")))
+            emulator = emulator.with_engine(replace(emulator.engine, truth_of=TRUTH_OF_RECORDS.load()))
         options.setdefault("http", Http(f"{LOOPBACK}:0"))
         options.setdefault("position_port", 0)
         if ":" not in (options.get("to") or ""):

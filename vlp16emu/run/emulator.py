@@ -1,30 +1,73 @@
 """The public class: a scene as scans in arrays, as a capture, or over UDP."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from threading import Event
-from typing import Any, Self, Unpack
+from typing import Protocol, Self, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.doors import door, has_door
+from vlp16emu.doors import Part
 from vlp16emu.engine import Engine, Parts
+from vlp16emu.engine.engine import Job
+from vlp16emu.engine.timeline import TruthOf
 from vlp16emu.errors import InputError, TrajectoryError
 from vlp16emu.output import spare
+from vlp16emu.raycast.caster import Geometry
+from vlp16emu.run.feed import PacketFeed
 from vlp16emu.run.options import RecordKeys, RecordOptions, StreamKeys, StreamOptions, TruthPlace, TruthTo
 from vlp16emu.run.part import StreamPart
 from vlp16emu.run.record import record
-from vlp16emu.run.report import Recording, Streamed
+from vlp16emu.run.report import AuditResult, Recording, Streamed
 from vlp16emu.run.scene_stream import SceneStream
 from vlp16emu.scenario import Scenario, find, load, named_files
-from vlp16emu.types import Packet, Returns, Scan
+from vlp16emu.trees import Table
+from vlp16emu.types import Firings, Hits, Packet, Returns, Scan
 
-Scene = str | Path | Mapping[str, Any] | Scenario
+Scene = str | Path | Table | Scenario
 """Name of a scene, path of a .toml file, its tables as a dictionary, or a scenario."""
+
+
+class Audit(Protocol):
+    """Tap that casts a sample of the pulses again."""
+
+    def __call__(self, job: Job, firings: Firings, hits: Hits, geometry: Geometry) -> None:
+        """Audit the drawn pulses of a block."""
+
+    @property
+    def finding(self) -> AuditResult:
+        """Error found so far."""
+
+
+class TruthWriter(Protocol):
+    """Writer of the ground truth of a run."""
+
+    def beside(self, packets: Iterable[Packet]) -> Iterator[Packet]:
+        """Pass packets on, and write the ground truth up to them."""
+
+    def up_to(self, since_s: float) -> None:
+        """Write the ground truth up to a time since the first pulse, without packets of a run."""
+
+
+class ScansOf(Protocol):
+    """Function that returns the revolutions of a unit within a span."""
+
+    def __call__(
+        self, engine: Engine, number: int, span_s: tuple[float, float], *, truth: bool
+    ) -> Iterator[Scan]:
+        """Return whole revolutions; with labels if `truth`."""
+
+
+AUDIT = Part[Callable[[Scenario], Audit]]("vlp16emu.extras.accuracy.audit:Audit")
+TRUTH_OF_RECORDS = Part[TruthOf]("vlp16emu.extras.truth.slots:slots_of")
+TRUTH = Part[
+    "Callable[[TruthTo, Emulator | PacketFeed, tuple[float, float]], AbstractContextManager[TruthWriter]]"
+]("vlp16emu.extras.truth.truth:Truth")
+SCANS = Part[ScansOf]("vlp16emu.extras.clouds.scan:scans_of")
 
 
 class Emulator:
@@ -68,8 +111,8 @@ class Emulator:
     ) -> None:
         scenario = load(scene, settings, ideal=ideal)
         # The poses of a live run are not available when its pulses are cast a second time.
-        wanted = audit and has_door("audit") and not scenario.motion.takes_poses
-        self.audit: Any = door("audit")(scenario) if wanted else None
+        wanted = audit and AUDIT.is_installed and not scenario.motion.takes_poses
+        self.audit = AUDIT.load()(scenario) if wanted else None
         """Tap that casts a sample of the pulses again, an `extras.accuracy.audit.Audit`; None without an
         audit."""
         taps = [self.audit] if self.audit else []
@@ -94,7 +137,7 @@ class Emulator:
         return self.engine.parts
 
     @property
-    def finding(self) -> Any:
+    def finding(self) -> AuditResult | None:
         """Error found so far, an `AuditFinding`; None without an audit."""
         return self.audit.finding if self.audit else None
 
@@ -135,10 +178,12 @@ class Emulator:
         """Return an emulator whose packets carry the ground truth of their records, if `to` requires it."""
         if to is None or not to.per_return:
             return self
-        return self.with_engine(replace(self.engine, truth_of=door("truth_of_records")))
+        return self.with_engine(replace(self.engine, truth_of=TRUTH_OF_RECORDS.load()))
 
     @contextmanager
-    def truth(self, to: TruthPlace | None, span_s: tuple[float, float], *, of: Any = None) -> Iterator[Any]:
+    def truth(
+        self, to: TruthPlace | None, span_s: tuple[float, float], *, of: PacketFeed | None = None
+    ) -> Iterator["TruthWriter | None"]:
         """Open the folder for the ground truth of a span, an `extras.truth.truth.Truth`; None without `to`.
 
         It is the ground truth of the feed `of`, with its events so far, or of the scene.
@@ -147,7 +192,7 @@ class Emulator:
             yield None
             return
         spare(self.files, place.scenario)
-        with door("truth")(place, of or self, span_s) as truth:
+        with TRUTH.load()(place, of or self, span_s) as truth:
             yield truth
 
     def packets(self, start_s: float = 0.0, stop_s: float | None = None) -> Iterator[Packet]:
@@ -184,8 +229,7 @@ class Emulator:
         Raises InputError if there is no such unit; TrajectoryError if the walk ends before the span.
         """
         span_s = self.scenario.span_s(start_s, duration_s)
-        scans: Iterator[Scan] = door("scans")(self.engine, self.number(unit), span_s, truth=truth)
-        return scans
+        return SCANS.load()(self.engine, self.number(unit), span_s, truth=truth)
 
     def world_T_sensor(self, t_ns: NDArray[np.int64], *, unit: int = 1) -> NDArray[np.float64]:
         """Return poses (n, 4, 4) of a sensor at instants (n,) UTC; they transform `Scan.xyz_m` to the world."""

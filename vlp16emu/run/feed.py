@@ -1,15 +1,29 @@
 """The packets of a run in order of sending, from an engine that can skip ahead or go on with other events."""
 
 from collections import Counter
-from collections.abc import Collection, Generator, Iterator
+from collections.abc import Callable, Collection, Generator, Iterator
 from collections.abc import Set as AbstractSet
 from threading import Thread
+from typing import Protocol
 
-from vlp16emu.doors import door
+from vlp16emu.doors import Part
 from vlp16emu.engine import Engine
 from vlp16emu.engine.engine import sent_before
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, seconds_to_ns
+
+
+class MorePackets(Protocol):
+    """Packets of further kinds beside those of the sensors."""
+
+    def among(self, packets: Iterator[Packet], start_ns: int, stop_ns: int) -> Iterator[Packet]:
+        """Merge the packets of a span since the first pulse with the further ones."""
+
+    def count(self, start_ns: int, stop_ns: int) -> dict[PacketKind, int]:
+        """Count the further packets of a span since the first pulse, by kind."""
+
+
+BESIDE = Part[Callable[[Engine, Collection[PacketKind]], MorePackets]]("vlp16emu.extras.bench.outlets:Beside")
 
 
 class PacketFeed:
@@ -29,7 +43,7 @@ class PacketFeed:
     ) -> None:
         self.engine = engine  # Makes the packets from here on
         self._stop_s = stop_s
-        self._beside = door("beside")(engine, also) if also else None
+        self._beside = BESIDE.load()(engine, also) if also else None
         self._packets = self._from(start_s)
         self._reached_ns = engine.scenario.start_ns
         self._at_reached = set[tuple[int, PacketKind]]()

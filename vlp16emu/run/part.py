@@ -1,9 +1,11 @@
 """The base of what changes, accompanies or watches a stream. It loads no library, as help must be quick."""
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from vlp16emu.types import Packet
+    from vlp16emu.sinks import PacketSink
+    from vlp16emu.types import Packet, PacketKind
 
 
 class StreamPart:
@@ -14,7 +16,10 @@ class StreamPart:
     order when no more packets leave.
     """
 
-    result: Any = None  # what the part reports once it has ended
+    @property
+    def result(self) -> object:
+        """What the part reports once it has ended."""
+        return None
 
     def begin(self) -> None:
         """Get ready for packets, before the first one is computed."""
@@ -34,3 +39,39 @@ class StreamPart:
 
     def end(self, error: BaseException | None) -> None:
         """End; `error` is what ended the stream before its time."""
+
+
+class OutletPart(StreamPart):
+    """A part that sends packets of further kinds, to sinks of its own."""
+
+    kinds: "Sequence[PacketKind]"
+    """Kinds of packets that the engine shall make beside those of the sensors."""
+    sinks: "Mapping[PacketKind, PacketSink]"
+    """Sink of each kind."""
+    look_ahead: int
+    """Packets that a stream computes further ahead because of them."""
+
+    @property
+    def result(self) -> "Mapping[PacketKind, object]":
+        """What was sent of each kind."""
+        raise NotImplementedError
+
+
+class PosePart(StreamPart):
+    """A part that moves the carrier of a live scene by poses that come in."""
+
+    look_ahead: int
+    """Packets of a sensor that are computed before they are due."""
+    lead_ns: int
+    """Time before its first pulse at which the engine goes on after it fell behind."""
+
+
+class WebPart(StreamPart):
+    """A part that serves the web interfaces of the sensors."""
+
+    places: Sequence[tuple[str, int]]
+    """Host and port of each interface; none before the first packet is ready."""
+
+    def happen(self, kind: str, unit: int = 1, **keys: object) -> int:
+        """Add an event of a unit, from 1, a moment from now, and return its UTC in ns."""
+        raise NotImplementedError

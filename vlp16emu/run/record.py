@@ -9,24 +9,41 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, suppre
 from dataclasses import replace
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Protocol
 
-from vlp16emu.doors import door
+from vlp16emu.doors import Part
 from vlp16emu.elementary import exp, log
+from vlp16emu.engine import Engine
 from vlp16emu.errors import InputError, OutputError
 from vlp16emu.output import STDOUT, spare
 from vlp16emu.packets import Link, returns_in
 from vlp16emu.random import Purpose, normal, uniform
-from vlp16emu.run.options import RecordOptions, TruthTo
+from vlp16emu.run.options import BagOptions, RecordOptions, TruthTo
 from vlp16emu.run.report import About, Recording, UnitSent
 from vlp16emu.scenario.model import CaptureClock
-from vlp16emu.sinks import PcapSink, check_ending
+from vlp16emu.sinks import PcapResult, PcapSink, check_ending
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, US_NS, seconds_to_ns
 
 if TYPE_CHECKING:
     from vlp16emu.run.emulator import Emulator
 
+
+class RunFile(Protocol):
+    """A file of the packets of a run."""
+
+    def send(self, packet: Packet) -> None:
+        """Write a packet."""
+
+    @property
+    def result(self) -> PcapResult:
+        """Size and digest of the closed file."""
+
+
+BAG = Part[Callable[[Path, Engine, int, BagOptions | None], AbstractContextManager[Sequence[RunFile]]]](
+    "vlp16emu.extras.bag.write:bag_of_run"
+)
+"""Function that opens a bag for a run, with poses at a rate in Hz."""
 _LONGEST_US = 4_500.0  # limit of a host's delay: `verify` treats 5 ms as a network delay
 _LANES_PER_UNIT = 8
 _LANE = {kind: place for place, kind in enumerate(PacketKind)}
@@ -106,7 +123,7 @@ def _files(
     paths: Sequence[Path],
     truth: TruthTo | None,
     options: RecordOptions,
-) -> AbstractContextManager[Sequence[Any]]:
+) -> AbstractContextManager[Sequence[RunFile]]:
     """Return the files of a run, captures or a bag, as a context manager that opens them."""
     is_bag = paths[0].suffix.lower() in (".mcap", ".bag") or str(name).endswith("/")
     if not is_bag:
@@ -118,12 +135,11 @@ def _files(
     if options.split:
         raise OutputError(str(paths[0]), "found a bag to be split", "one bag for all sensors, or .pcap")
     rate_hz = (truth or TruthTo(paths[0])).rate_hz
-    bag: AbstractContextManager[Sequence[Any]] = door("bag")(paths[0], emulator.engine, rate_hz, options.bag)
-    return bag
+    return BAG.load()(paths[0], emulator.engine, rate_hz, options.bag)
 
 
 def _written(
-    packets: Iterable[Packet], sinks: Sequence[Any], host: "HostClock", stop: Event
+    packets: Iterable[Packet], sinks: Sequence[RunFile], host: "HostClock", stop: Event
 ) -> Iterator[Packet]:
     """Write packets to the file of their unit, and yield each after it is written."""
     for packet in packets:

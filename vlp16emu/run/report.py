@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Protocol, Self
 
 from vlp16emu.engine import Unit
 from vlp16emu.run.stream import StreamReport
@@ -12,6 +12,14 @@ from vlp16emu.sensor.head import Head
 from vlp16emu.sensor.settings import require_packets
 from vlp16emu.types import PacketKind
 from vlp16emu.units import S_NS, seconds_to_ns
+
+
+class AuditResult(Protocol):
+    """Error of a run, estimated from pulses that were cast again."""
+
+    @property
+    def exact(self) -> bool:
+        """True if no sub-rays were drawn, so that only rounding is left."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +127,7 @@ class Recording(OfUnits):
     simulated_s: float
     walk_share: float | None  # Share of the whole motion, in time; None for an endless motion
     wall_s: float
-    audit: Any  # `AuditFinding` of `extras.accuracy.audit`; None without an audit
+    audit: AuditResult | None  # `AuditFinding` of `extras.accuracy.audit`; None without an audit
     interrupted: bool  # True if the stop event ended it
     messages: Mapping[str, int] | None  # Messages of a bag by topic; None for a capture
 
@@ -148,11 +156,11 @@ class Streamed(OfUnits):
     sentences."""
     keeps_up_with: tuple[str, ...]
     """Options of `vlp16emu stream` that would let the engine keep up, each sufficient alone."""
-    audit: Any  # `AuditFinding` of `extras.accuracy.audit`; None without an audit
-    live: Any | None  # `LiveReport` of a run whose poses came in; else None
-    gps_in: Any | None  # `GpsInResult` of a real receiver; None without one
-    gps_out: Any | None  # `OutletResult` of the sentences and pulses of the receiver; None unless asked for
-    imu_out: Any | None  # `OutletResult` of the samples of the inertial unit; None unless asked for
+    audit: AuditResult | None  # `AuditFinding` of `extras.accuracy.audit`; None without an audit
+    live: object  # `LiveReport` of a run whose poses came in; else None
+    gps_in: object  # `GpsInResult` of a real receiver; None without one
+    gps_out: object  # `OutletResult` of the sentences and pulses of the receiver; None unless asked for
+    imu_out: object  # `OutletResult` of the samples of the inertial unit; None unless asked for
 
     @property
     def interrupted(self) -> bool:

@@ -1,44 +1,70 @@
 """The stream of a scene over UDP."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import closing, contextmanager, nullcontext
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import asdict, replace
 from threading import Event
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
-from vlp16emu.doors import door, has_door
+from vlp16emu.doors import Part
 from vlp16emu.errors import InputError
 from vlp16emu.output import write_json
 from vlp16emu.packets import Link
 from vlp16emu.run.feed import PacketFeed
 from vlp16emu.run.options import PosesIn, StreamOptions, TruthTo
+from vlp16emu.run.part import OutletPart, PosePart, StreamPart, WebPart
 from vlp16emu.run.report import About, Streamed, UnitSent
 from vlp16emu.run.stream import State, Stream, StreamReport
+from vlp16emu.scenario import Scenario
 from vlp16emu.sinks import LOOK_AHEAD_PACKETS, FellBehind, Late, Pacer
 from vlp16emu.types import Packet, PacketKind
 
 if TYPE_CHECKING:
     from vlp16emu.run.emulator import Emulator
 
-PARTS = {"outlets": "outlets", "gps_in": "gps_in", "http": "web", "poses": "live"}
-"""Options that ask for a part, each with its door, in the order of the parts.
+_Part = TypeVar("_Part", bound=StreamPart)
 
-A real receiver changes packets before parts that are added see them. The clock of a live run starts last,
-when all else has begun."""
+
+class Preparation(Protocol):
+    """Function that records a whole run into a file, and yields its packets."""
+
+    def __call__(
+        self, emulator: "Emulator", options: StreamOptions, *, progress: Callable[[float], None], stop: Event
+    ) -> Iterator[Packet]:
+        """Return the packets of `options.prepare`."""
+
+
+class Measured(Protocol):
+    """What a measurement of this machine has found."""
+
+    @property
+    def line(self) -> str:
+        """The chosen settings in a line for people."""
+
+
+class Outlooks(Protocol):
+    """The class of outlooks: what this machine can compute of a scene."""
+
+    def measured(self, emulator: "Emulator", speed: float, stop: Event) -> "tuple[Emulator, Measured]":
+        """Measure this machine, and return the emulator with settings that keep up."""
+
+    def advice_after(self, times: Sequence[FellBehind], scenario: Scenario, speed: float) -> list[str]:
+        """Return options with which a late engine keeps up."""
+
+
 _LATE = {
     Late.PACE: "the delay stays, at the sensor's own spacing (--late pace)",
     Late.SKIP: "late packets are dropped until the stream is at now (--late skip)",
 }
 
 
-class WebInterfaces(Protocol):
-    """The part that serves the web interfaces of the sensors."""
-
-    places: Sequence[tuple[str, int]]
-    """Host and port of each interface; none before the first packet is ready."""
-
-    def happen(self, kind: str, unit: int = 1, **keys: object) -> int:
-        """Add an event of a unit, from 1, a moment from now, and return its UTC in ns."""
+OUTLETS = Part[Callable[["SceneStream"], OutletPart]]("vlp16emu.extras.bench.outlets:OutletSinks")
+GPS_IN = Part[Callable[["SceneStream"], StreamPart]]("vlp16emu.extras.bench.gps_in:GpsReader")
+WEB = Part[Callable[["SceneStream"], WebPart]]("vlp16emu.extras.bench.control:WebInterfaces")
+LIVE = Part[Callable[["SceneStream"], PosePart]]("vlp16emu.extras.live.flight:Flight")
+PREPARED = Part[Preparation]("vlp16emu.extras.replay:prepared")
+OUTLOOK = Part[Outlooks]("vlp16emu.extras.outlook:Outlook")
+FREE_PORTS = Part[Callable[[int], AbstractContextManager[list[int]]]]("vlp16emu.extras.free_ports:free_ports")
 
 
 class SceneStream(Stream):
@@ -80,28 +106,32 @@ class SceneStream(Stream):
         self.emulator = on_ports.stopped_by(self.stop)
         scenario = self.emulator.scenario
         self.span_s = scenario.span_s(0.0, options.duration_s)
-        self._asked = dict[str, Any]()  # parts by the option that asks for them
-        for option, name in PARTS.items():
-            if getattr(options, option):
-                self._asked[option] = door(name)(self)
-                self.add(self._asked[option])
+        # A real receiver changes packets before parts that are added see them. The clock of a live run starts
+        # last, when all else has begun.
+        self.outlets = self._part(OUTLETS, options.outlets)
+        self.gps_in = self._part(GPS_IN, options.gps_in)
+        self.web = self._part(WEB, options.http)
+        self.flight = self._part(LIVE, options.poses)
         self.feed = self._new_feed()
         self.udp = self._open_udp(self.links, options)
-        of_unit = self._asked["poses"].look_ahead if options.poses else look_ahead
+        of_unit = self.flight.look_ahead if self.flight else look_ahead
         self._look_ahead = len(self.links) * of_unit
-        if options.outlets:
-            self._sinks |= self._asked["outlets"].sinks
-            self._look_ahead += self._asked["outlets"].look_ahead
+        if self.outlets:
+            self._sinks |= self.outlets.sinks
+            self._look_ahead += self.outlets.look_ahead
+
+    def _part(self, part: Part[Callable[["SceneStream"], _Part]], option: object) -> _Part | None:
+        """Add a part that an option asks for; None without the option."""
+        if option is None:
+            return None
+        made = part.load()(self)
+        self.add(made)
+        return made
 
     @property
     def links(self) -> list[Link]:
         """Addresses and ports of the sensors."""
         return [unit.link for unit in self.emulator.parts.units]
-
-    @property
-    def web(self) -> WebInterfaces | None:
-        """Web interfaces of the sensors; None without any."""
-        return self._asked.get("http")
 
     def measure(self) -> None:
         """Measure this machine for some seconds, and set beam and reach that leave a fifth of its time free.
@@ -111,7 +141,7 @@ class SceneStream(Stream):
         self._enter(State.MEASURING)
         self.say("keep-up: measuring this machine")
         with self._interruptible():
-            self.emulator, outlook = door("outlook").measured(self.emulator, self.pacer.speed, self.stop)
+            self.emulator, outlook = OUTLOOK.load().measured(self.emulator, self.pacer.speed, self.stop)
             self.feed = self._new_feed()
             self.say(outlook.line)
         self._enter(State.OPENED)
@@ -137,8 +167,7 @@ class SceneStream(Stream):
         emulator = self.emulator.with_engine(self.feed.engine)  # with settings and events of the run
         ran_s = (0.0, report.simulated_s)
         units = zip(emulator.parts.units, self.udp.sent, strict=True)
-        results = {option: part.result for option, part in self._asked.items()}
-        outlets = results.get("outlets", {})
+        outlets = self.outlets.result if self.outlets else {}
         return Streamed(
             about=About.of(emulator.name, emulator.scenario),
             to=self.host,
@@ -148,8 +177,8 @@ class SceneStream(Stream):
             sent=report,
             keeps_up_with=tuple(self._advice(report.behind)),
             audit=emulator.finding,
-            live=results.get("poses"),
-            gps_in=results.get("gps_in"),
+            live=self.flight and self.flight.result,
+            gps_in=self.gps_in and self.gps_in.result,
             gps_out=outlets.get(PacketKind.NMEA),
             imu_out=outlets.get(PacketKind.IMU),
         )
@@ -162,30 +191,29 @@ class SceneStream(Stream):
 
     def _advice(self, times: Sequence[FellBehind]) -> list[str]:
         """Return options of `vlp16emu stream` with which the engine keeps up, each sufficient alone."""
-        if not times or not has_door("outlook"):
+        if not times or not OUTLOOK.is_installed:
             return []
-        advice: list[str] = door("outlook").advice_after(times, self.emulator.scenario, self.pacer.speed)
-        return advice
+        return OUTLOOK.load().advice_after(times, self.emulator.scenario, self.pacer.speed)
 
     def _new_feed(self) -> PacketFeed:
         options = self.options
         prompt = options.http is not None  # settings from there should take effect soon
         engine = replace(self.emulator.engine, prompt=prompt)
-        also = self._asked["outlets"].kinds if options.outlets else ()
+        also = self.outlets.kinds if self.outlets else ()
         return PacketFeed(engine, *self.span_s, also=also)
 
     @contextmanager
     def _source(self, progress: Callable[[float], None]) -> Iterator[Iterable[Packet]]:
         """Yield prepared packets, or those of the feed, with the ground truth written beside them."""
         if self.options.prepare:
-            yield door("prepared")(self.emulator, self.options, progress=progress, stop=self.stop)
+            yield PREPARED.load()(self.emulator, self.options, progress=progress, stop=self.stop)
             return
         with closing(self.feed), self.emulator.truth(self.truth, self.span_s, of=self.feed) as writer:
             yield writer.beside(self.feed) if writer else self.feed
 
     def _go_on_from(self, due_ns: int) -> None:
-        if self.options.poses:  # nothing is computed far ahead
-            due_ns = self.pacer.due_in_ns(self._asked["poses"].lead_ns)
+        if self.flight:  # nothing is computed far ahead
+            due_ns = self.pacer.due_in_ns(self.flight.lead_ns)
         if not self.options.prepare:
             self.feed.go_on_from(due_ns)
 
@@ -218,7 +246,7 @@ def _on_ports(emulator: "Emulator", options: StreamOptions) -> Iterator["Emulato
     settings: dict[str, object] = {key: port for key, port in ports.items() if port is not None}
     free = [key for key, port in settings.items() if port == 0]
     rig = emulator.scenario.rig
-    with door("free_ports")(len(free) * (1 + len(rig))) if free else nullcontext([]) as found:
+    with FREE_PORTS.load()(len(free) * (1 + len(rig))) if free else nullcontext([]) as found:
         given = iter(found)
         settings |= {key: next(given) for key in free}
         if free and rig:

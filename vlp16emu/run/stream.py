@@ -10,7 +10,7 @@ from enum import Enum
 from threading import Event
 from typing import Protocol, Self
 
-from vlp16emu.doors import door
+from vlp16emu.doors import Part
 from vlp16emu.errors import InputError
 from vlp16emu.packets import Link
 from vlp16emu.run.options import SendOptions
@@ -83,6 +83,9 @@ class Present(Protocol):
         """Return a packet of the present."""
 
 
+PRESENT = Part[Callable[[], Present]]("vlp16emu.extras.bench.retime:Present")
+
+
 @dataclass(frozen=True, slots=True)
 class FirstPacket:
     """Send time of the first packet of a stream, by each clock, in UTC ns since 1970."""
@@ -152,7 +155,7 @@ class Stream:
         self.parts: list[StreamPart] = []
         self._packets = packets
         self._sinks = dict(sinks)
-        self._present: Present | None = door("present")() if now else None
+        self._present = PRESENT.load()() if now else None
         self._look_ahead = look_ahead
         self._opened = ExitStack()  # all that ends with the stream
         self._ahead: LookAhead | None = None

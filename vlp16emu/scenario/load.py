@@ -6,7 +6,7 @@ Errors name file, key, finding and expectation.
 import difflib
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from functools import cache
 from importlib import resources
@@ -16,7 +16,7 @@ from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hint
 
 from pydantic import ValidationError
 
-from vlp16emu.doors import door, plug_ins
+from vlp16emu.doors import Part, plug_ins
 from vlp16emu.errors import ScenarioError, readable
 from vlp16emu.explain import explain
 from vlp16emu.scenario.model import Scenario, schema
@@ -24,6 +24,8 @@ from vlp16emu.sensor.settings import Lidar
 from vlp16emu.settings import DEEPEST, LazySection, OneOf, Preset, SceneFile, Section, toml
 from vlp16emu.trees import Table, Tree
 
+FIELD = Part[Callable[[Tree], Tree]]("vlp16emu.extras.field:in_the_field")
+"""Function that adds the tables of `conditions = "field"` to a scene."""
 _UNIT_ERRORS = dict.fromkeys((*Lidar.presets["unit"], "eccentricity_deg", "clock_error_ppm"), 0.0)
 """Values that switch off the errors in `[sensor]` and `[[rig]]`."""
 
@@ -124,7 +126,7 @@ def _with_settings(source: _Source, changes: Iterable[_Setting]) -> _Source:
         _apply(source.tree, change)
     _check_depth(source.where, source.tree)
     return (
-        source._replace(tree=door("field")(source.tree))
+        source._replace(tree=FIELD.load()(source.tree))
         if source.tree.get("conditions") == "field"
         else source
     )

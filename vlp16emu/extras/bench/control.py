@@ -23,7 +23,7 @@ from vlp16emu.extras.bench.events import Event, InForce, checked, event, tables
 from vlp16emu.extras.bench.web import WebServer
 from vlp16emu.packets import POSITION_BYTES, decode_position
 from vlp16emu.run.feed import PacketFeed
-from vlp16emu.run.part import StreamPart
+from vlp16emu.run.part import WebPart
 from vlp16emu.run.scene_stream import SceneStream
 from vlp16emu.run.stream import Stream
 from vlp16emu.scenario import Scenario
@@ -50,7 +50,7 @@ _WARM_S = 0.01
 _STEP_S = 0.001  # times of events are rounded up to this
 
 
-class WebInterfaces(StreamPart):
+class WebInterfaces(WebPart):
     """Web interface of each sensor of a stream.
 
     Parameters
@@ -61,7 +61,9 @@ class WebInterfaces(StreamPart):
     def __init__(self, stream: SceneStream) -> None:
         self._stream = stream
         self._open = ExitStack()
-        self.places = list[tuple[str, int]]()  # host and port of each; none before the first packet is ready
+        self.places: list[
+            tuple[str, int]
+        ] = []  # host and port of each; none before the first packet is ready
         self._control: Control | None = None
 
     def ready(self) -> None:

@@ -23,7 +23,7 @@ from vlp16emu.extras.bench.imu_frame import IMU_FRAME, imu_frames
 from vlp16emu.extras.imu.sampler import ImuSampler
 from vlp16emu.packets import rmc
 from vlp16emu.run.options import host_and_port
-from vlp16emu.run.part import StreamPart
+from vlp16emu.run.part import OutletPart
 from vlp16emu.run.scene_stream import SceneStream
 from vlp16emu.sinks import PacketSink
 from vlp16emu.sinks.udp import resolve
@@ -313,7 +313,7 @@ _BITS = 10  # of a byte on the line: start, eight, stop
 _WHERE = "--imu-out"
 
 
-class OutletSinks(StreamPart):
+class OutletSinks(OutletPart):
     """Sinks of sentences, pulses and inertial samples beside the packets of the sensors.
 
     Parameters
@@ -327,13 +327,13 @@ class OutletSinks(StreamPart):
         asked = stream.options.outlets
         assert asked is not None
         self._stream = stream
-        self.kinds = list[PacketKind]()  # kinds of packets to make
+        self.kinds: list[PacketKind] = []  # kinds of packets to make
         if asked.gps_out:
             self.kinds += [PacketKind.NMEA] if asked.gps_pps == "off" else [PacketKind.NMEA, PacketKind.PPS]
         if asked.imu_out:
             self.kinds.append(PacketKind.IMU)
         Beside(stream.emulator.engine, self.kinds)  # refuses a scene that lacks a device
-        self.sinks = dict[PacketKind, SerialSink | ImuUdpSink]()
+        self.sinks: dict[PacketKind, SerialSink | ImuUdpSink] = {}
         self.look_ahead = 0
         """Packets that a stream computes further ahead, because of samples between sensor packets."""
         with ExitStack() as stack:

@@ -22,7 +22,7 @@ from vlp16emu.extras.live.motion import LOST_NS, LiveMotion, PosesLost
 from vlp16emu.extras.live.pose_packet import POSE_BYTES, is_pose, unpack_pose
 from vlp16emu.output import OutputFile, spare
 from vlp16emu.run.options import PosesIn, host_and_port
-from vlp16emu.run.part import StreamPart
+from vlp16emu.run.part import PosePart
 from vlp16emu.run.scene_stream import SceneStream
 from vlp16emu.sinks import LatenessHistogram
 from vlp16emu.types import Packet
@@ -119,7 +119,7 @@ class LiveReport:
     flown: str | None  # path of the table of knots, if one is written
 
 
-class Flight(StreamPart):
+class Flight(PosePart):
     """A live run: the part of a stream that takes poses, starts its clock, and measures latency.
 
     Parameters

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.doors import door
 from vlp16emu.elementary import atan2, cos, hypot, log, matmul, matvec, norm, sin
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.tiles import EXACT, STEM
@@ -123,7 +122,7 @@ class TreeModel:
     def __init__(self, section: TreeModelFile, species: Species, season: Season) -> None:
         self.path = Path(section.file)
         self.species = species
-        mesh = door("load_mesh")(self.path, unit=section.unit, up=section.up)
+        mesh = LOAD_MESH.load()(self.path, unit=section.unit, up=section.up)
         own = {part.name: part.part for part in section.parts}
         names = [name for name, _ in mesh.parts]
         for name in own.keys() - set(names):
