@@ -9,7 +9,7 @@ import numpy as np
 
 from vlp16emu.elementary import cos
 from vlp16emu.kernels.compiler import array_kernel, kernel
-from vlp16emu.random import Purpose, normal, uniform
+from vlp16emu.random import Purpose, normal, normal_at, uniform, uniform_at
 from vlp16emu.sensor.settings import Lidar
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import F8, I8
@@ -178,8 +178,13 @@ class Encoder:
             ).tolist(),
         )
 
-    def read(self, angle_deg: F8, first: int, clock_ns: I8, rpm: F8 | float) -> F8:
-        """Return readings (k,), [0, 360), at true angles (k,) of the firing sequences from `first`.
+    @property
+    def limit_deg(self) -> float:
+        """Limit of the difference between reading and true angle at up to 3000 rpm; no normal number exceeds 9."""
+        return self.once[0] + self.twice[0] + self.pitch_deg + 9.0 * (self.hum_deg + self.noise_deg)
+
+    def read(self, angle_deg: F8, sequence: I8, clock_ns: I8, rpm: F8 | float) -> F8:
+        """Return readings (k,), [0, 360), at true angles (k,) of firing sequences (k,).
 
         Parameters
         ----------
@@ -192,15 +197,15 @@ class Encoder:
             since_tick = (clock_ns - self.tick_ns) % _TICK_NS / _TICK_NS
             reading = reading + self.hum_deg * rpm / 600.0 * (1.0 - 2.0 * since_tick)
         if self.pitch_deg:
-            return self._between_lines(reading, first, np.asarray(rpm)) % 360.0
+            return self._between_lines(reading, sequence, np.asarray(rpm)) % 360.0
         if self.noise_deg:
-            drawn_deg = self.noise_deg * normal(self.seed, Purpose.AZIMUTH_READING, first, len(reading))
+            drawn_deg = self.noise_deg * normal_at(self.seed, Purpose.AZIMUTH_READING, sequence)
             reading = reading + np.clip(drawn_deg, -self.noise_limit_deg, self.noise_limit_deg)
         return np.asarray(reading % 360.0)
 
-    def _between_lines(self, angle_deg: F8, first: int, rpm: F8) -> F8:
+    def _between_lines(self, angle_deg: F8, sequence: I8, rpm: F8) -> F8:
         # The white error is here a uniform time error of the detection of a line.
-        early = 2.0 * uniform(self.seed, Purpose.AZIMUTH_READING, first, len(angle_deg)) - 1.0
+        early = 2.0 * uniform_at(self.seed, Purpose.AZIMUTH_READING, sequence) - 1.0
         angle_deg = angle_deg + _HALF_WIDTH * self.noise_deg * rpm / 600.0 * early
         line, since_deg = np.divmod(angle_deg - self.first_deg, self.pitch_deg)
         slow, fast, slow_share = _speeds(rpm)
@@ -211,7 +216,7 @@ class Encoder:
             share * slow_share / _SLOW,
             1.0 - (1.0 - share) * (1.0 - slow_share) / (1.0 - _SLOW),
         )
-        is_slow = uniform(self.seed, Purpose.AZIMUTH_READING, first, len(angle_deg), 1) < share
+        is_slow = uniform_at(self.seed, Purpose.AZIMUTH_READING, sequence, 1) < share
         rate = 1.0 + self.rate_error / _RATE_ERROR * (np.where(is_slow, slow, fast) - 1.0)
         return np.asarray(
             angle_deg - since_deg + np.minimum(since_deg * rate, self.pitch_deg - _LINE_GAP_DEG)
@@ -286,8 +291,8 @@ class Rotor:
             removed_ns += step_ns
         return out
 
-    def read(self, angle_deg: F8, elapsed_ns: I8, first: int, clock_ns: I8) -> F8:
-        """Return encoder readings (k,), [0, 360), at true angles (k,) of the firing sequences from `first`.
+    def read(self, angle_deg: F8, elapsed_ns: I8, sequence: I8, clock_ns: I8) -> F8:
+        """Return encoder readings (k,), [0, 360), at true angles (k,) of firing sequences (k,).
 
         Parameters
         ----------
@@ -299,7 +304,7 @@ class Rotor:
             of = np.searchsorted([spin.from_ns for spin in self.spins[1:]], elapsed_ns, side="right")
             begin_ns, begin_rpm, per_s = np.array([(s.from_ns, s.rpm, s.rpm_per_s) for s in self.spins])[of].T
             rpm = begin_rpm + per_s * (elapsed_ns - begin_ns) / S_NS
-        return self.encoder.read(angle_deg, first, clock_ns, rpm)
+        return self.encoder.read(angle_deg, sequence, clock_ns, rpm)
 
     def revolutions(self, elapsed_ns: int) -> float:
         """Return the turns from the start to a time; a wobble adds none, as it returns to zero."""
