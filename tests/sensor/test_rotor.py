@@ -7,7 +7,8 @@ import pytest
 from scipy import stats
 
 from vlp16emu.sensor.beams import SEQUENCE_NS
-from vlp16emu.sensor.rotor import Clock, ClockSpan, Encoder, Rotor, Spin, Swing, _speeds
+from vlp16emu.sensor.clock import Clock, ClockSpan
+from vlp16emu.sensor.rotor import Encoder, Rotor, Spin, Swing, _speeds
 from vlp16emu.sensor.settings import Sensor
 from vlp16emu.units import HOUR_NS
 

@@ -9,8 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.packets import SEQUENCES_PER_PACKET, azimuth_cdeg, pack_data
+from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.sensor.head import Head
+from vlp16emu.sensor.operation import Operation
+from vlp16emu.sensor.settings import ALL_AROUND
+from vlp16emu.sensor.steps import Steps
 from vlp16emu.types import F8, I8, NO_SURFACE, Firings, Packet, ReturnMode, Returns, SensorModel
+from vlp16emu.units import FOREVER_NS
 
 if TYPE_CHECKING:
     from vlp16emu.engine.build import Unit
@@ -18,6 +23,7 @@ if TYPE_CHECKING:
 TruthOf = Callable[["Unit", Returns, ReturnMode], NDArray[np.void]]
 """Function that gives the ground truth for the records of whole packets in a return mode."""
 
+_GRID = 24  # firing sequences: settings take effect between packets, in every return mode
 _AT_ONCE = 1 << 16  # firing sequences whose azimuths are read at once: 3.6 s
 _CELL = 128  # firing sequences that are counted together, 7 ms; must divide `_AT_ONCE`
 _CODE_DEG = 0.02  # more than a code, and the rounding of angles
@@ -59,9 +65,6 @@ class Timeline:
 
     head: Head
     spans: tuple[Stretch, ...]  # In order of time, without overlap
-    silences_ns: tuple[tuple[int, int], ...] = ()
-    """Spans of time since the first pulse in which no packet of any kind leaves, in order, without
-    overlap."""
     _index: dict[Stretch, tuple[int, ...]] = field(default_factory=dict, init=False, repr=False)
     """Numbers of chosen firing sequences from the begin of a span to each multiple of `_AT_ONCE` after it, as
     far as they have been counted."""
@@ -204,9 +207,31 @@ class Timeline:
         sent[self.chosen(span, begin, end) - first] = True
         return sent
 
-    def is_silent(self, since_ns: int) -> bool:
-        """Return whether nothing is sent at a time since the first pulse."""
-        return any(begin <= since_ns < end for begin, end in self.silences_ns)
+
+def stretches_of(operation: Steps[Operation]) -> tuple[Stretch, ...]:
+    """Cut a run at changes of return mode, field of view, laser and power; spans without packets are left out.
+
+    A change takes effect with the next packet of single return, and begins a packet.
+    """
+    spans = list[Stretch]()
+    for begin_ns, end_ns, now in operation.spans():
+        first = _sequence(begin_ns)
+        stop = None if end_ns == FOREVER_NS else _sequence(end_ns)
+        settings = now.settings
+        if not now.is_powered or not settings.laser or first == stop:
+            continue
+        mode = ReturnMode(settings.return_mode)
+        fov_deg = None if settings.fov_deg == ALL_AROUND else settings.fov_deg
+        last = spans[-1] if spans else None
+        if last and last.stop == first and (last.mode, last.fov_deg) == (mode, fov_deg):
+            spans[-1] = replace(last, stop=stop)
+        else:
+            spans.append(Stretch(first, stop, mode, fov_deg))
+    return tuple(spans)
+
+
+def _sequence(since_ns: int) -> int:
+    return -(-since_ns // (_GRID * SEQUENCE_NS)) * _GRID
 
 
 class Packer:

@@ -8,7 +8,8 @@ import numpy as np
 
 from vlp16emu.kernels.compiler import array_kernel, inline_kernel
 from vlp16emu.sensor.beams import BeamTable
-from vlp16emu.sensor.rotor import Clock, Rotor
+from vlp16emu.sensor.clock import Clock
+from vlp16emu.sensor.rotor import Rotor
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import F8, I8, Firings, Poses
 

@@ -1,19 +1,20 @@
-"""Spinning head: its true angle over time, its encoder readings, and the sensor's clock."""
+"""Rotor of a spinning head: its true angle over time, and its encoder's readings."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
-from vlp16emu.elementary import cos
+from vlp16emu.elementary import cos, sin
 from vlp16emu.kernels.compiler import array_kernel, kernel
 from vlp16emu.random import Purpose, normal, normal_at, uniform, uniform_at
 from vlp16emu.sensor.settings import Lidar
+from vlp16emu.sensor.steps import NEVER, Spans
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import F8, I8
-from vlp16emu.units import HOUR_NS, S_NS
+from vlp16emu.units import S_NS
 
 _TICK_NS = 1_200
 _LATEST_TICK_NS = (500, 300)
@@ -129,6 +130,29 @@ class Swing:
 
 
 @dataclass(frozen=True, slots=True)
+class Wobble:
+    """A sinusoidal change of the rotor speed, for a time."""
+
+    from_ns: int  # since the start
+    lasts_ns: int
+    amplitude_rpm: float
+    period_s: float
+
+    def ahead_deg(self, elapsed_ns: I8) -> F8:
+        """Return the angles (n,) by which the rotor is ahead of a constant rotation."""
+        since_s = np.clip(elapsed_ns - self.from_ns, 0, self.lasts_ns) / S_NS
+        per_s = 2.0 * math.pi / self.period_s
+        return np.asarray(6.0 * self.amplitude_rpm / per_s * (1.0 - cos(per_s * since_s)))
+
+    def rpm_at(self, elapsed_ns: int) -> float:
+        """Return the speed that the wobble adds, in rpm."""
+        since_ns = elapsed_ns - self.from_ns
+        if not 0 <= since_ns < self.lasts_ns:
+            return 0.0
+        return self.amplitude_rpm * sin(2.0 * math.pi * since_ns / S_NS / self.period_s)
+
+
+@dataclass(frozen=True, slots=True)
 class Encoder:
     """Encoder of one unit: it reads the true angle with periodic errors and white noise.
 
@@ -241,12 +265,10 @@ class Rotor:
 
     spins: tuple[Spin, ...]  # spins in order of time; the first begins at the start
     encoder: Encoder
-    wobbles: tuple[Any, ...] = ()  # speed changes by events, each an `extras.bench.changes.Wobbling`
+    wobbles: tuple[Wobble, ...] = ()
     swings: tuple[Swing, ...] = ()
     drift: Swing | None = None  # error of the mean speed over minutes, which a phase lock removes
-    locks_ns: tuple[
-        tuple[int, int], ...
-    ] = ()  # spans since the start with phase lock, in order, without overlap
+    locks_ns: Spans = NEVER  # spans since the start with phase lock
 
     @property
     def rpm(self) -> float:
@@ -256,7 +278,7 @@ class Rotor:
     def angle_deg(self, elapsed_ns: I8) -> F8:
         """Return true angles, [0, 360), at times since the start, any shape; exact after any number of hours."""
         flat_ns = elapsed_ns.reshape(-1)
-        if self.drift and self.locks_ns:
+        if self.drift and self.locks_ns.spans:
             flat_ns = swung_ns(self.swings, flat_ns) + self._drift_ns(self.drift, flat_ns)
         else:
             flat_ns = swung_ns((self.drift, *self.swings) if self.drift else self.swings, flat_ns)
@@ -320,7 +342,7 @@ class Rotor:
         """Return the speed at a time since the start, in rpm."""
         spin = [spin for spin in self.spins if spin.from_ns <= elapsed_ns or spin is self.spins[0]][-1]
         rate = 1.0 + sum(swing.rate_at(elapsed_ns) for swing in self.swings)
-        if self.drift and not any(begin_ns <= elapsed_ns < end_ns for begin_ns, end_ns in self.locks_ns):
+        if self.drift and not self.locks_ns.at(elapsed_ns):
             rate += self.drift.rate_at(elapsed_ns)
         return spin.rpm_at(elapsed_ns) * rate + sum(wobble.rpm_at(elapsed_ns) for wobble in self.wobbles)
 
@@ -371,53 +393,3 @@ def _with_sine(reading_deg: F8, phase_deg: F8, amplitude_deg: float) -> F8:
     for i in range(reading_deg.size):
         out[i] = reading_deg[i] + amplitude_deg * cos_sin(math.radians(phase_deg[i]))[1]
     return out
-
-
-@dataclass(frozen=True, slots=True)
-class ClockSpan:
-    """The sensor's clock after an instant."""
-
-    from_ns: int  # UTC
-    reading_ns: int | None = (
-        None  # reading of a free-running clock at that instant; None if it is locked to GPS
-    )
-    error_ppm: float = (
-        0.0  # rate error, positive is fast; a locked clock is fast in one second and slow in the next
-    )
-
-    def reading(self, t_ns: I8) -> I8:
-        """Return nanoseconds past the counter's hour at UTC instants of any shape; the first reading before the span."""
-        if self.reading_ns is None:
-            if not self.error_ppm:
-                return np.asarray(t_ns % HOUR_NS)
-            in_two_s = t_ns % (2 * S_NS)
-            ahead = np.rint(np.minimum(in_two_s, 2 * S_NS - in_two_s) * (self.error_ppm * 1e-6)).astype(
-                np.int64
-            )
-            return np.asarray((t_ns + ahead) % HOUR_NS)
-        since = np.maximum(t_ns - self.from_ns, 0)
-        if self.error_ppm:
-            since = since + np.rint(since * (self.error_ppm * 1e-6)).astype(np.int64)
-        return np.asarray((self.reading_ns + since) % HOUR_NS)
-
-
-@dataclass(frozen=True, slots=True)
-class Clock:
-    """The sensor's top-of-hour counter.
-
-    Locked to GPS it shows nanoseconds past the UTC hour; without GPS it runs from power-up on its own
-    oscillator and rolls over every 3600 s (63-9243 Rev D, appendix G). Before power-up it stays at zero: the
-    stamp of a position packet is older than the packet, and can be older than the clock.
-    """
-
-    spans: tuple[ClockSpan, ...]  # spans in order of time; the first is valid at all times before the second
-
-    def reading_ns(self, t_ns: I8) -> I8:
-        """Return nanoseconds past the counter's hour at UTC instants of any shape."""
-        if len(self.spans) == 1:
-            return self.spans[0].reading(t_ns)
-        out = np.empty(t_ns.shape, np.int64)
-        of = np.searchsorted([span.from_ns for span in self.spans[1:]], t_ns, side="right")
-        for number in np.unique(of).tolist():
-            out[of == number] = self.spans[number].reading(t_ns[of == number])
-        return out

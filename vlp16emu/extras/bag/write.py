@@ -174,7 +174,7 @@ def bag_of_run(
         photographer = Photographer(engine)
 
     def clock_of(number: int, due_ns: int) -> PacketClock:
-        is_locked = units[number].gps.pps_at(due_ns) is PpsState.LOCKED
+        is_locked = units[number].state.gps.pps.at(due_ns) is PpsState.LOCKED
         return PacketClock(Clock.SENSOR if is_locked else Clock.HOST)
 
     truth = Truth(rig, tree, partial(_feeds_of_run, engine, rate_hz, photographer), -(-S_NS // rate_hz))
