@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.packets import SEQUENCES_PER_PACKET, azimuth_cdeg, pack_data
+from vlp16emu.engine.field_of_view import FieldOfView
+from vlp16emu.packets import SEQUENCES_PER_PACKET, pack_data
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.sensor.head import Head
 from vlp16emu.sensor.operation import Operation
 from vlp16emu.sensor.settings import ALL_AROUND
 from vlp16emu.sensor.steps import Steps
-from vlp16emu.types import F8, I8, NO_SURFACE, Firings, Packet, ReturnMode, Returns, SensorModel
+from vlp16emu.types import NO_SURFACE, Firings, Packet, ReturnMode, Returns, SensorModel
 from vlp16emu.units import FOREVER_NS
 
 if TYPE_CHECKING:
@@ -25,9 +26,6 @@ TruthOf = Callable[["Unit", Returns, ReturnMode], NDArray[np.void]]
 
 _GRID = 24  # firing sequences: settings take effect between packets, in every return mode
 _AT_ONCE = 1 << 16  # firing sequences whose azimuths are read at once: 3.6 s
-_CELL = 128  # firing sequences that are counted together, 7 ms; must divide `_AT_ONCE`
-_CODE_DEG = 0.02  # more than a code, and the rounding of angles
-_BACK_DEG = 4.3  # farthest that a standing rotor can be turned back within a cell by one wobble
 _BY_SEQUENCE = ("t_ns", "clock_ns", "azimuth_deg", "reading_deg", "origin_m", "direction")
 """Arrays of `Firings`, one row each per firing sequence."""
 
@@ -65,9 +63,11 @@ class Timeline:
 
     head: Head
     spans: tuple[Stretch, ...]  # In order of time, without overlap
-    _index: dict[Stretch, tuple[int, ...]] = field(default_factory=dict, init=False, repr=False)
+    _counts: dict[Stretch, tuple[int, ...]] = field(default_factory=dict, init=False, repr=False)
     """Numbers of chosen firing sequences from the begin of a span to each multiple of `_AT_ONCE` after it, as
     far as they have been counted."""
+    _totals: dict[int, int] = field(default_factory=lambda: {0: 0}, init=False, repr=False)
+    """Numbers of packets before spans, by their places."""
 
     def _stop_of(self, span: Stretch, stop_ns: int) -> int:
         """Find the end of the firing sequences whose packets are due before a time since the first pulse."""
@@ -83,70 +83,24 @@ class Timeline:
         every = np.arange(first, stop, dtype=np.int64)
         if span.fov_deg is None:
             return every
-        return every[np.repeat(self._inside(span.fov_deg, every[::2]), 2)]
-
-    def _inside(self, fov_deg: tuple[int, int], sequence: I8) -> NDArray[np.bool_]:
-        """Return whether blocks that begin at firing sequences (n,) are in a field of view, (n,)."""
-        code = azimuth_cdeg(self.head.read(sequence))
-        begin, end = 100 * fov_deg[0], 100 * (fov_deg[1] + 1)
-        after_begin = code >= begin
-        before_end = code < end
-        return after_begin & before_end if begin < end else after_begin | before_end
-
-    def _count_chosen(self, span: Stretch, first: int, stop: int) -> int:
-        """Count the firing sequences of `chosen`, and read the encoder only at the borders of the field of view."""
-        if span.fov_deg is None or stop <= first:
-            return max(stop - first, 0)
-        bounds = np.append(np.arange(first, stop, _CELL), stop)
-        angle_deg = self._angle_deg(bounds)
-        turned_deg = np.diff(angle_deg) % 360.0
-        # Where a rotor begins to turn its angle may jump.
-        jumps = np.array([spin.from_ns for spin in self.head.rotor.spins[1:]]) / self.head.beams.sequence_ns
-        jumps = jumps[(jumps > first) & (jumps < stop)]
-        turned_deg[np.searchsorted(bounds, jumps, side="right") - 1] = 360.0
-        is_in, is_out = self._far_from_borders(span.fov_deg, angle_deg[:-1], turned_deg)
-        whole = np.diff(bounds)[is_in].sum()
-        cells = bounds[:-1][~(is_in | is_out)]
-        blocks = (cells[:, None] + np.arange(0, _CELL, 2)).reshape(-1)
-        blocks = blocks[blocks < stop]
-        is_in, is_out = self._far_from_borders(span.fov_deg, self._angle_deg(blocks), 0.0)
-        at_border = self._inside(span.fov_deg, blocks[~(is_in | is_out)])
-        return int(whole + 2 * (np.count_nonzero(is_in) + np.count_nonzero(at_border)))
-
-    def _angle_deg(self, sequence: I8) -> F8:
-        return self.head.rotor.angle_deg(sequence * self.head.beams.sequence_ns)
-
-    def _far_from_borders(
-        self, fov_deg: tuple[int, int], angle_deg: F8, turned_deg: F8 | float
-    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return whether readings are inside a field of view, and outside, while a rotor turns from angles (n,).
-
-        Both are False if the border may be read.
-        """
-        begin_deg, end_deg = fov_deg
-        width_deg = (end_deg - begin_deg) % 360 + 1
-        rotor = self.head.rotor
-        margin_deg = _CODE_DEG + rotor.encoder.limit_deg + _BACK_DEG * len(rotor.wobbles)
-        before_deg = (angle_deg - begin_deg) % 360.0
-        after_deg = before_deg + turned_deg
-        is_in = (before_deg > margin_deg) & (after_deg < width_deg - margin_deg)
-        is_out = (before_deg > width_deg + margin_deg) & (after_deg < 360.0 - margin_deg)
-        return is_in, is_out
+        inside = FieldOfView(self.head, *span.fov_deg).inside(every[::2])
+        return every[np.repeat(inside, 2)]
 
     def _chosen_before(self, span: Stretch, stop: int) -> int:
         """Count the chosen firing sequences of a span before an even one; each part of the run is counted once."""
-        place = max(stop - span.first, 0) // _AT_ONCE
-        counts = self._index.get(span, (0,))
-        if place >= len(counts):
-            more = list(counts)
-            for first in range(span.first + _AT_ONCE * (len(counts) - 1), stop - _AT_ONCE + 1, _AT_ONCE):
-                more.append(more[-1] + self._count_chosen(span, first, first + _AT_ONCE))
-            counts = self._index[span] = tuple(more)
-        return counts[place] + self._count_chosen(span, span.first + _AT_ONCE * place, stop)
+        if span.fov_deg is None or stop <= span.first:
+            return max(stop - span.first, 0)
+        field_of_view = FieldOfView(self.head, *span.fov_deg)
+        counts = list(self._counts.get(span, (0,)))
+        place = (stop - span.first) // _AT_ONCE
+        for first in range(span.first + _AT_ONCE * (len(counts) - 1), stop - _AT_ONCE + 1, _AT_ONCE):
+            counts.append(counts[-1] + 2 * field_of_view.count(first, first + _AT_ONCE))
+        self._counts[span] = tuple(counts)
+        return counts[place] + 2 * field_of_view.count(span.first + _AT_ONCE * place, stop)
 
-    def _packets_before(self, span: Stretch, stop_ns: int) -> int:
+    def _packets_before(self, span: Stretch, t_ns: int) -> int:
         """Count the packets of a span that are due before a time since the first pulse."""
-        return self._chosen_before(span, self._stop_of(span, stop_ns) & ~1) // span.per_packet
+        return self._chosen_before(span, self._stop_of(span, t_ns) & ~1) // span.per_packet
 
     def _begin_of(self, span: Stretch, start_ns: int) -> tuple[int, int]:
         """Find a firing sequence from which the packets that are due at or after a time are found.
@@ -156,13 +110,21 @@ class Timeline:
         before = self._packets_before(span, start_ns) * span.per_packet
         if span.fov_deg is None:
             return span.first + before, 0
-        counts = self._index.get(span, (0,))
+        counts = self._counts.get(span, (0,))
         place = bisect_right(counts, before) - 1
         return span.first + _AT_ONCE * place, before - counts[place]
 
+    def _spans_in(self, start_ns: int, stop_ns: int) -> Iterator[Stretch]:
+        """Yield the spans that may have packets due in a span of time since the first pulse."""
+        sequence_ns = self.head.beams.sequence_ns
+        for span in self.spans:
+            is_over = span.stop is not None and span.stop * sequence_ns < start_ns
+            if not is_over and span.first * sequence_ns < stop_ns:
+                yield span
+
     def sequences(self, start_ns: int, stop_ns: int) -> Iterator[NDArray[np.int64]]:
         """Yield the firing sequences (n, 24) or (n, 12) of packets due in a span of time since the first pulse."""
-        for span in self.spans:
+        for span in self._spans_in(start_ns, stop_ns):
             yield from self._sequences_of(span, start_ns, stop_ns)
 
     def _sequences_of(self, span: Stretch, start_ns: int, stop_ns: int) -> Iterator[NDArray[np.int64]]:
@@ -183,7 +145,7 @@ class Timeline:
 
         Each stretch begins with its first packet that is due in the span.
         """
-        for span in self.spans:
+        for span in self._spans_in(start_ns, stop_ns):
             sequences = next(self._sequences_of(span, start_ns, stop_ns), None)
             if sequences is not None:
                 first, stop = int(sequences[0, 0]), self._stop_of(span, stop_ns)
@@ -193,9 +155,20 @@ class Timeline:
 
     def count(self, start_ns: int, stop_ns: int) -> int:
         """Count the packets due in a span of time since the first pulse."""
-        return sum(
-            self._packets_before(span, stop_ns) - self._packets_before(span, start_ns) for span in self.spans
-        )
+        return self._count_before(stop_ns) - self._count_before(start_ns)
+
+    def _count_before(self, t_ns: int) -> int:
+        """Count the packets due before a time since the first pulse."""
+        latest = (t_ns - 1) // self.head.beams.sequence_ns
+        place = bisect_right(self.spans, latest, key=lambda span: span.first) - 1
+        if place < 0:
+            return 0
+        for later in range(len(self._totals), place + 1):
+            span = self.spans[later - 1]
+            assert span.stop is not None
+            packets = self._chosen_before(span, span.stop) // span.per_packet
+            self._totals[later] = self._totals[later - 1] + packets
+        return self._totals[place] + self._packets_before(self.spans[place], t_ns)
 
     def is_sent(self, span: Stretch, first: int, stop: int) -> NDArray[np.bool_] | None:
         """Return a mask (stop - first,) of the firing sequences that a span sends; None for all of them."""

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -256,7 +257,7 @@ def _speeds(rpm: F8) -> tuple[F8, F8, F8]:
     return low / true_cdeg, high / true_cdeg, np.clip((high - mean_cdeg) / (high - low), 0.0, 1.0)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Rotor:
     """Motor of a head: it turns clockwise, seen from above, at constant speed except for swings and events.
 
@@ -294,24 +295,34 @@ class Rotor:
             out = (out + wobble.ahead_deg(flat_ns)) % 360.0
         return out.reshape(elapsed_ns.shape)
 
+    @cached_property
+    def _pulls(self) -> tuple[I8, I8, I8, I8]:
+        """Begin and end of each lock, by how much the motor is ahead at its begin, and what the locks until its end have removed."""
+        assert self.drift is not None
+        bounds_ns = np.array(self.locks_ns.spans)
+        ahead_ns = swung_ns((self.drift,), bounds_ns.reshape(-1)) - bounds_ns.reshape(-1)
+        removed_ns = [0]
+        at_begin_ns = list[int]()
+        for (begin_ns, end_ns), ahead in zip(
+            bounds_ns.tolist(), ahead_ns.reshape(-1, 2).tolist(), strict=True
+        ):
+            before_ns, after_ns = (ns - removed_ns[-1] for ns in ahead)
+            at_end = max(1.0 - PULL * (end_ns - begin_ns) / max(abs(before_ns), 1), 0.0)
+            at_begin_ns.append(before_ns)
+            removed_ns.append(removed_ns[-1] + after_ns - round(before_ns * at_end))
+        begins_ns, ends_ns = bounds_ns.T
+        return begins_ns, ends_ns, np.array(at_begin_ns), np.array(removed_ns)
+
     def _drift_ns(self, drift: Swing, elapsed_ns: I8) -> I8:
         """Return by how much (n,) the error of the mean speed has put the motor ahead: a lock pulls it to 0, where it begins again."""
-
-        def ahead_ns(times_ns: I8) -> I8:
-            return swung_ns((drift,), times_ns) - times_ns
-
-        out = ahead_ns(elapsed_ns)
-        removed_ns = 0
-        for begin_ns, end_ns in self.locks_ns:
-            before_ns, after_ns = (ahead_ns(np.array([begin_ns, end_ns])) - removed_ns).tolist()
-            left = 1.0 - PULL * (elapsed_ns - begin_ns) / max(abs(before_ns), 1)
-            at_end = max(1.0 - PULL * (end_ns - begin_ns) / max(abs(before_ns), 1), 0.0)
-            pulled_ns = np.rint(before_ns * np.clip(left, 0.0, 1.0)).astype(np.int64)
-            out = np.where((elapsed_ns >= begin_ns) & (elapsed_ns < end_ns), pulled_ns, out)
-            step_ns = after_ns - round(before_ns * at_end)
-            out = np.where(elapsed_ns >= end_ns, out - step_ns, out)
-            removed_ns += step_ns
-        return out
+        begins_ns, ends_ns, at_begin_ns, removed_ns = self._pulls
+        begun = np.searchsorted(begins_ns, elapsed_ns, side="right")
+        latest = np.maximum(begun - 1, 0)
+        before_ns = at_begin_ns[latest]
+        left = 1.0 - PULL * (elapsed_ns - begins_ns[latest]) / np.maximum(np.abs(before_ns), 1)
+        pulled_ns = np.rint(before_ns * np.clip(left, 0.0, 1.0)).astype(np.int64)
+        free_ns = swung_ns((drift,), elapsed_ns) - elapsed_ns - removed_ns[begun]
+        return np.where((begun > 0) & (elapsed_ns < ends_ns[latest]), pulled_ns, free_ns)
 
     def read(self, angle_deg: F8, elapsed_ns: I8, sequence: I8, clock_ns: I8) -> F8:
         """Return encoder readings (k,), [0, 360), at true angles (k,) of firing sequences (k,).

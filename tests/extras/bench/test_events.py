@@ -5,6 +5,7 @@ import pytest
 
 from vlp16emu import Emulator
 from vlp16emu.engine import Job, scan
+from vlp16emu.engine.field_of_view import FieldOfView
 from vlp16emu.engine.timeline import Packer
 from vlp16emu.packets import data_fields, decode_position
 from vlp16emu.scenario import load
@@ -273,9 +274,26 @@ def test_counts_are_those_of_the_readings(fov_deg):
         {"kind": "power_cycle", "at_s": 18.0, "off_s": 0.5},
         setting(20.0, fov_deg=fov_deg, phase_lock_deg=11.0),
     )
-    timeline = load_unit(*events, duration_s=30.0).timeline
-    for span in timeline.spans:
+    unit = load_unit(*events, duration_s=30.0)
+    spans = [span for span in unit.timeline.spans if span.fov_deg]
+    assert len(spans) == 2
+    for span in spans:
         stop = min(span.stop or 500_000, 500_000)
-        every = timeline.chosen(span, span.first, stop)
+        sent = unit.timeline.chosen(span, span.first, stop)
         for at in range(span.first, stop, 29_998):
-            assert timeline._count_chosen(span, span.first, at) == np.searchsorted(every, at)
+            counted = FieldOfView(unit.head, *span.fov_deg).count(span.first, at)
+            assert 2 * counted == np.searchsorted(sent, at)
+
+
+def test_counting_takes_each_change_of_settings_once(monkeypatch):
+    """Faults that count packets are set up by bisection: of a thousand changes of the field of view each is counted once, however many faults ask."""
+    changes = [setting(0.1 * n, fov_deg=[n % 90, 200]) for n in range(1000)]
+    timeline = load_unit(*changes, duration_s=200.0).timeline
+    counted = []
+    whole = FieldOfView.count
+    monkeypatch.setattr(
+        FieldOfView, "count", lambda field, *span: counted.append(span) or whole(field, *span)
+    )
+    found = [timeline.count(0, round(at_s * S_NS)) for at_s in np.arange(0.0, 99.0, 0.1)]
+    assert found == sorted(found)
+    assert len(counted) < 2 * 1000

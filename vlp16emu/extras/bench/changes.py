@@ -23,32 +23,37 @@ from vlp16emu.units import FOREVER_NS, S_NS, seconds_to_ns
 class DisturbedOptics:
     """Dead lasers and dirty sectors of the window, over time."""
 
-    events: Sequence[Event]  # events with the effect `optics`
+    events: Sequence[
+        tuple[int, int, Event]
+    ]  # begin and end since the first pulse of events with the effect `optics`
     start_ns: int  # UTC of the first pulse
 
     def dimmed(self, firings: Firings, hits: Hits) -> Hits:
         """Attenuate the light of each pulse by a dirty window, twice, through the cosine of incidence."""
         passes = np.ones(firings.t_ns.shape, np.float32)
-        for event in self.events:
-            if event.kind == "dirty_window":
-                begin, end = event.sector_deg
-                a = firings.azimuth_deg
-                inside = (a >= begin) & (a <= end) if begin <= end else (a >= begin) | (a <= end)
-                passes[inside & self._during(event, firings)] *= event.transmission * event.transmission
+        for event, during in self._during("dirty_window", firings):
+            begin, end = event.sector_deg
+            a = firings.azimuth_deg
+            inside = (a >= begin) & (a <= end) if begin <= end else (a >= begin) | (a <= end)
+            passes[inside & during] *= event.transmission * event.transmission
         return replace(hits, cos_incidence=hits.cos_incidence * np.repeat(passes, hits.count.reshape(-1)))
 
     def received(self, returns: Returns) -> Returns:
         """Remove the returns of dead lasers."""
-        for event in self.events:
-            if event.kind == "dead_laser":
-                lost = self._during(event, returns.firings)[:, event.laser]
-                returns.distance_m[lost, event.laser] = 0.0
-                returns.reflectivity[lost, event.laser] = 0
+        for event, during in self._during("dead_laser", returns.firings):
+            lost = during[:, event.laser]
+            returns.distance_m[lost, event.laser] = 0.0
+            returns.reflectivity[lost, event.laser] = 0
         return returns
 
-    def _during(self, event: Event, firings: Firings) -> NDArray[np.bool_]:
+    def _during(self, kind: str, firings: Firings) -> Iterator[tuple[Event, NDArray[np.bool_]]]:
+        """Yield the events of a kind that affect some pulses, and which (n, L)."""
         since_ns = firings.t_ns - self.start_ns
-        return np.asarray((since_ns >= event.begin_ns) & (since_ns < event.end_ns))
+        first_ns = int(since_ns[0, 0])
+        last_ns = int(since_ns[-1, -1])
+        for begin_ns, end_ns, event in self.events:
+            if event.kind == kind and begin_ns <= last_ns and first_ns < end_ns:
+                yield event, (since_ns >= begin_ns) & (since_ns < end_ns)
 
 
 def with_events(state: SensorState, scenario: Scenario, number: int) -> SensorState:
@@ -57,7 +62,7 @@ def with_events(state: SensorState, scenario: Scenario, number: int) -> SensorSt
     if not events:
         return state
     start_ns = scenario.start_ns
-    optics = [event for event in events if event.effect == "optics"]
+    optics = [(event.begin_ns, event.end_ns, event) for event in events if event.effect == "optics"]
     wobbles = (
         Wobble(event.begin_ns, event.end_ns - event.begin_ns, event.amplitude_rpm, event.period_s)
         for event in events
