@@ -297,3 +297,23 @@ def test_counting_takes_each_change_of_settings_once(monkeypatch):
     found = [timeline.count(0, round(at_s * S_NS)) for at_s in np.arange(0.0, 99.0, 0.1)]
     assert found == sorted(found)
     assert len(counted) < 2 * 1000
+
+
+def test_a_setting_while_the_sensor_starts_holds_from_power_up():
+    """Speed, return mode and field of view that are set without power are those of the first packet after it; what was set before it is lost."""
+    run = emulator(
+        setting(0.1, rpm=900),
+        {"kind": "power_cycle", "at_s": 0.3, "off_s": 0.5},
+        setting(0.5, rpm=1200, return_mode="last", fov_deg=[90, 269]),
+    )
+    unit = run.parts.units[0]
+    before, off, on = (unit.state.operation.at(round(at_s * S_NS)) for at_s in (0.2, 0.6, 0.8))
+    assert (before.settings.rpm, off.is_powered, on.settings.rpm) == (900, False, 1200)
+    assert [spin.rpm for spin in unit.head.rotor.spins][-1] == 1200
+    payloads, due_ns = data_of(run.packets(0.8, 1.2))
+    azimuth, _ = blocks_of(payloads)
+    assert due_ns[0] > 0.8 * S_NS
+    assert set(payloads[:, 1204]) == {0x38}
+    assert azimuth.min() >= 9000
+    assert azimuth.max() < 27_000
+    assert np.median(speeds_rpm(payloads)) == pytest.approx(1200, abs=10)
