@@ -41,8 +41,8 @@ class FieldOfView:
         angle_deg = self._angle_deg(bounds)
         turned_deg = np.diff(angle_deg) % 360.0
         # Where a rotor begins to turn its angle may jump.
-        jumps = np.array([spin.from_ns for spin in self.head.rotor.spins[1:]]) / self.head.beams.sequence_ns
-        jumps = jumps[(jumps > first) & (jumps < stop)]
+        jumps = self.head.rotor.turns_ns / self.head.beams.sequence_ns
+        jumps = jumps[np.searchsorted(jumps, first) : np.searchsorted(jumps, stop)]
         turned_deg[np.searchsorted(bounds, jumps, side="right") - 1] = 360.0
         is_in, is_out = self._far_from_borders(angle_deg[:-1], turned_deg)
         cells = bounds[:-1][~(is_in | is_out)]

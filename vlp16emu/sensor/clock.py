@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from operator import itemgetter
 
 import numpy as np
@@ -42,7 +43,7 @@ class ClockSpan:
         return np.asarray((self.reading_ns + since) % HOUR_NS)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Clock:
     """The sensor's top-of-hour counter.
 
@@ -53,12 +54,17 @@ class Clock:
 
     spans: tuple[ClockSpan, ...]  # spans in order of time; the first is valid at all times before the second
 
+    @cached_property
+    def _turns_ns(self) -> I8:
+        """Instants UTC (n,) at which spans follow each other."""
+        return np.array([span.from_ns for span in self.spans[1:]], np.int64)
+
     def reading_ns(self, t_ns: I8) -> I8:
         """Return nanoseconds past the counter's hour at UTC instants of any shape."""
         if len(self.spans) == 1:
             return self.spans[0].reading(t_ns)
         out = np.empty(t_ns.shape, np.int64)
-        of = np.searchsorted([span.from_ns for span in self.spans[1:]], t_ns, side="right")
+        of = np.searchsorted(self._turns_ns, t_ns, side="right")
         for number in np.unique(of).tolist():
             out[of == number] = self.spans[number].reading(t_ns[of == number])
         return out

@@ -276,6 +276,16 @@ class Rotor:
         """Speed at the start."""
         return self.spins[0].rpm
 
+    @cached_property
+    def turns_ns(self) -> I8:
+        """Times since the start (n,) at which spins follow each other."""
+        return np.array([spin.from_ns for spin in self.spins[1:]], np.int64)
+
+    @cached_property
+    def _spin_table(self) -> F8:
+        """Begin, speed and change of speed of each spin (n, 3)."""
+        return np.array([(spin.from_ns, spin.rpm, spin.rpm_per_s) for spin in self.spins])
+
     def angle_deg(self, elapsed_ns: I8) -> F8:
         """Return true angles, [0, 360), at times since the start, any shape; exact after any number of hours."""
         flat_ns = elapsed_ns.reshape(-1)
@@ -287,8 +297,7 @@ class Rotor:
             out = self.spins[0].at(flat_ns)
         else:
             out = np.empty(len(flat_ns))
-            begins_ns = np.array([spin.from_ns for spin in self.spins[1:]])
-            of = np.searchsorted(begins_ns, flat_ns, side="right")
+            of = np.searchsorted(self.turns_ns, flat_ns, side="right")
             for number in np.unique(of).tolist():
                 out[of == number] = self.spins[number].at(flat_ns[of == number])
         for wobble in self.wobbles:
@@ -334,8 +343,8 @@ class Rotor:
         """
         rpm: F8 | float = self.spins[0].rpm
         if len(self.spins) > 1:
-            of = np.searchsorted([spin.from_ns for spin in self.spins[1:]], elapsed_ns, side="right")
-            begin_ns, begin_rpm, per_s = np.array([(s.from_ns, s.rpm, s.rpm_per_s) for s in self.spins])[of].T
+            of = np.searchsorted(self.turns_ns, elapsed_ns, side="right")
+            begin_ns, begin_rpm, per_s = self._spin_table[of].T
             rpm = begin_rpm + per_s * (elapsed_ns - begin_ns) / S_NS
         return self.encoder.read(angle_deg, sequence, clock_ns, rpm)
 
@@ -351,7 +360,7 @@ class Rotor:
 
     def rpm_at(self, elapsed_ns: int) -> float:
         """Return the speed at a time since the start, in rpm."""
-        spin = [spin for spin in self.spins if spin.from_ns <= elapsed_ns or spin is self.spins[0]][-1]
+        spin = self.spins[int(np.searchsorted(self.turns_ns, elapsed_ns, side="right"))]
         rate = 1.0 + sum(swing.rate_at(elapsed_ns) for swing in self.swings)
         if self.drift and not self.locks_ns.at(elapsed_ns):
             rate += self.drift.rate_at(elapsed_ns)
