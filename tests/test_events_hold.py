@@ -8,7 +8,9 @@ import pytest
 
 from vlp16emu import Emulator, decode
 from vlp16emu.engine import Engine
+from vlp16emu.engine.build import gps_input
 from vlp16emu.errors import InputError, OutputError
+from vlp16emu.extras.bench.changes import gps_of
 from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.extras.clouds.scan import Chunk, cut_scans
 from vlp16emu.run.feed import PacketFeed
@@ -196,12 +198,9 @@ def test_set_up_takes_each_event_once():
     """Ten times as many events of the receiver ask at most twelve times as often for its state."""
 
     def asked(count):
-        from vlp16emu.extras.bench.changes import DisturbedGps
-
         times = [{"kind": "wrong_sentence", "at_s": 9.0 * n, "duration_s": 2.0} for n in range(count)]
         scenario = load("static_bench", {"duration_s": 9.0 * count, "gps.connected": True, "events": times})
-        gps = DisturbedGps.of(scenario.gps, scenario.events, scenario.start_ns)
-        return len(gps._edges_ns())
+        return len(gps_of(gps_input(scenario.gps), scenario.events, scenario.start_ns)._turns_ns())
 
     assert asked(500) <= 12 * asked(50)
 

@@ -152,13 +152,31 @@ def normal_pairs(
 
 
 @array_kernel
-def _fill(out: NDArray[np.float64], gaussian: bool, seed: int, purpose: int, first: int, lane: int) -> None:
+def _fill(
+    out: NDArray[np.float64], gaussian: bool, seed: int, purpose: int, counters: NDArray[np.int64], lane: int
+) -> None:
     """Fill (n,) with one number per counter, each computed independently."""
     for i in range(out.shape[0]):
         if gaussian:
-            out[i] = normal_pair(seed, purpose, first + i, lane)[0]
+            out[i] = normal_pair(seed, purpose, counters[i], lane)[0]
         else:
-            out[i] = uniform_pair(seed, purpose, first + i, lane)[0]
+            out[i] = uniform_pair(seed, purpose, counters[i], lane)[0]
+
+
+def uniform_at(
+    seed: int, purpose: IntEnum, counters: NDArray[np.int64], lane: int = 0
+) -> NDArray[np.float64]:
+    """Draw uniform numbers in [0, 1), (n,), for counters (n,) of any order; other parameters as in `uniform`."""
+    out = np.empty(len(counters))
+    _fill(out, False, seed, int(purpose), counters, lane)  # numba would process the whole enum
+    return out
+
+
+def normal_at(seed: int, purpose: IntEnum, counters: NDArray[np.int64], lane: int = 0) -> NDArray[np.float64]:
+    """Draw standard normal numbers, (n,), for the arguments of `uniform_at`: the first ones of `normal_pair`."""
+    out = np.empty(len(counters))
+    _fill(out, True, seed, int(purpose), counters, lane)
+    return out
 
 
 def uniform(seed: int, purpose: IntEnum, first: int, count: int, lane: int = 0) -> NDArray[np.float64]:
@@ -171,9 +189,7 @@ def uniform(seed: int, purpose: IntEnum, first: int, count: int, lane: int = 0) 
     first : counter of the first number, for instance a firing-sequence number
     lane : second counter, for instance a laser
     """
-    out = np.empty(count)
-    _fill(out, False, seed, int(purpose), first, lane)  # numba would process the whole enum
-    return out
+    return uniform_at(seed, purpose, np.arange(first, first + count), lane)
 
 
 def normal(seed: int, purpose: IntEnum, first: int, count: int, lane: int = 0) -> NDArray[np.float64]:
@@ -181,9 +197,7 @@ def normal(seed: int, purpose: IntEnum, first: int, count: int, lane: int = 0) -
 
     They are the first ones of `normal_pair`.
     """
-    out = np.empty(count)
-    _fill(out, True, seed, int(purpose), first, lane)
-    return out
+    return normal_at(seed, purpose, np.arange(first, first + count), lane)
 
 
 class _Generator(np.random.Generator):

@@ -18,8 +18,9 @@ from vlp16emu.raycast.beam import Footprint
 from vlp16emu.raycast.near import EmbreeCaster
 from vlp16emu.raycast.settings import Beam
 from vlp16emu.sensor.beams import BEAM_TABLES
+from vlp16emu.sensor.clock import Clock, ClockSpan
 from vlp16emu.sensor.head import Head
-from vlp16emu.sensor.rotor import Clock, ClockSpan, Encoder, Rotor, Spin
+from vlp16emu.sensor.rotor import Encoder, Rotor, Spin
 from vlp16emu.types import SURFACE, Firings, Hits, Mesh, PlantPart, Semantic, SensorModel, Window
 
 UTM_M = np.array([432_100.0, 6_901_234.0, 87.0])

@@ -7,7 +7,8 @@ import pytest
 from scipy import stats
 
 from vlp16emu.sensor.beams import SEQUENCE_NS
-from vlp16emu.sensor.rotor import Clock, ClockSpan, Encoder, Rotor, Spin, Swing, _speeds
+from vlp16emu.sensor.clock import Clock, ClockSpan
+from vlp16emu.sensor.rotor import Encoder, Rotor, Spin, Swing, _speeds
 from vlp16emu.sensor.settings import Sensor
 from vlp16emu.units import HOUR_NS
 
@@ -33,8 +34,8 @@ def test_any_whole_speed_is_exact_after_years(rpm):
 def test_readings_without_errors_are_true_and_others_in_the_circle():
     """Without errors the reading is the angle itself, bit by bit; errors at the wrap lead to readings in [0, 360)."""
     angle_deg = angles_deg(1000)
-    assert (Encoder(1).read(angle_deg, 0, *EVEN) == angle_deg).all()
-    reading = Encoder(5, noise_deg=0.02).read(np.zeros(1000), 0, *EVEN)
+    assert (Encoder(1).read(angle_deg, np.arange(len(angle_deg)), *EVEN) == angle_deg).all()
+    reading = Encoder(5, noise_deg=0.02).read(np.zeros(1000), np.arange(1000), *EVEN)
     assert ((reading >= 0) & (reading < 360)).all()
     assert (reading > 359).any()
     assert (reading < 1).any()
@@ -42,10 +43,15 @@ def test_readings_without_errors_are_true_and_others_in_the_circle():
 
 def test_noise_is_white_and_as_wide_as_set():
     """Reading errors are normal with the sigma that was set, not correlated with their neighbours, and cut at the limit."""
-    error = Encoder(3, noise_deg=0.005).read(np.full(20_000, 180.0), 0, *EVEN) - 180.0
+    error = Encoder(3, noise_deg=0.005).read(np.full(20_000, 180.0), np.arange(20_000), *EVEN) - 180.0
     assert stats.kstest(error / 0.005, "norm").pvalue > 0.01
     assert abs(np.corrcoef(error[1:], error[:-1])[0, 1]) < 0.02
-    error = Encoder(3, noise_deg=0.005, noise_limit_deg=0.01).read(np.full(20_000, 90.0), 0, *EVEN) - 90.0
+    error = (
+        Encoder(3, noise_deg=0.005, noise_limit_deg=0.01).read(
+            np.full(20_000, 90.0), np.arange(20_000), *EVEN
+        )
+        - 90.0
+    )
     assert np.abs(error).max() == pytest.approx(0.01)
     assert (np.abs(error) > 0.00999).mean() == pytest.approx(2 * stats.norm.sf(2), rel=0.15)
 
@@ -60,8 +66,8 @@ def test_errors_belong_to_the_firing_sequence(errors):
     encoder, angle_deg = Encoder(3, **errors), angles_deg(100)
     clock_ns = 55_296 * np.arange(100)
     whole, piece = (
-        encoder.read(angle_deg, 5, clock_ns, 600.0),
-        encoder.read(angle_deg[60:70], 65, clock_ns[60:70], 600.0),
+        encoder.read(angle_deg, np.arange(5, 105), clock_ns, 600.0),
+        encoder.read(angle_deg[60:70], np.arange(65, 75), clock_ns[60:70], 600.0),
     )
     assert (whole[60:70] == piece).all()
 
@@ -70,7 +76,12 @@ def test_errors_belong_to_the_firing_sequence(errors):
 def test_errors_of_the_turn_are_sines_of_the_angle(cycles):
     """The error once, or twice, per revolution is a sine of the angle with the amplitude and phase that were set."""
     angle_deg = np.linspace(1.0, 359.0, 500)
-    error = Encoder(1, **{("once", "twice")[cycles - 1]: (0.06, 40.0)}).read(angle_deg, 0, *EVEN) - angle_deg
+    error = (
+        Encoder(1, **{("once", "twice")[cycles - 1]: (0.06, 40.0)}).read(
+            angle_deg, np.arange(len(angle_deg)), *EVEN
+        )
+        - angle_deg
+    )
     np.testing.assert_allclose(error, 0.06 * np.sin(np.radians(cycles * angle_deg - 40.0)), atol=1e-12)
 
 
@@ -78,7 +89,10 @@ def test_errors_of_the_turn_are_sines_of_the_angle(cycles):
 def test_the_reading_is_that_of_the_last_tick(rpm):
     """It falls behind for 1.2 us, by 1.05 us of the speed, and jumps at 0.5 us of the stamp."""
     clock_ns = np.arange(7_200)
-    off = Encoder(1, hum_deg=0.0019).read(np.full(7_200, 90.0), 5, clock_ns, float(rpm)) - 90.0
+    off = (
+        Encoder(1, hum_deg=0.0019).read(np.full(7_200, 90.0), np.arange(5, 7_205), clock_ns, float(rpm))
+        - 90.0
+    )
     np.testing.assert_allclose(off[:1_200], off[1_200:2_400], atol=1e-12)
     assert np.flatnonzero(np.diff(off) > 0).tolist() == [499 + 1_200 * i for i in range(6)]
     assert np.ptp(off) == pytest.approx(6 * rpm * 1.055e-6, rel=0.01)
@@ -114,7 +128,7 @@ def test_an_encoder_of_lines_reads_as_real_ones_do():
     """Codes modulo five and twenty and steps between blocks have the shares of real units, and on a line readings are exact."""
     clock_ns = 110_592 * np.arange(60_000)
     read_deg = Encoder(1, noise_deg=0.00145, hum_deg=0.0019, **LINES).read(
-        angles_deg(60_000), 0, clock_ns, 600.0
+        angles_deg(60_000), np.arange(60_000), clock_ns, 600.0
     )
     code = np.floor(read_deg * 100 + 1e-6).astype(int)
     shares = np.bincount((code - 2) % 5) / len(code)
@@ -130,7 +144,9 @@ def test_an_encoder_of_lines_reads_as_real_ones_do():
     found = [(steps == step).mean() for step in (38, 39, 40, 41, 42)]
     np.testing.assert_allclose(found, [0.079, 0.224, 0.548, 0.124, 0.025], atol=0.03)
     on_lines_deg = 0.02 + 0.05 * np.arange(1, 50) + 1e-9
-    np.testing.assert_allclose(Encoder(1, **LINES).read(on_lines_deg, 0, *EVEN), on_lines_deg, atol=1e-8)
+    np.testing.assert_allclose(
+        Encoder(1, **LINES).read(on_lines_deg, np.arange(len(on_lines_deg)), *EVEN), on_lines_deg, atol=1e-8
+    )
 
 
 def test_no_unit_has_steps_that_real_units_lack():
@@ -145,7 +161,11 @@ def test_no_unit_has_steps_that_real_units_lack():
         assert abs(swings[0].rate_at(0)) <= 0.95 / 600
         true_deg = rotor_of(swings=swings).angle_deg(clock_ns)
         step = (
-            np.diff(np.floor(Encoder.of_unit(section, seed).read(true_deg, 0, clock_ns, 600.0) * 100))
+            np.diff(
+                np.floor(
+                    Encoder.of_unit(section, seed).read(true_deg, np.arange(24_000), clock_ns, 600.0) * 100
+                )
+            )
             % 36_000
         )
         part = step.mean() % 1

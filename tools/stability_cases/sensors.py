@@ -14,7 +14,8 @@ from vlp16emu.packets import DATA_BYTES, DISTANCE_LSB_M, LASERS, decode_data
 from vlp16emu.packets.layout import BLOCK_PERIOD_NS, BLOCKS_PER_PACKET
 from vlp16emu.scenario import load
 from vlp16emu.sensor.beams import LASER_NS, SEQUENCE_NS
-from vlp16emu.sensor.rotor import ClockSpan, Encoder, Rotor, Spin
+from vlp16emu.sensor.clock import ClockSpan
+from vlp16emu.sensor.rotor import Encoder, Rotor, Spin
 from vlp16emu.types import F8, PacketKind
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 

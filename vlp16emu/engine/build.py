@@ -10,23 +10,26 @@ import numpy as np
 
 from vlp16emu.doors import door
 from vlp16emu.elementary import norm
-from vlp16emu.engine.timeline import Stretch, Timeline
+from vlp16emu.engine.gps_input import GpsInput
+from vlp16emu.engine.state import SensorState
+from vlp16emu.engine.timeline import Timeline, stretches_of
 from vlp16emu.motion.mount import mounted, true_mount
 from vlp16emu.motion.pose import Motion
-from vlp16emu.motion.settings import Mount
-from vlp16emu.packets import FACTORY_LINK, Link, positions_from_ns, rmc
+from vlp16emu.motion.settings import Gps, Mount
+from vlp16emu.packets import FACTORY_LINK, Link, positions_from_ns
 from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.beam import LINE, Footprint
 from vlp16emu.returns.detector import UnitDetector, threshold_of
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.beams import with_angle_errors
+from vlp16emu.sensor.clock import clock_of
 from vlp16emu.sensor.head import Head
-from vlp16emu.sensor.laws import law
+from vlp16emu.sensor.operation import spins
 from vlp16emu.sensor.power_up import counters_of, powered_up
-from vlp16emu.sensor.rotor import Clock, ClockSpan, Encoder, Rotor, Spin, Swing
-from vlp16emu.sensor.settings import Lidar, Sensor, require_packets
-from vlp16emu.types import F8, I8, GnssFix, HeightField, PpsState, ReturnMode, World
-from vlp16emu.units import FOREVER_NS, S_NS, seconds_to_ns
+from vlp16emu.sensor.rotor import Encoder, Rotor, Swing
+from vlp16emu.sensor.settings import Lidar, require_packets
+from vlp16emu.types import F8, I8, HeightField, ReturnMode, World
+from vlp16emu.units import seconds_to_ns
 
 if TYPE_CHECKING:
     from vlp16emu.engine.engine import Engine
@@ -35,34 +38,6 @@ _IMU = 1000  # device number of the inertial unit's mount, above all sensors
 _STRAY_M = (
     1.0  # greatest distance of a laser from the carrier's path on the ground: sway, and lasers off the centre
 )
-_LEFT_PPM = law("clock.locked_ppm")
-
-
-@dataclass(frozen=True)
-class GpsInput:
-    """A receiver to which the sensor has been locked since before the run, or none; times are UTC in ns."""
-
-    connected: bool
-    sentence_delay_ns: int  # From the second's edge to the arrival of the sentence that names it
-
-    def pps_at(self, t_ns: int) -> PpsState:  # noqa: ARG002  # constant without events
-        """State of the pulse per second as the sensor reports it.
-
-        It stays locked while trees hide fixes: that receivers keep their pulse is an assumption.
-        """
-        return PpsState.LOCKED if self.connected else PpsState.ABSENT
-
-    def second_ns(self, t_ns: int) -> int | None:
-        """Return the whole UTC second that the sentence in the sensor's buffer names at `t_ns`; None without a sentence.
-
-        The sentence names the last edge before it, so its age is up to a second plus the delay
-        (63-9243 Rev D, figure 7-4).
-        """
-        return (t_ns - self.sentence_delay_ns) // S_NS * S_NS if self.connected else None
-
-    def sentence(self, fix: GnssFix, seed: int) -> bytes:  # noqa: ARG002  # as above
-        """Sentence of a fix as it reaches the sensor; `seed` is the unit's."""
-        return rmc(fix)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,11 +52,8 @@ class Unit:
     motion: Motion  # Motion of the sensor's frame
     beam: Footprint
     detector: UnitDetector
+    state: SensorState  # Its settings, power and GPS input over the run
     timeline: Timeline  # Pulses that are sent, and their packets; empty for a sensor without packets
-    gps: GpsInput  # Signals that it gets from the GPS receiver
-    optics: Any = None
-    """Dirt and dead lasers from events, which dim its light; an object with `dimmed` and `received`, or
-    None."""
 
     @property
     def link(self) -> Link:
@@ -191,7 +163,7 @@ def assemble(scenario: Scenario, like: "Engine | None" = None) -> Parts:
     units = tuple(
         _unit(scenario, number, mount, mounted(top, mount, start_ns)) for number, mount in enumerate(mounts)
     )
-    return Parts(units, carrier, sampler, imu_mount, ground_m, world, wind, people, _gps_input(scenario))
+    return Parts(units, carrier, sampler, imu_mount, ground_m, world, wind, people, gps_input(scenario.gps))
 
 
 def with_events(parts: Parts, scenario: Scenario) -> Parts:
@@ -206,12 +178,6 @@ def seed_of(scenario: Scenario, unit: int) -> int:
         return scenario.sensor_seed
     own = scenario.rig[unit - 1].seed
     return int(generator(scenario.sensor_seed, Purpose.UNIT, unit).integers(2**63)) if own is None else own
-
-
-def in_phase_deg(phase_deg: float, rpm: int, utc_ns: int) -> float:
-    """Angle of a phase-locked rotor: speeds are multiples of 60 rpm, so a second has whole revolutions."""
-    turned_ns = utc_ns % S_NS * (rpm // 60) % S_NS
-    return (phase_deg + 360.0 * turned_ns / S_NS) % 360.0
 
 
 def beam_of(scenario: Scenario, seed: int) -> Footprint:
@@ -266,7 +232,10 @@ def _unit(scenario: Scenario, number: int, mount: Mount, motion: Motion) -> Unit
     given = [scenario.sensor, *scenario.rig][number]
     seed = seed_of(scenario, number)
     section = powered_up(given, seed)
-    head = _head(scenario, section, seed)
+    state = SensorState.steady(section, gps_input(scenario.gps))
+    if scenario.events:
+        state = door("events")(state, scenario, number)
+    head = _head(scenario, section, seed, state)
     mode = ReturnMode(section.return_mode)
     detector = UnitDetector.of_unit(
         scenario.detector,
@@ -279,52 +248,43 @@ def _unit(scenario: Scenario, number: int, mount: Mount, motion: Motion) -> Unit
         elevation_deg=head.beams.elevation_deg,
         power_up_ns=_power_up_ns(scenario, section),
     )
-    timeline = Timeline(head, (Stretch(0, None, mode, None),))
-    gps = _gps_input(scenario)
+    timeline = Timeline(head, stretches_of(state.operation))
     beam = beam_of(scenario, seed)
-    unit = Unit(number, section, mount, seed, head, motion, beam, detector, timeline, gps)
-    if not scenario.events:
-        return unit
-    changed: Unit = door("events")(unit, scenario)
-    return changed
+    return Unit(number, section, mount, seed, head, motion, beam, detector, state, timeline)
 
 
 def _power_up_ns(scenario: Scenario, section: Lidar) -> int:
     return scenario.start_ns - seconds_to_ns(section.powered_for_s or 0.0)
 
 
-def _gps_input(scenario: Scenario) -> GpsInput:
-    return GpsInput(scenario.gps.connected, seconds_to_ns(scenario.gps.sentence_delay_s))
+def gps_input(gps: Gps) -> GpsInput:
+    """Return the undisturbed input of a sensor from a receiver, as the table of the scene describes it."""
+    return GpsInput(
+        gps.connected,
+        seconds_to_ns(gps.sentence_delay_s),
+        seconds_to_ns(gps.pps_window_s),
+        gps.requires_valid,
+    )
 
 
-def clock_at(t_ns: int, section: Lidar, *, locked: bool) -> ClockSpan:
-    """Return the clock of a unit from an instant on: locked to GPS, or running free from 0."""
-    error_ppm = section.clock_error_ppm or 0.0
-    if locked:
-        return ClockSpan(t_ns, None, min(max(error_ppm, -_LEFT_PPM), _LEFT_PPM))
-    return ClockSpan(t_ns, 0, error_ppm)
-
-
-def _head(scenario: Scenario, section: Lidar, seed: int) -> Head:
+def _head(scenario: Scenario, section: Lidar, seed: int, state: SensorState) -> Head:
     start_ns = scenario.start_ns
-    power_up_ns = _power_up_ns(scenario, section)
-    phase_deg = section.phase_lock_deg if isinstance(section, Sensor) else None
-    angle_deg = section.start_azimuth_deg or 0.0
-    locks_ns: tuple[tuple[int, int], ...] = ()
-    if phase_deg is not None:
-        angle_deg = in_phase_deg(phase_deg, section.rpm, start_ns)
-        locks_ns = ((0, FOREVER_NS),)
     error_rpm = section.speed_error_rpm
     swings = Swing.sample(seed, error_rpm, section.speed_wander_rpm, is_exact=section.rotation_spread == 0.0)
     drift, swings = (swings[0], swings[1:]) if error_rpm else (None, swings)
-    spin = Spin(0, angle_deg, float(section.rpm))
-    rotor = Rotor((spin,), Encoder.of_unit(section, seed), swings=swings, drift=drift, locks_ns=locks_ns)
+    rotor = Rotor(
+        spins(section.start_azimuth_deg or 0.0, state.operation, start_ns),
+        Encoder.of_unit(section, seed),
+        wobbles=state.wobbles,
+        swings=swings,
+        drift=drift,
+        locks_ns=state.operation.where(lambda now: now.settings.phase_lock_deg != "off"),
+    )
     beams = with_angle_errors(
         section.beam_table(),
         elevation_error_deg=scenario.noise.elevation_error_deg,
         azimuth_error_deg=scenario.noise.azimuth_error_deg,
         seed=seed,
     )
-    return Head(
-        beams, rotor, Clock((clock_at(power_up_ns, section, locked=scenario.gps.connected),)), start_ns
-    )
+    clock = clock_of(section, _power_up_ns(scenario, section), state.gps.pps, state.clock_events)
+    return Head(beams, rotor, clock, start_ns)

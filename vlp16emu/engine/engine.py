@@ -68,7 +68,7 @@ def scan(job: Job, geometry: Geometry, taps: Iterable[Tap] = ()) -> Returns:
         tap(job, firings, hits, geometry)
     add_texture(firings, hits, geometry.surfaces, job.texture_seed)
     firings = replace(firings, beam_axis=None)  # a quarter of the memory of returns that wait
-    optics = unit.optics
+    optics = unit.state.optics
     light = optics.dimmed(firings, hits) if optics else hits
     returns = detect(firings, light, geometry.surfaces, job.detector, truth=job.truth, block=job.block)
     return optics.received(returns) if optics else returns
@@ -253,7 +253,7 @@ def sent_before(scenario: Scenario, unit: Unit, kind: PacketKind, since_ns: int)
     if kind is PacketKind.DATA:
         return number_at(scenario, unit, kind, since_ns)
     spans_ns = [(0, since_ns)]
-    spans_ns += [(begin, min(end, since_ns)) for begin, end in unit.timeline.silences_ns if begin < since_ns]
+    spans_ns += [(begin, min(end, since_ns)) for begin, end in unit.state.silences if begin < since_ns]
     due, *silent = (
         number_at(scenario, unit, kind, stop_ns) - number_at(scenario, unit, kind, begin_ns)
         for begin_ns, stop_ns in spans_ns
@@ -271,7 +271,7 @@ def positions_due(scenario: Scenario, unit: Unit, start_ns: int, stop_ns: int) -
     for number in range(first, stop, _AT_ONCE):
         due_ns = position_due_ns(rate, unit.seed, from_ns, number, min(_AT_ONCE, stop - number))
         for place, due in enumerate(due_ns.tolist()):
-            if not unit.timeline.is_silent(due - scenario.start_ns):
+            if not unit.state.silences.at(due - scenario.start_ns):
                 yield number + place, due
 
 
@@ -279,14 +279,15 @@ def position_packets(
     scenario: Scenario, receiver: Receiver, unit: Unit, start_ns: int, stop_ns: int
 ) -> Iterator[Packet]:
     """Yield the position packets of a unit due in a span since the first pulse."""
+    gps = unit.state.gps
     named_ns = None
     sentence = b""
     for number, due_ns in positions_due(scenario, unit, start_ns, stop_ns):
         stamp_ns = due_ns - STAMP_LEAD_NS
-        second_ns = unit.gps.second_ns(stamp_ns)
+        second_ns = gps.second_ns(stamp_ns)
         if second_ns != named_ns:
             named_ns = second_ns
-            sentence = b"" if second_ns is None else unit.gps.sentence(receiver.fix(second_ns), unit.seed)
+            sentence = b"" if second_ns is None else gps.sentence(receiver.fix(second_ns), unit.seed)
         clock_ns = int(unit.head.clock.reading_ns(np.array([stamp_ns]))[0])
-        payload = pack_position(clock_ns, unit.gps.pps_at(stamp_ns), sentence)
+        payload = pack_position(clock_ns, gps.pps.at(stamp_ns), sentence)
         yield Packet(PacketKind.POSITION, due_ns, payload, unit.number, number=number)

@@ -1,15 +1,22 @@
 """The firing sequences of a unit that are sent over a run, and their packets."""
 
+from bisect import bisect_right
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.packets import SEQUENCES_PER_PACKET, azimuth_cdeg, pack_data
+from vlp16emu.engine.field_of_view import FieldOfView
+from vlp16emu.packets import SEQUENCES_PER_PACKET, pack_data
+from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.sensor.head import Head
+from vlp16emu.sensor.operation import Operation
+from vlp16emu.sensor.settings import ALL_AROUND
+from vlp16emu.sensor.steps import Steps
 from vlp16emu.types import NO_SURFACE, Firings, Packet, ReturnMode, Returns, SensorModel
+from vlp16emu.units import FOREVER_NS
 
 if TYPE_CHECKING:
     from vlp16emu.engine.build import Unit
@@ -17,6 +24,7 @@ if TYPE_CHECKING:
 TruthOf = Callable[["Unit", Returns, ReturnMode], NDArray[np.void]]
 """Function that gives the ground truth for the records of whole packets in a return mode."""
 
+_GRID = 24  # firing sequences: settings take effect between packets, in every return mode
 _AT_ONCE = 1 << 16  # firing sequences whose azimuths are read at once: 3.6 s
 _BY_SEQUENCE = ("t_ns", "clock_ns", "azimuth_deg", "reading_deg", "origin_m", "direction")
 """Arrays of `Firings`, one row each per firing sequence."""
@@ -49,15 +57,17 @@ class Stretch:
         return range(max(blocks.start, self.first // block), stop)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Timeline:
     """Transmission of a unit over a run."""
 
     head: Head
     spans: tuple[Stretch, ...]  # In order of time, without overlap
-    silences_ns: tuple[tuple[int, int], ...] = ()
-    """Spans of time since the first pulse in which no packet of any kind leaves, in order, without
-    overlap."""
+    _counts: dict[Stretch, tuple[int, ...]] = field(default_factory=dict, init=False, repr=False)
+    """Numbers of chosen firing sequences from the begin of a span to each multiple of `_AT_ONCE` after it, as
+    far as they have been counted."""
+    _totals: dict[int, int] = field(default_factory=lambda: {0: 0}, init=False, repr=False)
+    """Numbers of packets before spans, by their places."""
 
     def _stop_of(self, span: Stretch, stop_ns: int) -> int:
         """Find the end of the firing sequences whose packets are due before a time since the first pulse."""
@@ -73,44 +83,69 @@ class Timeline:
         every = np.arange(first, stop, dtype=np.int64)
         if span.fov_deg is None:
             return every
-        code = azimuth_cdeg(self.head.read(first, stop - first)[::2])
-        begin, end = 100 * span.fov_deg[0], 100 * (span.fov_deg[1] + 1)
-        inside = (code >= begin) & (code < end) if begin < end else (code >= begin) | (code < end)
+        inside = FieldOfView(self.head, *span.fov_deg).inside(every[::2])
         return every[np.repeat(inside, 2)]
 
-    def _begin_of(self, span: Stretch, start_ns: int) -> int:
-        """Find the first firing sequence of the packets that are due at or after a time."""
-        if span.fov_deg is not None:
-            return span.first
-        period_ns = span.per_packet * self.head.beams.sequence_ns
-        behind_ns = start_ns - span.first * self.head.beams.sequence_ns
-        return span.first + max(0, -(-behind_ns // period_ns) - 1) * span.per_packet
+    def _chosen_before(self, span: Stretch, stop: int) -> int:
+        """Count the chosen firing sequences of a span before an even one; each part of the run is counted once."""
+        if span.fov_deg is None or stop <= span.first:
+            return max(stop - span.first, 0)
+        field_of_view = FieldOfView(self.head, *span.fov_deg)
+        counts = list(self._counts.get(span, (0,)))
+        place = (stop - span.first) // _AT_ONCE
+        for first in range(span.first + _AT_ONCE * (len(counts) - 1), stop - _AT_ONCE + 1, _AT_ONCE):
+            counts.append(counts[-1] + 2 * field_of_view.count(first, first + _AT_ONCE))
+        self._counts[span] = tuple(counts)
+        return counts[place] + 2 * field_of_view.count(span.first + _AT_ONCE * place, stop)
+
+    def _packets_before(self, span: Stretch, t_ns: int) -> int:
+        """Count the packets of a span that are due before a time since the first pulse."""
+        return self._chosen_before(span, self._stop_of(span, t_ns) & ~1) // span.per_packet
+
+    def _begin_of(self, span: Stretch, start_ns: int) -> tuple[int, int]:
+        """Find a firing sequence from which the packets that are due at or after a time are found.
+
+        Returns its number, and the number of chosen firing sequences from it to the first of these packets.
+        """
+        before = self._packets_before(span, start_ns) * span.per_packet
+        if span.fov_deg is None:
+            return span.first + before, 0
+        counts = self._counts.get(span, (0,))
+        place = bisect_right(counts, before) - 1
+        return span.first + _AT_ONCE * place, before - counts[place]
+
+    def _spans_in(self, start_ns: int, stop_ns: int) -> Iterator[Stretch]:
+        """Yield the spans that may have packets due in a span of time since the first pulse."""
+        sequence_ns = self.head.beams.sequence_ns
+        for span in self.spans:
+            is_over = span.stop is not None and span.stop * sequence_ns < start_ns
+            if not is_over and span.first * sequence_ns < stop_ns:
+                yield span
 
     def sequences(self, start_ns: int, stop_ns: int) -> Iterator[NDArray[np.int64]]:
         """Yield the firing sequences (n, 24) or (n, 12) of packets due in a span of time since the first pulse."""
-        for span in self.spans:
+        for span in self._spans_in(start_ns, stop_ns):
             yield from self._sequences_of(span, start_ns, stop_ns)
 
     def _sequences_of(self, span: Stretch, start_ns: int, stop_ns: int) -> Iterator[NDArray[np.int64]]:
-        sequence_ns = self.head.beams.sequence_ns
-        begin = self._begin_of(span, start_ns)
         stop = self._stop_of(span, stop_ns) & ~1
+        begin, skipped = self._begin_of(span, start_ns)
         left = np.empty(0, np.int64)
         for first in range(begin, stop, _AT_ONCE):
-            chosen = np.concatenate([left, self.chosen(span, first, min(first + _AT_ONCE, stop))])
-            whole = len(chosen) // span.per_packet * span.per_packet
-            rows = chosen[:whole].reshape(-1, span.per_packet)
-            left = chosen[whole:]
-            rows = rows[(rows[:, -1] + 1) * sequence_ns >= start_ns]
-            if len(rows):
-                yield rows
+            chosen = self.chosen(span, first, min(first + _AT_ONCE, stop))
+            rows = np.concatenate([left, chosen[skipped:]])
+            skipped = max(skipped - len(chosen), 0)
+            whole = len(rows) // span.per_packet * span.per_packet
+            left = rows[whole:]
+            if whole:
+                yield rows[:whole].reshape(-1, span.per_packet)
 
     def stretches(self, start_ns: int, stop_ns: int) -> Iterator[Stretch]:
         """Cut a span of time since the first pulse where settings change; stretches without packets are left out.
 
         Each stretch begins with its first packet that is due in the span.
         """
-        for span in self.spans:
+        for span in self._spans_in(start_ns, stop_ns):
             sequences = next(self._sequences_of(span, start_ns, stop_ns), None)
             if sequences is not None:
                 first, stop = int(sequences[0, 0]), self._stop_of(span, stop_ns)
@@ -120,12 +155,20 @@ class Timeline:
 
     def count(self, start_ns: int, stop_ns: int) -> int:
         """Count the packets due in a span of time since the first pulse."""
-        return sum(
-            sum(map(len, self._sequences_of(span, start_ns, stop_ns)))
-            if span.fov_deg
-            else max((self._stop_of(span, stop_ns) - self._begin_of(span, start_ns)) // span.per_packet, 0)
-            for span in self.spans
-        )
+        return self._count_before(stop_ns) - self._count_before(start_ns)
+
+    def _count_before(self, t_ns: int) -> int:
+        """Count the packets due before a time since the first pulse."""
+        latest = (t_ns - 1) // self.head.beams.sequence_ns
+        place = bisect_right(self.spans, latest, key=lambda span: span.first) - 1
+        if place < 0:
+            return 0
+        for later in range(len(self._totals), place + 1):
+            span = self.spans[later - 1]
+            assert span.stop is not None
+            packets = self._chosen_before(span, span.stop) // span.per_packet
+            self._totals[later] = self._totals[later - 1] + packets
+        return self._totals[place] + self._packets_before(self.spans[place], t_ns)
 
     def is_sent(self, span: Stretch, first: int, stop: int) -> NDArray[np.bool_] | None:
         """Return a mask (stop - first,) of the firing sequences that a span sends; None for all of them."""
@@ -137,9 +180,31 @@ class Timeline:
         sent[self.chosen(span, begin, end) - first] = True
         return sent
 
-    def is_silent(self, since_ns: int) -> bool:
-        """Return whether nothing is sent at a time since the first pulse."""
-        return any(begin <= since_ns < end for begin, end in self.silences_ns)
+
+def stretches_of(operation: Steps[Operation]) -> tuple[Stretch, ...]:
+    """Cut a run at changes of return mode, field of view, laser and power; spans without packets are left out.
+
+    A change takes effect with the next packet of single return, and begins a packet.
+    """
+    spans = list[Stretch]()
+    for begin_ns, end_ns, now in operation.spans():
+        first = _sequence(begin_ns)
+        stop = None if end_ns == FOREVER_NS else _sequence(end_ns)
+        settings = now.settings
+        if not now.is_powered or not settings.laser or first == stop:
+            continue
+        mode = ReturnMode(settings.return_mode)
+        fov_deg = None if settings.fov_deg == ALL_AROUND else settings.fov_deg
+        last = spans[-1] if spans else None
+        if last and last.stop == first and (last.mode, last.fov_deg) == (mode, fov_deg):
+            spans[-1] = replace(last, stop=stop)
+        else:
+            spans.append(Stretch(first, stop, mode, fov_deg))
+    return tuple(spans)
+
+
+def _sequence(since_ns: int) -> int:
+    return -(-since_ns // (_GRID * SEQUENCE_NS)) * _GRID
 
 
 class Packer:

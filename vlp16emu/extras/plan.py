@@ -195,8 +195,8 @@ def _stages_at(
     for tap in engine.taps:
         timed("audit", lambda tap=tap: tap(job, firings, hits, geometry))  # type: ignore[misc]
     timed("texture", lambda: add_texture(firings, hits, geometry.surfaces, world.seed))
-    if unit.optics is not None:
-        optics = unit.optics
+    if unit.state.optics is not None:
+        optics = unit.state.optics
         hits = timed("window", lambda: optics.dimmed(firings, hits))
     returns = timed("detect", lambda: detect(firings, hits, geometry.surfaces, unit.detector, truth=False))
     if sensor.model in {model.value for model in SensorModel}:

@@ -8,7 +8,8 @@ import numpy as np
 
 from vlp16emu.kernels.compiler import array_kernel, inline_kernel
 from vlp16emu.sensor.beams import BeamTable
-from vlp16emu.sensor.rotor import Clock, Rotor
+from vlp16emu.sensor.clock import Clock
+from vlp16emu.sensor.rotor import Rotor
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import F8, I8, Firings, Poses
 
@@ -32,11 +33,11 @@ class Head:
         laser = np.arange(len(beams.elevation_deg), dtype=np.int64) * beams.laser_ns
         return np.asarray(sequence[:, None] + laser)
 
-    def read(self, first: int, count: int) -> F8:
-        """Return the encoder readings at `count` firing sequences from number `first`, (count,) deg."""
-        elapsed_ns = np.arange(first, first + count, dtype=np.int64) * self.beams.sequence_ns
+    def read(self, sequence: I8) -> F8:
+        """Return the encoder readings at firing sequences (n,), in degrees (n,)."""
+        elapsed_ns = sequence * self.beams.sequence_ns
         clock_ns = self.clock.reading_ns(self.start_ns + elapsed_ns)
-        return self.rotor.read(self.rotor.angle_deg(elapsed_ns), elapsed_ns, first, clock_ns)
+        return self.rotor.read(self.rotor.angle_deg(elapsed_ns), elapsed_ns, sequence, clock_ns)
 
     def aim(
         self, first: int, count: int, poses_at: Callable[[I8], Poses], *, beam_axis: bool = False
@@ -52,6 +53,9 @@ class Head:
         t_ns = self.times_ns(first, count)
         azimuth_deg = self.rotor.angle_deg(t_ns - self.start_ns)
         clock_ns = self.clock.reading_ns(t_ns[:, 0])
+        reading_deg = self.rotor.read(
+            azimuth_deg[:, 0].copy(), t_ns[:, 0] - self.start_ns, np.arange(first, first + count), clock_ns
+        )
         origin_m = np.empty((*t_ns.shape, 3))
         direction = np.empty((*t_ns.shape, 3))
         level = np.empty((*t_ns.shape, 3) if beam_axis else (0, 0, 3))
@@ -67,9 +71,7 @@ class Head:
             t_ns=t_ns,
             clock_ns=clock_ns,
             azimuth_deg=azimuth_deg,
-            reading_deg=self.rotor.read(
-                azimuth_deg[:, 0].copy(), t_ns[:, 0] - self.start_ns, first, clock_ns
-            ),
+            reading_deg=reading_deg,
             origin_m=origin_m,
             direction=direction,
             beam_axis=level if beam_axis else None,

@@ -1,4 +1,4 @@
-"""Spinning head: its true angle over time, its encoder readings, and the sensor's clock.
+"""Rotor of a spinning head: its true angle over time, and its encoder's readings.
 
 Sources of the measured constants: the laws `encoder` and `motor` of `laws.toml`.
 """
@@ -6,18 +6,20 @@ Sources of the measured constants: the laws `encoder` and `motor` of `laws.toml`
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from functools import cached_property
+from typing import Self
 
 import numpy as np
 
-from vlp16emu.elementary import cos
+from vlp16emu.elementary import cos, sin
 from vlp16emu.kernels.compiler import array_kernel, kernel
-from vlp16emu.random import Purpose, normal, uniform
+from vlp16emu.random import Purpose, normal, normal_at, uniform, uniform_at
 from vlp16emu.sensor.laws import law, span
 from vlp16emu.sensor.settings import Lidar
+from vlp16emu.sensor.steps import NEVER, Spans
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import F8, I8
-from vlp16emu.units import HOUR_NS, S_NS
+from vlp16emu.units import S_NS
 
 _TICK_NS = int(law("encoder.tick_ns"))
 _TICK_PHASE_NS = span("encoder.tick_phase_ns")
@@ -122,6 +124,29 @@ class Swing:
 
 
 @dataclass(frozen=True, slots=True)
+class Wobble:
+    """A sinusoidal change of the rotor speed, for a time."""
+
+    from_ns: int  # since the start
+    lasts_ns: int
+    amplitude_rpm: float
+    period_s: float
+
+    def ahead_deg(self, elapsed_ns: I8) -> F8:
+        """Return the angles (n,) by which the rotor is ahead of a constant rotation."""
+        since_s = np.clip(elapsed_ns - self.from_ns, 0, self.lasts_ns) / S_NS
+        per_s = 2.0 * math.pi / self.period_s
+        return np.asarray(6.0 * self.amplitude_rpm / per_s * (1.0 - cos(per_s * since_s)))
+
+    def rpm_at(self, elapsed_ns: int) -> float:
+        """Return the speed that the wobble adds, in rpm."""
+        since_ns = elapsed_ns - self.from_ns
+        if not 0 <= since_ns < self.lasts_ns:
+            return 0.0
+        return self.amplitude_rpm * sin(2.0 * math.pi * since_ns / S_NS / self.period_s)
+
+
+@dataclass(frozen=True, slots=True)
 class Encoder:
     """Encoder of one unit: it reads the true angle with periodic errors and white noise.
 
@@ -170,8 +195,13 @@ class Encoder:
             slow_shares=(shares + width * shares * (1.0 - shares) * (draws[8:] - 0.5)).tolist(),
         )
 
-    def read(self, angle_deg: F8, first: int, clock_ns: I8, rpm: F8 | float) -> F8:
-        """Return readings (k,), [0, 360), at true angles (k,) of the firing sequences from `first`.
+    @property
+    def limit_deg(self) -> float:
+        """Limit of the difference between reading and true angle at up to 3000 rpm; no normal number exceeds 9."""
+        return self.once[0] + self.twice[0] + self.pitch_deg + 9.0 * (self.hum_deg + self.noise_deg)
+
+    def read(self, angle_deg: F8, sequence: I8, clock_ns: I8, rpm: F8 | float) -> F8:
+        """Return readings (k,), [0, 360), at true angles (k,) of firing sequences (k,).
 
         Parameters
         ----------
@@ -184,15 +214,15 @@ class Encoder:
             since_tick = (clock_ns - self.tick_ns) % _TICK_NS / _TICK_NS
             reading = reading + self.hum_deg * rpm / 600.0 * (1.0 - 2.0 * since_tick)
         if self.pitch_deg:
-            return self._between_lines(reading, first, np.asarray(rpm)) % 360.0
+            return self._between_lines(reading, sequence, np.asarray(rpm)) % 360.0
         if self.noise_deg:
-            drawn_deg = self.noise_deg * normal(self.seed, Purpose.AZIMUTH_READING, first, len(reading))
+            drawn_deg = self.noise_deg * normal_at(self.seed, Purpose.AZIMUTH_READING, sequence)
             reading = reading + np.clip(drawn_deg, -self.noise_limit_deg, self.noise_limit_deg)
         return np.asarray(reading % 360.0)
 
-    def _between_lines(self, angle_deg: F8, first: int, rpm: F8) -> F8:
+    def _between_lines(self, angle_deg: F8, sequence: I8, rpm: F8) -> F8:
         # The white error is here a uniform time error of the detection of a line.
-        early = 2.0 * uniform(self.seed, Purpose.AZIMUTH_READING, first, len(angle_deg)) - 1.0
+        early = 2.0 * uniform_at(self.seed, Purpose.AZIMUTH_READING, sequence) - 1.0
         angle_deg = angle_deg + _HALF_WIDTH * self.noise_deg * rpm / 600.0 * early
         line, since_deg = np.divmod(angle_deg - self.first_deg, self.pitch_deg)
         slow, fast, slow_share = _speeds(rpm)
@@ -203,7 +233,7 @@ class Encoder:
             share * slow_share / _SLOW,
             1.0 - (1.0 - share) * (1.0 - slow_share) / (1.0 - _SLOW),
         )
-        is_slow = uniform(self.seed, Purpose.AZIMUTH_READING, first, len(angle_deg), 1) < share
+        is_slow = uniform_at(self.seed, Purpose.AZIMUTH_READING, sequence, 1) < share
         rate = 1.0 + self.rate_error / _RATE_ERROR * (np.where(is_slow, slow, fast) - 1.0)
         return np.asarray(
             angle_deg - since_deg + np.minimum(since_deg * rate, self.pitch_deg - _LINE_GAP_DEG)
@@ -223,7 +253,7 @@ def _speeds(rpm: F8) -> tuple[F8, F8, F8]:
     return low / true_cdeg, high / true_cdeg, np.clip((high - mean_cdeg) / (high - low), 0.0, 1.0)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Rotor:
     """Motor of a head: it turns clockwise, seen from above, at constant speed except for swings and events.
 
@@ -232,17 +262,25 @@ class Rotor:
 
     spins: tuple[Spin, ...]  # spins in order of time; the first begins at the start
     encoder: Encoder
-    wobbles: tuple[Any, ...] = ()  # speed changes by events, each an `extras.bench.changes.Wobbling`
+    wobbles: tuple[Wobble, ...] = ()
     swings: tuple[Swing, ...] = ()
     drift: Swing | None = None  # error of the mean speed over minutes, which a phase lock removes
-    locks_ns: tuple[
-        tuple[int, int], ...
-    ] = ()  # spans since the start with phase lock, in order, without overlap
+    locks_ns: Spans = NEVER  # spans since the start with phase lock
 
     @property
     def rpm(self) -> float:
         """Speed at the start."""
         return self.spins[0].rpm
+
+    @cached_property
+    def turns_ns(self) -> I8:
+        """Times since the start (n,) at which spins follow each other."""
+        return np.array([spin.from_ns for spin in self.spins[1:]], np.int64)
+
+    @cached_property
+    def _spin_table(self) -> F8:
+        """Begin, speed and change of speed of each spin (n, 3)."""
+        return np.array([(spin.from_ns, spin.rpm, spin.rpm_per_s) for spin in self.spins])
 
     def angle_deg(self, elapsed_ns: I8) -> F8:
         """Return true angles, [0, 360), at times since the start, any shape.
@@ -250,7 +288,7 @@ class Rotor:
         They are exact after any number of hours.
         """
         flat_ns = elapsed_ns.reshape(-1)
-        if self.drift and self.locks_ns:
+        if self.drift and self.locks_ns.spans:
             flat_ns = swung_ns(self.swings, flat_ns) + self._drift_ns(self.drift, flat_ns)
         else:
             flat_ns = swung_ns((self.drift, *self.swings) if self.drift else self.swings, flat_ns)
@@ -258,38 +296,47 @@ class Rotor:
             out = self.spins[0].at(flat_ns)
         else:
             out = np.empty(len(flat_ns))
-            begins_ns = np.array([spin.from_ns for spin in self.spins[1:]])
-            spin_of = np.searchsorted(begins_ns, flat_ns, side="right")
-            for number in np.unique(spin_of).tolist():
-                out[spin_of == number] = self.spins[number].at(flat_ns[spin_of == number])
+            of = np.searchsorted(self.turns_ns, flat_ns, side="right")
+            for number in np.unique(of).tolist():
+                out[of == number] = self.spins[number].at(flat_ns[of == number])
         for wobble in self.wobbles:
             out = (out + wobble.ahead_deg(flat_ns)) % 360.0
         return out.reshape(elapsed_ns.shape)
+
+    @cached_property
+    def _pulls(self) -> tuple[I8, I8, I8, I8]:
+        """Begin and end of each lock, by how much the motor is ahead at its begin, and what the locks until its end have removed."""
+        assert self.drift is not None
+        bounds_ns = np.array(self.locks_ns.spans)
+        ahead_ns = swung_ns((self.drift,), bounds_ns.reshape(-1)) - bounds_ns.reshape(-1)
+        removed_ns = [0]
+        at_begin_ns = list[int]()
+        for (begin_ns, end_ns), ahead in zip(
+            bounds_ns.tolist(), ahead_ns.reshape(-1, 2).tolist(), strict=True
+        ):
+            before_ns, after_ns = (ns - removed_ns[-1] for ns in ahead)
+            at_end = max(1.0 - PULL * (end_ns - begin_ns) / max(abs(before_ns), 1), 0.0)
+            at_begin_ns.append(before_ns)
+            removed_ns.append(removed_ns[-1] + after_ns - round(before_ns * at_end))
+        begins_ns, ends_ns = bounds_ns.T
+        return begins_ns, ends_ns, np.array(at_begin_ns), np.array(removed_ns)
 
     def _drift_ns(self, drift: Swing, elapsed_ns: I8) -> I8:
         """Return by how much (n,) the error of the mean speed has put the motor ahead.
 
         A lock pulls it to 0, where it begins again.
         """
+        begins_ns, ends_ns, at_begin_ns, removed_ns = self._pulls
+        begun = np.searchsorted(begins_ns, elapsed_ns, side="right")
+        latest = np.maximum(begun - 1, 0)
+        before_ns = at_begin_ns[latest]
+        left = 1.0 - PULL * (elapsed_ns - begins_ns[latest]) / np.maximum(np.abs(before_ns), 1)
+        pulled_ns = np.rint(before_ns * np.clip(left, 0.0, 1.0)).astype(np.int64)
+        free_ns = swung_ns((drift,), elapsed_ns) - elapsed_ns - removed_ns[begun]
+        return np.where((begun > 0) & (elapsed_ns < ends_ns[latest]), pulled_ns, free_ns)
 
-        def ahead_ns(times_ns: I8) -> I8:
-            return swung_ns((drift,), times_ns) - times_ns
-
-        out = ahead_ns(elapsed_ns)
-        removed_ns = 0
-        for begin_ns, end_ns in self.locks_ns:
-            before_ns, after_ns = (ahead_ns(np.array([begin_ns, end_ns])) - removed_ns).tolist()
-            left = 1.0 - PULL * (elapsed_ns - begin_ns) / max(abs(before_ns), 1)
-            at_end = max(1.0 - PULL * (end_ns - begin_ns) / max(abs(before_ns), 1), 0.0)
-            pulled_ns = np.rint(before_ns * np.clip(left, 0.0, 1.0)).astype(np.int64)
-            out = np.where((elapsed_ns >= begin_ns) & (elapsed_ns < end_ns), pulled_ns, out)
-            step_ns = after_ns - round(before_ns * at_end)
-            out = np.where(elapsed_ns >= end_ns, out - step_ns, out)
-            removed_ns += step_ns
-        return out
-
-    def read(self, angle_deg: F8, elapsed_ns: I8, first: int, clock_ns: I8) -> F8:
-        """Return encoder readings (k,), [0, 360), at true angles (k,) of the firing sequences from `first`.
+    def read(self, angle_deg: F8, elapsed_ns: I8, sequence: I8, clock_ns: I8) -> F8:
+        """Return encoder readings (k,), [0, 360), at true angles (k,) of firing sequences (k,).
 
         Parameters
         ----------
@@ -298,12 +345,10 @@ class Rotor:
         """
         rpm: F8 | float = self.spins[0].rpm
         if len(self.spins) > 1:
-            spin_of = np.searchsorted([spin.from_ns for spin in self.spins[1:]], elapsed_ns, side="right")
-            begin_ns, begin_rpm, per_s = np.array([(s.from_ns, s.rpm, s.rpm_per_s) for s in self.spins])[
-                spin_of
-            ].T
+            of = np.searchsorted(self.turns_ns, elapsed_ns, side="right")
+            begin_ns, begin_rpm, per_s = self._spin_table[of].T
             rpm = begin_rpm + per_s * (elapsed_ns - begin_ns) / S_NS
-        return self.encoder.read(angle_deg, first, clock_ns, rpm)
+        return self.encoder.read(angle_deg, sequence, clock_ns, rpm)
 
     def revolutions(self, elapsed_ns: int) -> float:
         """Return the turns from the start to a time; a wobble adds none, as it returns to zero."""
@@ -317,9 +362,9 @@ class Rotor:
 
     def rpm_at(self, elapsed_ns: int) -> float:
         """Return the speed at a time since the start, in rpm."""
-        spin = [spin for spin in self.spins if spin.from_ns <= elapsed_ns or spin is self.spins[0]][-1]
+        spin = self.spins[int(np.searchsorted(self.turns_ns, elapsed_ns, side="right"))]
         rate = 1.0 + sum(swing.rate_at(elapsed_ns) for swing in self.swings)
-        if self.drift and not any(begin_ns <= elapsed_ns < end_ns for begin_ns, end_ns in self.locks_ns):
+        if self.drift and not self.locks_ns.at(elapsed_ns):
             rate += self.drift.rate_at(elapsed_ns)
         return spin.rpm_at(elapsed_ns) * rate + sum(wobble.rpm_at(elapsed_ns) for wobble in self.wobbles)
 
@@ -376,56 +421,3 @@ def _with_sine(reading_deg: F8, phase_deg: F8, amplitude_deg: float) -> F8:
     for i in range(reading_deg.size):
         out[i] = reading_deg[i] + amplitude_deg * cos_sin(math.radians(phase_deg[i]))[1]
     return out
-
-
-@dataclass(frozen=True, slots=True)
-class ClockSpan:
-    """The sensor's clock after an instant."""
-
-    from_ns: int  # UTC
-    reading_ns: int | None = (
-        None  # reading of a free-running clock at that instant; None if it is locked to GPS
-    )
-    error_ppm: float = (
-        0.0  # rate error, positive is fast; a locked clock is fast in one second and slow in the next
-    )
-
-    def reading(self, t_ns: I8) -> I8:
-        """Return nanoseconds past the counter's hour at UTC instants of any shape.
-
-        Before the span it is the first reading.
-        """
-        if self.reading_ns is None:
-            if not self.error_ppm:
-                return np.asarray(t_ns % HOUR_NS)
-            in_two_s = t_ns % (2 * S_NS)
-            ahead = np.rint(np.minimum(in_two_s, 2 * S_NS - in_two_s) * (self.error_ppm * 1e-6)).astype(
-                np.int64
-            )
-            return np.asarray((t_ns + ahead) % HOUR_NS)
-        since = np.maximum(t_ns - self.from_ns, 0)
-        if self.error_ppm:
-            since = since + np.rint(since * (self.error_ppm * 1e-6)).astype(np.int64)
-        return np.asarray((self.reading_ns + since) % HOUR_NS)
-
-
-@dataclass(frozen=True, slots=True)
-class Clock:
-    """The sensor's top-of-hour counter.
-
-    Locked to GPS it shows nanoseconds past the UTC hour; without GPS it runs from power-up on its own
-    oscillator and rolls over every 3600 s (63-9243 Rev D, appendix G). Before power-up it stays at zero: the
-    stamp of a position packet is older than the packet, and can be older than the clock.
-    """
-
-    spans: tuple[ClockSpan, ...]  # spans in order of time; the first is valid at all times before the second
-
-    def reading_ns(self, t_ns: I8) -> I8:
-        """Return nanoseconds past the counter's hour at UTC instants of any shape."""
-        if len(self.spans) == 1:
-            return self.spans[0].reading(t_ns)
-        out = np.empty(t_ns.shape, np.int64)
-        span_of = np.searchsorted([span.from_ns for span in self.spans[1:]], t_ns, side="right")
-        for number in np.unique(span_of).tolist():
-            out[span_of == number] = self.spans[number].reading(t_ns[span_of == number])
-        return out

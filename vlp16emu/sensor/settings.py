@@ -1,7 +1,8 @@
 """The `[sensor]` table."""
 
+from dataclasses import dataclass, fields
 from ipaddress import IPv4Address
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
@@ -19,6 +20,11 @@ MOST_RPM = 1200
 RPM_STEP = 60
 """Speeds of the rotor that a Puck can be set to (63-9243 Rev D, section 8.3, p. 50)."""
 Rpm = Annotated[int, Field(ge=LEAST_RPM, le=MOST_RPM, multiple_of=RPM_STEP)]
+ReturnModeName = Literal["strongest", "last", "dual"]
+_WholeDegree = Annotated[int, Field(ge=0, le=359)]
+Sector = Annotated[tuple[_WholeDegree, _WholeDegree], Field(strict=False)]
+"""First and last azimuth, clockwise, in whole degrees."""
+ALL_AROUND = 0, 359  # field of view of a whole revolution
 
 
 _PRESETS: dict[str, dict[str, object]] = {
@@ -64,7 +70,7 @@ class Lidar(Preset):
     """Values of all rotation errors that are not set: `unit` draws the differences between real units, has an
     encoder with lines, and a random state at the start; `steady` turns at constant speed, and power-up is the
     start of the run."""
-    return_mode: Literal["strongest", "last", "dual"] = "strongest"
+    return_mode: ReturnModeName = "strongest"
     """Returns that are sent: the strongest, the last, or both."""
     min_range_m: Annotated[float, Field(ge=0.5, lt=131.07)] = 0.5
     """Nearer targets are blanked; no real unit sends less than 0.5 m."""
@@ -165,6 +171,30 @@ class Sensor(Lidar):
         if self.data_port == self.position_port:
             raise ExpectationError("a data_port and a position_port that differ")
         return self
+
+
+@dataclass(frozen=True)
+class SensorSettings:
+    """Settings that events and the web interface change during a run; types and limits hold for both."""
+
+    rpm: Rpm = 600
+    """Speed of the rotor; other speeds disturb speed control and phase lock (63-9243 Rev D, section 8.3)."""
+    return_mode: ReturnModeName = "strongest"  # echoes that are sent
+    laser: bool = True  # False: no data packets, only position packets
+    fov_deg: Sector = ALL_AROUND  # first and last azimuth that is sent
+    phase_lock_deg: Degrees | Literal["off"] = "off"
+    """Rotor angle at each pulse of the GPS receiver."""
+
+    @classmethod
+    def of(cls, section: Lidar) -> "SensorSettings":
+        """Return the settings at power-up."""
+        phase_deg = section.phase_lock_deg if isinstance(section, Sensor) else None
+        return cls(section.rpm, section.return_mode, phase_lock_deg="off" if phase_deg is None else phase_deg)
+
+    def changes_from(self, other: "SensorSettings") -> dict[str, Any]:
+        """Return the settings that differ from others, by name."""
+        names = [field.name for field in fields(SensorSettings)]
+        return {name: getattr(self, name) for name in names if getattr(self, name) != getattr(other, name)}
 
 
 AnySensor = Annotated[Lidar, OneOf(Lidar, "sensors", "model", "vlp-16")]

@@ -47,7 +47,7 @@ class Engine:
         self.now = replace(
             self.now,
             motor_rpm=self.now.motor_rpm + max(min(missing_rpm, 20.0), -20.0),
-            laser_on=self.settings.laser_on,
+            laser_on=self.settings.laser,
         )
         return self.now
 

@@ -8,11 +8,11 @@ import pytest
 
 from vlp16emu.errors import InputError
 from vlp16emu.extras.bench.device import DeviceSettings, DeviceStatus, diagnostics
-from vlp16emu.types import PpsState, ReturnMode
+from vlp16emu.types import PpsState
 from vlp16emu.units import S_NS
 
 OTHERS = DeviceSettings(
-    1200, ReturnMode.DUAL, False, (90, 270), True, 12_345, "10.0.0.7", 3000, 3001,
+    1200, "dual", False, (90, 270), 123.45, 12_345, "10.0.0.7", 3000, 3001,
     "10.0.0.2", "255.255.0.0", "0.0.0.0", True,
 )  # fmt: skip
 
@@ -28,7 +28,7 @@ def test_saved_settings_survive_the_run(make, tmp_path):
     assert (unsaved.settings, again.settings) == (DeviceSettings(), OTHERS)
     tree = json.loads(file.read_text())
     assert (tree["rpm"], tree["return_mode"], tree["fov_deg"]) == (1200, "dual", [90, 270])
-    assert all(getattr(OTHERS, name) != getattr(DeviceSettings(), name) for name in DeviceSettings.__slots__)
+    assert all(getattr(OTHERS, name) != getattr(DeviceSettings(), name) for name in vars(OTHERS))
     file.write_text('{"rpm": 300}')
     assert make(saved=file, factory=OTHERS)[1].settings == replace(OTHERS, rpm=300)
 

@@ -5,9 +5,11 @@ import pytest
 
 from vlp16emu import Emulator
 from vlp16emu.engine import Job, scan
+from vlp16emu.engine.field_of_view import FieldOfView
 from vlp16emu.engine.timeline import Packer
 from vlp16emu.packets import data_fields, decode_position
 from vlp16emu.scenario import load
+from vlp16emu.sensor.head import Head
 from vlp16emu.types import PacketKind
 from vlp16emu.units import S_NS, US_NS
 
@@ -21,6 +23,12 @@ def emulator(*events, threads=2, window_s=5.0, gps=True, **sensor):
     settings = {"gps.connected": gps, "gps.pps_window_s": window_s, "events": list(events)}
     settings |= {f"sensor.{key}": value for key, value in sensor.items()}
     return Emulator("static_bench", settings, threads=threads)
+
+
+def load_unit(*events, **settings):
+    """The first unit of a hall with events."""
+    scene = {"gps.connected": True, "events": list(events), **settings}
+    return Emulator("static_bench", scene).parts.units[0]
 
 
 def data_of(packets):
@@ -237,3 +245,75 @@ def test_packets_know_their_first_pulse():
     slots = [row for some in run.parts.units[0].timeline.sequences(0, S_NS) for row in some[:, 0].tolist()]
     assert [run.scenario.start_ns + first * 55_296 for first in slots] == fired
     assert run.parts.units[0].timeline.count(0, S_NS) == len(fired)
+
+
+def test_a_late_start_reads_the_encoder_only_at_borders(monkeypatch):
+    """With a field of view the first packet after an hour is found with fewer than six readings per revolution; the next start needs none of them again."""
+    unit = load_unit(setting(0.5, fov_deg=[90, 200]), duration_s=7200.0, **{"sensor.preset": "unit"})
+    read = []
+    whole = Head.read
+    monkeypatch.setattr(
+        Head, "read", lambda head, sequence: read.append(len(sequence)) or whole(head, sequence)
+    )
+    early, late, again = (
+        (next(unit.timeline.stretches(at_ns, at_ns + S_NS)), sum(read), read.clear())[:2]
+        for at_ns in (S_NS, 3600 * S_NS, 3600 * S_NS)
+    )
+    assert late[1] - early[1] < 6 * 36_000
+    assert again == (late[0], pytest.approx(early[1], abs=70_000))
+
+
+@pytest.mark.parametrize("fov_deg", [[90, 200], [350, 9], [7, 7], [10, 9], [0, 358]])
+def test_counts_are_those_of_the_readings(fov_deg):
+    """Packets that are counted are those whose firing sequences are in the field of view, one by one, through stops, ramps and restarts."""
+    events = (
+        setting(0.2, fov_deg=fov_deg),
+        setting(2.0, rpm=1200),
+        {"kind": "motor_stop", "at_s": 6.0, "duration_s": 8.0},
+        {"kind": "rpm_wobble", "at_s": 5.0, "duration_s": 9.0, "amplitude_rpm": 90.0, "period_s": 0.9},
+        {"kind": "power_cycle", "at_s": 18.0, "off_s": 0.5},
+        setting(20.0, fov_deg=fov_deg, phase_lock_deg=11.0),
+    )
+    unit = load_unit(*events, duration_s=30.0)
+    spans = [span for span in unit.timeline.spans if span.fov_deg]
+    assert len(spans) == 2
+    for span in spans:
+        stop = min(span.stop or 500_000, 500_000)
+        sent = unit.timeline.chosen(span, span.first, stop)
+        for at in range(span.first, stop, 29_998):
+            counted = FieldOfView(unit.head, *span.fov_deg).count(span.first, at)
+            assert 2 * counted == np.searchsorted(sent, at)
+
+
+def test_counting_takes_each_change_of_settings_once(monkeypatch):
+    """Faults that count packets are set up by bisection: of a thousand changes of the field of view each is counted once, however many faults ask."""
+    changes = [setting(0.1 * n, fov_deg=[n % 90, 200]) for n in range(1000)]
+    timeline = load_unit(*changes, duration_s=200.0).timeline
+    counted = []
+    whole = FieldOfView.count
+    monkeypatch.setattr(
+        FieldOfView, "count", lambda field, *span: counted.append(span) or whole(field, *span)
+    )
+    found = [timeline.count(0, round(at_s * S_NS)) for at_s in np.arange(0.0, 99.0, 0.1)]
+    assert found == sorted(found)
+    assert len(counted) < 2 * 1000
+
+
+def test_a_setting_while_the_sensor_starts_holds_from_power_up():
+    """Speed, return mode and field of view that are set without power are those of the first packet after it; what was set before it is lost."""
+    run = emulator(
+        setting(0.1, rpm=900),
+        {"kind": "power_cycle", "at_s": 0.3, "off_s": 0.5},
+        setting(0.5, rpm=1200, return_mode="last", fov_deg=[90, 269]),
+    )
+    unit = run.parts.units[0]
+    before, off, on = (unit.state.operation.at(round(at_s * S_NS)) for at_s in (0.2, 0.6, 0.8))
+    assert (before.settings.rpm, off.is_powered, on.settings.rpm) == (900, False, 1200)
+    assert [spin.rpm for spin in unit.head.rotor.spins][-1] == 1200
+    payloads, due_ns = data_of(run.packets(0.8, 1.2))
+    azimuth, _ = blocks_of(payloads)
+    assert due_ns[0] > 0.8 * S_NS
+    assert set(payloads[:, 1204]) == {0x38}
+    assert azimuth.min() >= 9000
+    assert azimuth.max() < 27_000
+    assert np.median(speeds_rpm(payloads)) == pytest.approx(1200, abs=10)

@@ -3,8 +3,9 @@
 import pytest
 from listening import parse_rmc
 
+from vlp16emu.engine.build import gps_input
 from vlp16emu.errors import PacketError
-from vlp16emu.extras.bench.changes import DisturbedGps
+from vlp16emu.extras.bench.changes import gps_of
 from vlp16emu.extras.bench.events import event
 from vlp16emu.motion.settings import Gps
 from vlp16emu.packets.nmea import rmc_time
@@ -15,15 +16,15 @@ START_NS = 1_795_255_199 * S_NS
 ABSENT, SYNC, LOCKED, ERROR = PpsState
 
 
-def gps_input(*events, **gps):
-    return DisturbedGps.of(Gps(canopy_loss=False, **gps), events, START_NS)
+def disturbed(*events, **gps):
+    return gps_of(gps_input(Gps(canopy_loss=False, **gps)), events, START_NS)
 
 
 def states(made, stop_s=25.0):
     """States of the pulse, each with the second at which it begins."""
     found = []
     for ms in range(-1000, round(1000 * stop_s), 10):
-        state = made.pps_at(START_NS + ms * MS_NS)
+        state = made.pps.at(START_NS + ms * MS_NS)
         if not found or found[-1][1] is not state:
             found.append((ms / 1000, state))
     return found
@@ -59,7 +60,7 @@ OFF = event("power_cycle", 3.0, off_s=2.5)
 )
 def test_the_state_follows_pulses_and_sentences(happening, settings, expected):
     """Locked are steady pulses with sentences that name the second before them; each event ends that as the manual says."""
-    assert states(gps_input(happening, **settings)) == [(-1.0, LOCKED), *expected]
+    assert states(disturbed(happening, **settings)) == [(-1.0, LOCKED), *expected]
 
 
 @pytest.mark.parametrize(
@@ -72,14 +73,14 @@ def test_the_state_follows_pulses_and_sentences(happening, settings, expected):
 )
 def test_the_buffer_holds_the_last_sentence_that_came(happening, seconds):
     """From 0.35 s after its second on, later if it is late; the last one stays, and after power-up there is none."""
-    made = gps_input(happening)
+    made = disturbed(happening)
     found = {at_s: made.second_ns(START_NS + round(1000 * at_s) * MS_NS) for at_s in seconds}
     assert found == {at_s: None if n is None else START_NS + n * S_NS for at_s, n in seconds.items()}
 
 
 def test_a_sentence_says_what_happens_to_it():
     """Void ones have the status V, as long as that lasts; garbled ones cannot be read."""
-    void, wrong = gps_input(VOID), gps_input(GARBLED)
+    void, wrong = disturbed(VOID), disturbed(GARBLED)
     assert [parse_rmc(void.sentence(fix(s), 1)).valid for s in (2, 3, 4, 5)] == [True, False, False, True]
     assert parse_rmc(wrong.sentence(fix(2), 1)).t_ns == START_NS + 2 * S_NS
     with pytest.raises(PacketError):
@@ -89,8 +90,8 @@ def test_a_sentence_says_what_happens_to_it():
 @pytest.mark.parametrize("characters", [1, 2, 5, 40])
 def test_as_many_characters_are_garbled_as_wanted(characters):
     """The sentence keeps its length and its end; so many characters differ, and its checksum is wrong for each seed."""
-    made = gps_input(event("wrong_sentence", 0.0, characters=characters))
-    good, seen = gps_input().sentence(fix(2), 1), set()
+    made = disturbed(event("wrong_sentence", 0.0, characters=characters))
+    good, seen = disturbed().sentence(fix(2), 1), set()
     for seed in range(40):
         text = made.sentence(fix(2), seed)
         differ = sum(a != b for a, b in zip(good, text, strict=True))
@@ -116,18 +117,14 @@ def test_as_many_characters_are_garbled_as_wanted(characters):
         [],
     ],
 )
-def test_spans_are_those_of_the_state(events, window_s):
-    """Each instant is in the spans of its state alone: every 100 ms, and at and before each border of a span."""
-    made = gps_input(*events, pps_window_s=window_s)
-    spans = {state: made.spans_ns(state) for state in PpsState}
-    borders_ns = {
-        t_ns for some in spans.values() for span in some for t_ns in span if abs(t_ns - START_NS) < 60 * S_NS
-    }
+def test_the_state_at_any_instant_is_one_of_the_steps(events, window_s):
+    """The steps of the state have the state by the rule at each instant: every 100 ms, and at and before each step."""
+    made = disturbed(*events, pps_window_s=window_s)
+    steps_ns = {t_ns for t_ns, _ in made.pps.steps if abs(t_ns - START_NS) < 60 * S_NS}
     for t_ns in [START_NS + ms * MS_NS for ms in range(-5_000, 40_000, 100)] + [
-        b - n for b in borders_ns for n in (0, 1)
+        step_ns - n for step_ns in steps_ns for n in (0, 1)
     ]:
-        there = [state for state in PpsState if any(begin <= t_ns < end for begin, end in spans[state])]
-        assert there == [made.pps_at(t_ns)], t_ns
+        assert made.pps.at(t_ns) is made._state_at(t_ns), t_ns
 
 
 def test_a_valid_sentence_cannot_be_required_where_trees_decide():

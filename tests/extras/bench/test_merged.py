@@ -13,7 +13,6 @@ from vlp16emu.extras.bench.control import Control
 from vlp16emu.extras.bench.gps_in import GpsReader
 from vlp16emu.extras.live.flight import PoseReceiver
 from vlp16emu.extras.live.pose_packet import pack_pose
-from vlp16emu.types import ReturnMode
 from vlp16emu.units import S_NS
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
@@ -58,7 +57,7 @@ def test_a_hundred_settings_are_two_changes(bench):
         bench.device.change(
             lambda settings, n=number: replace(settings, rpm=300 + 60 * (n % 10 + 1), fov_deg=(n, 350))
         )
-    bench.device.change(lambda settings: replace(settings, return_mode=ReturnMode.DUAL))
+    bench.device.change(lambda settings: replace(settings, return_mode="dual"))
     assert len(bench.stream.changes) == 1
     bench.stream.made_until_ns += 2 * S_NS
     assert bench.stream.changed.acquire(timeout=60)
@@ -74,7 +73,7 @@ def test_a_restart_among_settings_loses_those_before_it(bench):
     assert bench.stream.changed.acquire(timeout=60)
     bench.device.change(lambda settings: replace(settings, rpm=1200))
     bench.device.restart()
-    bench.device.change(lambda settings: replace(settings, laser_on=False))
+    bench.device.change(lambda settings: replace(settings, laser=False))
     bench.stream.made_until_ns += 2 * S_NS
     assert bench.stream.changed.acquire(timeout=60)
     _, lost, setting = bench.feed.begun[-1].scenario.events

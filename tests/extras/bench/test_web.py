@@ -16,19 +16,13 @@ from vlp16emu.errors import InputError, OutputError
 from vlp16emu.extras.bench.device import DeviceInfo, DeviceSettings, document
 from vlp16emu.extras.bench.web import WebServer
 from vlp16emu.run.options import Http
-from vlp16emu.types import PpsState, ReturnMode, SensorModel
+from vlp16emu.types import PpsState, SensorModel
 
 FOLDER = Path(__file__).parents[3] / "protocol" / "web"
 SCHEMAS = {path.name: json.loads(path.read_text(encoding="utf-8")) for path in FOLDER.glob("*.schema.json")}
 REGISTRY = Registry().with_resources((name, Resource.from_contents(tree)) for name, tree in SCHEMAS.items())
 DOCUMENTS = ("settings.json", "status.json", "diag.json", "info.json", "snapshot.hdl")
-OTHERS = {
-    "laser_on": False,
-    "phase_lock_on": True,
-    "dhcp": True,
-    "return_mode": ReturnMode.DUAL,
-    "fov_deg": (90, 9),
-}
+OTHERS = {"laser": False, "phase_lock_deg": 0.0, "dhcp": True, "return_mode": "dual", "fov_deg": (90, 9)}
 
 
 def check(tree, name):
@@ -360,12 +354,7 @@ def test_nebula_configures_every_item(web):
     tree = json.loads(nebula.request("GET", "/cgi/snapshot.hdl"))
     assert {key: nebula.item(tree, key) for key in WANTED} == WANTED
     assert web.engine.settings == DeviceSettings(
-        rpm=1200,
-        return_mode=ReturnMode.DUAL,
-        fov_deg=(90, 270),
-        host="127.0.0.1",
-        data_port=3000,
-        position_port=3001,
+        rpm=1200, return_mode="dual", fov_deg=(90, 270), host="127.0.0.1", data_port=3000, position_port=3001
     )
     assert len(web.engine.changes) == 7
     nebula.configure(WANTED)
@@ -373,11 +362,7 @@ def test_nebula_configures_every_item(web):
 
 
 FORMS = {
-    "setting rpm=1200&returns=Dual&laser=off": {
-        "rpm": 1200,
-        "return_mode": ReturnMode.DUAL,
-        "laser_on": False,
-    },
+    "setting rpm=1200&returns=Dual&laser=off": {"rpm": 1200, "return_mode": "dual", "laser": False},
     "setting laser=on": {},
     "setting/fov start=350&end=10": {"fov_deg": (350, 10)},
     "setting/host addr=10.0.0.7&dport=4000&tport=4001": {
@@ -387,7 +372,7 @@ FORMS = {
     },
     "setting/net addr=127.0.0.2&mask=255.0.0.0": {"address": "127.0.0.2", "mask": "255.0.0.0"},
     "setting/net gateway=127.0.0.1&dhcp=on": {"gateway": "127.0.0.1", "dhcp": True},
-    "setting/phaselock enabled=on&offset=12345": {"phase_lock_on": True, "phase_lock_cdeg": 12_345},
+    "setting/phaselock enabled=on&offset=12345": {"phase_lock_deg": 123.45, "phase_lock_cdeg": 12_345},
 }
 
 

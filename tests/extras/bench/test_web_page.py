@@ -91,8 +91,8 @@ def test_the_form_sends_what_was_changed(web, page):
     page.click("[type=submit]")
     page.wait("at('said').textContent.startsWith('Set.')")
     made = web.engine.settings
-    assert (made.rpm, made.return_mode, made.laser_on, made.fov_deg) == (900, "dual", False, (350, 10))
-    assert (made.phase_lock_on, made.phase_lock_cdeg) == (True, 12_345)
+    assert (made.rpm, made.return_mode, made.laser, made.fov_deg) == (900, "dual", False, (350, 10))
+    assert (made.phase_lock_deg, made.phase_lock_cdeg) == (123.45, 12_345)
     assert (made.data_port, made.position_port, made.address, made.host) == (
         3000,
         8308,

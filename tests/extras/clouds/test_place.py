@@ -8,8 +8,9 @@ import pytest
 from vlp16emu.extras.clouds.scan import place
 from vlp16emu.motion.pose import rotations
 from vlp16emu.sensor.beams import BEAM_TABLES, with_angle_errors
+from vlp16emu.sensor.clock import Clock, ClockSpan
 from vlp16emu.sensor.head import Head
-from vlp16emu.sensor.rotor import Clock, ClockSpan, Encoder, Rotor, Spin
+from vlp16emu.sensor.rotor import Encoder, Rotor, Spin
 from vlp16emu.types import Poses, SensorModel
 
 START_NS = 1_780_000_000 * 10**9

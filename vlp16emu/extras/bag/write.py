@@ -185,7 +185,7 @@ def bag_of_run(
     truth = _truth_of_run(engine, rate_hz)
 
     def clock_of(number: int, due_ns: int) -> PacketClock:
-        is_locked = units[number].gps.pps_at(due_ns) is PpsState.LOCKED
+        is_locked = units[number].state.gps.pps.at(due_ns) is PpsState.LOCKED
         return PacketClock(Clock.SENSOR if is_locked else Clock.HOST)
 
     with (

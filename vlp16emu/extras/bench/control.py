@@ -6,11 +6,11 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from ipaddress import ip_address
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
@@ -19,7 +19,7 @@ from vlp16emu.engine import Unit
 from vlp16emu.errors import InputError, OutputError
 from vlp16emu.explain import explain
 from vlp16emu.extras.bench.device import Device, DeviceInfo, DeviceSettings, DeviceStatus
-from vlp16emu.extras.bench.events import Event, InForce, checked, event, tables
+from vlp16emu.extras.bench.events import Event, checked, event, tables
 from vlp16emu.extras.bench.web import WebServer
 from vlp16emu.packets import POSITION_BYTES, decode_position
 from vlp16emu.run.feed import PacketFeed
@@ -27,9 +27,9 @@ from vlp16emu.run.part import WebPart
 from vlp16emu.run.scene_stream import SceneStream
 from vlp16emu.run.stream import Stream
 from vlp16emu.scenario import Scenario
-from vlp16emu.sensor.settings import require_packets
+from vlp16emu.sensor.settings import SensorSettings, require_packets
 from vlp16emu.sinks import UdpSink
-from vlp16emu.types import PpsState, ReturnMode, SensorModel
+from vlp16emu.types import PpsState, SensorModel
 from vlp16emu.units import FOREVER_NS, S_NS, seconds_to_ns
 
 _LEAD_NS = 150_000_000
@@ -93,7 +93,7 @@ class WebInterfaces(WebPart):
 def _settings_of(unit: Unit, host: str) -> DeviceSettings:
     sensor = require_packets(unit.section)
     places = {key: getattr(sensor, key) for key in ("data_port", "position_port", "address")}
-    return _with_in_force(DeviceSettings(host=host, **places), InForce.of(sensor))
+    return DeviceSettings(host=host, **places).after(asdict(SensorSettings.of(sensor)))
 
 
 class Control:
@@ -141,7 +141,7 @@ class Control:
         return Device(
             self._factory[n],
             status=partial(self.status, n),
-            is_up=lambda: not self._feed.engine.parts.units[n].timeline.is_silent(self._since_ns()),
+            is_up=lambda: not self._feed.engine.parts.units[n].state.silences.at(self._since_ns()),
             changed=partial(self._changed, n),
             info=DeviceInfo(sensor.serial_number, SensorModel(sensor.model), unit.link.source_mac),
             saved=saved.with_stem(f"{saved.stem}_{n + 1}") if saved and n else saved,
@@ -199,10 +199,8 @@ class Control:
         of = self._feed.engine.parts.units[unit]
         since_ns = self._since_ns()
         now_ns = self._scenario.start_ns + since_ns
-        ends_ns = [end for _, end in of.timeline.silences_ns if end <= since_ns]
-        powered_ns = (
-            since_ns - max(ends_ns) if ends_ns else since_ns + seconds_to_ns(of.section.powered_for_s or 0.0)
-        )
+        off = of.state.silences.before(since_ns)
+        power_up_ns = off[1] if off else -seconds_to_ns(of.section.powered_for_s or 0.0)
         settings = self.devices[unit].settings
         rpm = of.head.rotor.rpm_at(since_ns)
         second_ns = max(now_ns // S_NS * S_NS - self._scenario.start_ns, 0)
@@ -216,10 +214,10 @@ class Control:
             position=_position_text(sent.sentence) if sent else "",
             motor_rpm=rpm,
             motor_on=rpm > 0,
-            phase_locked=settings.phase_lock_on and self._scenario.gps.connected,
+            phase_locked=settings.phase_lock_deg != "off" and self._scenario.gps.connected,
             phase_cdeg=round(100 * float(of.head.rotor.angle_deg(np.array([second_ns]))[0])) % 36_000,
-            laser_on=settings.laser_on,
-            powered_for_s=powered_ns / S_NS,
+            laser_on=settings.laser,
+            powered_for_s=(since_ns - power_up_ns) / S_NS,
         )
 
     @property
@@ -246,10 +244,9 @@ class Control:
 
     def _follow(self, unit: int, old: DeviceSettings, new: DeviceSettings) -> None:
         """Add the new settings to the next change as one event, after a restart if there is one."""
-        before, after = asdict(_in_force(old)), asdict(_in_force(new))
+        keys = new.changes_from(old)
         if not self._scenario.gps.connected:
-            del after["phase_lock_deg"]
-        keys = {key: value for key, value in after.items() if value != before[key]}
+            keys.pop("phase_lock_deg", None)
         own = [one for one in self._set if one.unit == unit + 1]
         if keys and own and own[-1].kind == "setting":
             self._set[self._set.index(own[-1])] = own[-1].model_copy(update=keys)
@@ -269,9 +266,7 @@ class Control:
     def _after(self, one: Event, settings: DeviceSettings) -> DeviceSettings:
         if one.effect == "power":
             return self._factory[one.unit - 1]
-        return (
-            _with_in_force(settings, _in_force(settings).after(one)) if one.effect == "settings" else settings
-        )
+        return settings.after(one.settings) if one.effect == "settings" else settings
 
     def _redirect(self, unit: int, old: DeviceSettings, new: DeviceSettings) -> None:
         """Send to the new receiver; to another machine only if the run began with another machine."""
@@ -333,19 +328,6 @@ class Control:
             # A live run is never computed far ahead.
             if has_begun and until_ns >= self._under_way.due_in_ns(min(self._lead_ns, self._ahead_ns // 2)):
                 return
-
-
-def _in_force(settings: DeviceSettings) -> InForce:
-    phase: float | Literal["off"] = settings.phase_lock_cdeg / 100 if settings.phase_lock_on else "off"
-    return InForce(settings.rpm, str(settings.return_mode), settings.laser_on, settings.fov_deg, phase)
-
-
-def _with_in_force(settings: DeviceSettings, new: InForce) -> DeviceSettings:
-    """Return the settings, updated with the settings in force; a phase that is off keeps its angle."""
-    phase = new.phase_lock_deg
-    cdeg = settings.phase_lock_cdeg if phase == "off" else round(100 * phase) % 36_000
-    own: dict[str, Any] = {"rpm": new.rpm, "return_mode": ReturnMode(new.return_mode), "fov_deg": new.fov_deg}
-    return replace(settings, laser_on=new.laser, phase_lock_on=phase != "off", phase_lock_cdeg=cdeg, **own)
 
 
 def _position_text(sentence: bytes) -> str:

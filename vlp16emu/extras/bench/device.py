@@ -13,7 +13,7 @@ from functools import partial, reduce
 from ipaddress import IPv4Address
 from pathlib import Path
 from threading import Lock
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, Self
 from urllib.parse import parse_qsl
 
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
@@ -22,7 +22,7 @@ from pydantic.dataclasses import dataclass as checked_dataclass
 from vlp16emu.errors import InputError, Vlp16emuError, readable
 from vlp16emu.explain import explain
 from vlp16emu.output import OutputFile
-from vlp16emu.sensor.settings import Address, Port, Rpm
+from vlp16emu.sensor.settings import Address, Port, SensorSettings
 from vlp16emu.types import PpsState, ReturnMode, SensorModel
 from vlp16emu.units import S_NS
 
@@ -53,26 +53,17 @@ _Gateway = _address(
 _Mask = _address(
     "a network mask such as 255.255.255.0", lambda mask: int(mask) > 0 and "01" not in f"{int(mask):032b}"
 )
-_WholeDegree = Annotated[int, Field(ge=0, le=359)]
 
 
-@checked_dataclass(frozen=True, slots=True, config=ConfigDict(strict=True, extra="forbid"))
-class DeviceSettings:
+@checked_dataclass(frozen=True, config=ConfigDict(strict=True, extra="forbid"))
+class DeviceSettings(SensorSettings):
     """Settings of the web interface, with the factory's defaults (63-9243 Rev D, section 10.2).
 
     Raises pydantic.ValidationError if the sensor does not accept a value; also from `dataclasses.replace`.
     """
 
-    rpm: Rpm = 600
-    """Speed of the rotor; other speeds disturb speed control and phase lock (section 8.3)."""
-    return_mode: ReturnMode = ReturnMode.STRONGEST  # echoes that are sent
-    laser_on: bool = True  # False: no data packets, only position packets
-    fov_deg: tuple[_WholeDegree, _WholeDegree] = (
-        0,
-        359,
-    )  # first and last azimuth that is sent; (0, 359) is all around
-    phase_lock_on: bool = False  # True if the rotor follows the pulse of the GPS receiver
-    phase_lock_cdeg: Annotated[int, Field(ge=0, le=35_999)] = 0  # rotor angle at each pulse, in 0.01 degree
+    phase_lock_cdeg: Annotated[int, Field(ge=0, le=35_999)] = 0
+    """Rotor angle at each pulse, in 0.01 degree, also while the phase lock is off."""
     host: Annotated[str, _Receiver] = "255.255.255.255"  # IPv4 address that packets are sent to
     data_port: Port = 2368  # destination port of data packets
     position_port: Port = 8308  # destination port of position packets
@@ -80,6 +71,13 @@ class DeviceSettings:
     mask: Annotated[str, _Mask] = "255.255.255.0"  # of its network
     gateway: Annotated[str, _Gateway] = "192.168.1.1"  # of its network
     dhcp: bool = False  # True if a server gives the addresses
+
+    def after(self, changes: Mapping[str, Any]) -> Self:
+        """Return the settings after changes of `SensorSettings`; a phase lock that is switched off keeps its angle."""
+        phase_deg = changes.get("phase_lock_deg", "off")
+        if phase_deg == "off":
+            return replace(self, **changes)
+        return replace(self, **changes, phase_lock_cdeg=round(100 * phase_deg) % 36_000)
 
 
 _SETTINGS: TypeAdapter[DeviceSettings] = TypeAdapter(DeviceSettings)
@@ -282,8 +280,8 @@ def _is_on(text: str) -> bool:
     return text == "on"
 
 
-def _return_mode(text: str) -> ReturnMode:
-    modes = {mode.capitalize(): mode for mode in ReturnMode}
+def _return_mode(text: str) -> str:
+    modes = {mode.capitalize(): str(mode) for mode in ReturnMode}
     if text not in modes:
         raise ValueError(" or ".join(modes))
     return modes[text]
@@ -293,30 +291,75 @@ def _switch(on: bool) -> str:
     return "On" if on else "Off"
 
 
+def _with_phase_lock(settings: DeviceSettings, on: bool) -> DeviceSettings:
+    return replace(settings, phase_lock_deg=settings.phase_lock_cdeg / 100 if on else "off")
+
+
+def _with_phase(settings: DeviceSettings, cdeg: int) -> DeviceSettings:
+    settings = replace(settings, phase_lock_cdeg=cdeg)
+    return settings if settings.phase_lock_deg == "off" else _with_phase_lock(settings, on=True)
+
+
 class _Key(NamedTuple):
+    """A value of a form and of the document of settings."""
+
     form: str  # last part of its form's path, and its table in the document; empty for the outermost
     name: str
-    field: str  # field of `DeviceSettings`
-    read: Callable[[str], object] = _whole
-    shown: Callable[[Any], object] = str
-    end: int | None = None  # index of the end of the field of view
+    read: Callable[[str], Any]  # value of a text of the form
+    change: Callable[[DeviceSettings, Any], DeviceSettings]  # settings with a value
+    shown: Callable[[DeviceSettings], object]  # value in the document
+
+
+def _key(
+    form: str,
+    name: str,
+    field: str,
+    read: Callable[[str], Any] = _whole,
+    shown: Callable[[Any], object] = str,
+) -> _Key:
+    """Return a key that stands for one field of the settings."""
+    return _Key(
+        form,
+        name,
+        read,
+        lambda settings, value: replace(settings, **{field: value}),
+        lambda settings: shown(getattr(settings, field)),
+    )
 
 
 _KEYS = (
-    _Key("", "rpm", "rpm", shown=int),
-    _Key("", "returns", "return_mode", _return_mode, str.capitalize),
-    _Key("", "laser", "laser_on", _is_on, _switch),
-    _Key("fov", "start", "fov_deg", shown=int, end=0),
-    _Key("fov", "end", "fov_deg", shown=int, end=1),
-    _Key("host", "addr", "host", str),
-    _Key("host", "dport", "data_port"),
-    _Key("host", "tport", "position_port"),
-    _Key("net", "addr", "address", str),
-    _Key("net", "mask", "mask", str),
-    _Key("net", "gateway", "gateway", str),
-    _Key("net", "dhcp", "dhcp", _is_on, _switch),
-    _Key("phaselock", "enabled", "phase_lock_on", _is_on, _switch),
-    _Key("phaselock", "offset", "phase_lock_cdeg"),
+    _key("", "rpm", "rpm", shown=int),
+    _key("", "returns", "return_mode", _return_mode, str.capitalize),
+    _key("", "laser", "laser", _is_on, _switch),
+    _Key(
+        "fov",
+        "start",
+        _whole,
+        lambda settings, value: replace(settings, fov_deg=(value, settings.fov_deg[1])),
+        lambda settings: settings.fov_deg[0],
+    ),
+    _Key(
+        "fov",
+        "end",
+        _whole,
+        lambda settings, value: replace(settings, fov_deg=(settings.fov_deg[0], value)),
+        lambda settings: settings.fov_deg[1],
+    ),
+    _key("host", "addr", "host", str),
+    _key("host", "dport", "data_port"),
+    _key("host", "tport", "position_port"),
+    _key("net", "addr", "address", str),
+    _key("net", "mask", "mask", str),
+    _key("net", "gateway", "gateway", str),
+    _key("net", "dhcp", "dhcp", _is_on, _switch),
+    _Key(
+        "phaselock",
+        "enabled",
+        _is_on,
+        _with_phase_lock,
+        lambda settings: _switch(settings.phase_lock_deg != "off"),
+    ),
+    _Key("phaselock", "offset", _whole, _with_phase, lambda settings: str(settings.phase_lock_cdeg)),
 )
 _FORMS = {f"/cgi/setting/{key.form}".rstrip("/"): key.form for key in _KEYS}
 _ACTIONS: Mapping[str, tuple[bytes, Callable[[Device], None]]] = {
@@ -382,10 +425,7 @@ def _with(form: str, settings: DeviceSettings, pair: tuple[str, str]) -> DeviceS
         raise FormError(f"{name[:40]!r}: unknown key, expected {' or '.join(keys)}")
     key = keys[name]
     try:
-        value = key.read(text)
-        if key.end is not None:
-            value = (value, settings.fov_deg[1]) if key.end == 0 else (settings.fov_deg[0], value)
-        return replace(settings, **{key.field: value})  # type: ignore[arg-type]  # checked by the class
+        return key.change(settings, key.read(text))
     except ValidationError as error:
         _, found, expected = explained(error)
         raise FormError(f"{name}: {found}, expected {expected}") from None
@@ -401,7 +441,6 @@ def _settings(settings: DeviceSettings) -> dict[str, Any]:
     """Return the settings with the types of real units: ports and the phase are strings."""
     tree = dict[str, Any]()
     for key in _KEYS:
-        value = getattr(settings, key.field)
         table = tree.setdefault(key.form, {}) if key.form else tree
-        table[key.name] = key.shown(value if key.end is None else value[key.end])
+        table[key.name] = key.shown(settings)
     return tree

@@ -1,18 +1,17 @@
 """The tables `[[events]]` of a scene: settings of a sensor during a run, and faults."""
 
-from dataclasses import dataclass, fields, replace
 from functools import cache
 from importlib.resources import files
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self, Union
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self, Union, get_type_hints
 
 from pydantic import Field, TypeAdapter, create_model, model_validator
 
-from vlp16emu.sensor.settings import Lidar, Rpm, Sensor
+from vlp16emu.sensor.settings import Sector, Sensor, SensorSettings
 from vlp16emu.settings import Fraction, NonNegative, Positive, Section, toml
 from vlp16emu.units import FOREVER_NS, seconds_to_ns
 
-ALL_AROUND = 0, 359  # field of view of a whole revolution
 _MOST = 10_000
+_SETTINGS = get_type_hints(SensorSettings, include_extras=True)
 
 
 class Event(Section):
@@ -46,6 +45,12 @@ class Event(Section):
         return FOREVER_NS if lasts_s is None else seconds_to_ns(self.at_s + lasts_s)
 
     @property
+    def settings(self) -> dict[str, Any]:
+        """Settings that the event `setting` changes, fields of `SensorSettings`."""
+        given = {name: getattr(self, name) for name in _SETTINGS}
+        return {name: value for name, value in given.items() if value is not None}
+
+    @property
     def is_random(self) -> bool:
         """True if it affects each packet with a probability below one."""
         return bool(getattr(self, "share", 1.0) < 1.0)
@@ -59,53 +64,29 @@ class Event(Section):
         return self
 
 
-@dataclass(frozen=True, slots=True)
-class InForce:
-    """Settings of a sensor from an instant on: the keys of the event `setting`."""
-
-    rpm: int
-    return_mode: str
-    laser: bool = True
-    fov_deg: tuple[int, int] = ALL_AROUND
-    phase_lock_deg: float | Literal["off"] = "off"
-
-    @classmethod
-    def of(cls, section: Lidar) -> Self:
-        """Return the settings at power-up."""
-        phase_deg = section.phase_lock_deg if isinstance(section, Sensor) else None
-        return cls(section.rpm, section.return_mode, phase_lock_deg="off" if phase_deg is None else phase_deg)
-
-    def after(self, event: Event) -> Self:
-        """Return the settings after an event `setting`."""
-        given = {field.name: getattr(event, field.name) for field in fields(self)}
-        return replace(self, **{name: value for name, value in given.items() if value is not None})
-
-
 def _from(kind: type, **bounds: Any) -> Any:
     return Annotated[kind, Field(**bounds)]
 
 
-_Degree: Any = _from(int, ge=0, le=359)
-_Sector: Any = Annotated[tuple[_Degree, _Degree], Field(strict=False)]
 _LAW = "False: no data packets; position packets go on (63-9243 Rev D, section 10.1.2)."
 _PHASE = "Rotor angle at each UTC second; `off` ends the phase lock."
 _COUNT = "Number of consecutive packets of a kind that it may affect, instead of `duration_s`."
 KEYS: dict[str, tuple[Any, Any, str]] = {
     "duration_s": (Positive | None, None, "Duration; until the end of the run if not given."),
-    "rpm": (Rpm | None, None, "Rotor speed, which changes gradually."),
-    "return_mode": (Literal["strongest", "last", "dual"] | None, None, "Echoes that are sent."),
-    "laser": (bool | None, None, _LAW),
+    "rpm": (_SETTINGS["rpm"] | None, None, "Rotor speed, which changes gradually."),
+    "return_mode": (_SETTINGS["return_mode"] | None, None, "Echoes that are sent."),
+    "laser": (_SETTINGS["laser"] | None, None, _LAW),
     "fov_deg": (
-        _Sector | None,
+        _SETTINGS["fov_deg"] | None,
         None,
         "First and last azimuth that is sent, whole degrees; (0, 359) is all around.",
     ),
-    "phase_lock_deg": (_from(float, ge=0, lt=360) | Literal["off"] | None, None, _PHASE),
+    "phase_lock_deg": (_SETTINGS["phase_lock_deg"] | None, None, _PHASE),
     "amplitude_rpm": (_from(float, gt=0, le=100), 6.0, "Greatest difference from the set speed."),
     "period_s": (_from(float, ge=0.05, le=1000), 1.0, "Time from one greatest speed to the next."),
     "off_s": (_from(float, gt=0, le=3600), 5.0, "Time without packets: power off, and start of the sensor."),
     "dead_laser.laser": (_from(int, ge=0, le=15), ..., "Number of the laser in order of firing, from 0."),
-    "sector_deg": (_Sector, ..., "First and last azimuth of the dirt, clockwise."),
+    "sector_deg": (Sector, ..., "First and last azimuth of the dirt, clockwise."),
     "transmission": (Fraction, 0.3, "Share of the light that passes, in each direction."),
     "offset_us": (_from(float, ge=-1e9, le=1e9), 0.0, "Offset of the clock from then on, positive if fast."),
     "drift_ppm": (

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
+from vlp16emu.engine.gps_input import STALE_NS, pps_state
 from vlp16emu.errors import OutputError, PacketError
 from vlp16emu.extras.bench.outlets import Away, SerialPort, has_line
 from vlp16emu.extras.bench.retime import age_ns, restamped
@@ -25,9 +26,6 @@ _STEADY_NS = 5 * MS_NS
 """Error of a steady pulse against its second: a program that polls a line every millisecond, beside other
 programs, gives it to a pulse that is exact to a microsecond (assumption)."""
 _LOST_NS = S_NS + S_NS // 2  # time without a pulse after which pulses count as lost
-_STALE_NS = (
-    5 * S_NS
-)  # time without a good sentence after which sentences no longer set the clock (assumption)
 _SHARE = 8
 """A pulse corrects this fraction of the clock's error, so that stamps do not show the jitter of polling."""
 
@@ -94,14 +92,13 @@ class GpsLine:
     def state_at(self, t_ns: int) -> PpsState:
         """Return the state of the pulse in position packets (63-9243 Rev D, section 9.3.3)."""
         with self._lock:
-            if self._edge_ns is None or t_ns - self._edge_ns > _LOST_NS:
-                return PpsState.ABSENT
-            if self._is_bad:
-                return PpsState.ERROR
             window_ns = seconds_to_ns(self._gps.pps_window_s)
-            steady = self._steady_since_ns is not None and t_ns - self._steady_since_ns >= window_ns
-            is_set = self._set_ns is not None and t_ns - self._set_ns < _STALE_NS
-            return PpsState.LOCKED if steady and is_set else PpsState.SYNCHRONIZING
+            return pps_state(
+                is_pulsed=self._edge_ns is not None and t_ns - self._edge_ns <= _LOST_NS,
+                is_wrong=self._is_bad,
+                is_steady=self._steady_since_ns is not None and t_ns - self._steady_since_ns >= window_ns,
+                is_set=self._set_ns is not None and t_ns - self._set_ns < STALE_NS,
+            )
 
     def clock_ns(self, t_ns: int) -> int:
         """Return the sensor's clock, in ns past its hour."""

@@ -16,15 +16,17 @@ from typing import Any, NamedTuple
 import viser
 
 from vlp16emu.extras.viewer.layers import html_box
+from vlp16emu.sensor.settings import LEAST_RPM, MOST_RPM, RPM_STEP
 from vlp16emu.trees import Tree
+from vlp16emu.types import ReturnMode
 
 _POLL_S = 1.0  # time between two looks at the settings, which events and other clients change too
 _CALM_S = 0.25  # a control that is dragged is sent once it rests for so long
 _TIMEOUT_S = 3.0
 _MOST_BYTES = 10_000  # limit of an answer, which has some 400 bytes
 _FORM = "/cgi/setting"
-_RPM = tuple(str(rpm) for rpm in range(300, 1201, 60))  # 63-9243 Rev D, section 8.3
-_MODES = ("Strongest", "Last", "Dual")
+_RPM = tuple(str(rpm) for rpm in range(LEAST_RPM, MOST_RPM + 1, RPM_STEP))
+_MODES = tuple(mode.capitalize() for mode in ReturnMode)
 
 
 class _Control(NamedTuple):

@@ -8,10 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.doors import Part
 from vlp16emu.elementary import atan2, cos, hypot, log, matmul, matvec, norm, sin
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.tiles import EXACT, STEM
@@ -22,9 +24,32 @@ from vlp16emu.forest.settings import Season, TreeModelFile
 from vlp16emu.forest.stand.inventory import COPIED, INVENTORY, hull_m, profiles, volume_m3
 from vlp16emu.forest.stand.placement import PlacedThings, about_vertical, plant_surfaces
 from vlp16emu.types import F8, I8, Mesh, PlantPart, ShapeKey
+from vlp16emu.world.settings import LengthUnit, UpAxis
 from vlp16emu.world.vectors import places_m
 
 Faces = NDArray[np.uint32]
+
+
+class LoadedMesh(Protocol):
+    """A mesh file that has been read."""
+
+    @property
+    def parts(self) -> Sequence[tuple[str, Mesh]]:
+        """Name and mesh of each part, relative to `centre_m`."""
+
+    @property
+    def centre_m(self) -> F8:
+        """Centre (3,) of the file's coordinates."""
+
+
+class MeshLoader(Protocol):
+    """Function that reads a mesh file."""
+
+    def __call__(self, path: Path, *, unit: LengthUnit, up: UpAxis) -> LoadedMesh:
+        """Return the parts of a file whose coordinates have a unit and an upward axis."""
+
+
+LOAD_MESH = Part[MeshLoader]("vlp16emu.extras.meshes.files:load_mesh")
 
 
 @dataclass(frozen=True, slots=True)
