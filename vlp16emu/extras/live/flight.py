@@ -136,6 +136,8 @@ class Flight(PosePart):
     lead_ns = _START_NS
     """Time ahead of now from which an engine that is too slow goes on: nothing is computed further ahead."""
 
+    result: LiveReport | None = None
+
     def __init__(self, stream: SceneStream, *, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
         engine = stream.emulator.engine
         poses = stream.options.poses or PosesIn()
