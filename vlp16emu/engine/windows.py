@@ -151,10 +151,10 @@ class Windows(Generic[S]):
         """Window of a time since the first pulse; before it, the first segment's, as nothing moves yet."""
         return self.at_block(max(since_ns, 0) // self._block_ns)
 
-    @property
-    def lead(self) -> int:
-        """Number of blocks between the opening of a window and its use."""
-        return int(_LEAD * self._per_segment) if self._per_segment else 0
+    def open_ahead(self, block: int, stop: int) -> None:
+        """Begin to open the window that is needed a while after a block, unless the run stops before: at block `stop`."""
+        lead = int(_LEAD * self._per_segment) if self._per_segment else 0
+        self.at_block(min(block + lead, stop - 1))
 
     def runs(self, blocks: range, together: int, threads: int) -> Iterator[range]:
         """Cut blocks into runs of at most `together` whole blocks, each within one window.
@@ -211,7 +211,7 @@ def in_order(
         for run in runs:
             pending.append(pool.submit(work, run, windows.at_block(run.start)))
             # Only now: the first packet should not wait for the second window.
-            windows.at_block(min(run.stop - 1 + windows.lead, stop - 1))
+            windows.open_ahead(run.stop - 1, stop)
             if len(pending) > threads:
                 yield windows.wait(pending.popleft())
         while pending:
