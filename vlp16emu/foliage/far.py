@@ -8,6 +8,7 @@ import math
 import threading
 from collections.abc import Iterable, Mapping
 from concurrent.futures import Executor
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -16,17 +17,19 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import hypot, matvec, norm
 from vlp16emu.foliage.cloud import Cloud, Library, cloud_of
 from vlp16emu.foliage.lanes import Ground, Medium, Stems, lanes
-from vlp16emu.foliage.march import Passage
+from vlp16emu.foliage.march import Passage, march_lines, march_pulses
 from vlp16emu.foliage.medium import Block, Name, Shelf, block_of, packed_block, stretch_of, unpacked_block
 from vlp16emu.foliage.polyline import distance_m
 from vlp16emu.foliage.stems import seen, stem_lines, stems_of
 from vlp16emu.foliage.tiles import STEM, FarTile, TiledWindow, TiledWorld
 from vlp16emu.foliage.voxel import BRICK, COLUMNS, FINER, KNOTS, QUANTILES, VOXEL_M
+from vlp16emu.raycast.adaptive import RayBudget
 from vlp16emu.raycast.build import Placed
-from vlp16emu.raycast.near import EmbreeCaster, EmbreeGeometry, Stages, target_of
+from vlp16emu.raycast.kernel import Cast
+from vlp16emu.raycast.near import EmbreeCaster, EmbreeGeometry, target_of
 from vlp16emu.raycast.packet import LEVEL, Target
 from vlp16emu.store import recalled
-from vlp16emu.types import F8, U1, Mesh, ShapeKey, Window
+from vlp16emu.types import F4, F8, U1, U2, U4, Mesh, ShapeKey, Window
 
 STRAY_M = 1.0  # greatest distance of a sensor from the positions of its window
 _LEVEL = float(LEVEL) - 1e-4  # slope below which the rays of a pulse are also level in float32
@@ -95,14 +98,34 @@ class FarGeometry(EmbreeGeometry):
             self._near = self._near._replace(steep=0)
         self._beyond = target_of(beyond) if beyond else self._near._replace(scene=0, steep=0)
 
-    def stages(self, far_m: float, rise: float, *, as_far: bool) -> Stages:
-        """Return the stages that rays with a slope up to `rise` pass up to range `far_m`."""
-        medium = self.medium._replace(near_m=0.0) if as_far else self.medium
-        reach_m = min(far_m, medium.near_m)
-        near = self._reached(rise) if reach_m > 0.0 else self._beyond
-        if reach_m < far_m:
-            return Stages(near, reach_m, self._beyond, Passage(medium, lanes(), seen(medium.stems)))
-        return Stages(near, reach_m)
+    @property
+    def as_far(self) -> "FarGeometry":
+        """The same window, with near content as the medium too."""
+        geometry = copy(self)
+        geometry.medium = self.medium._replace(near_m=0.0)
+        return geometry
+
+    def near_faces(self, rise: float, far_m: float) -> tuple[Target, float]:
+        """Return the near faces, none if the medium begins at the sensor; parameters as in `EmbreeGeometry`."""
+        reach_m = min(far_m, self.medium.near_m)
+        return (self._reached(rise) if reach_m > 0.0 else self._beyond), reach_m
+
+    def fill_lines(self, cast: Cast, range_m: F4, surface: U4, cos_incidence: F4) -> None:
+        """Cast one ray per pulse, also through the medium; parameters as in `cast_lines`."""
+        if cast.light.reach_m < cast.light.far_m:
+            march_lines(cast, self._passage(), range_m, surface, cos_incidence)
+        else:
+            super().fill_lines(cast, range_m, surface, cos_incidence)
+
+    def fill_pulses(self, cast: Cast, budget: RayBudget, count: U2, first_round: U4) -> U4:
+        """Cast the sub-rays of pulses, also through the medium; parameters and result as in `cast_pulses`."""
+        if cast.light.reach_m < cast.light.far_m:
+            further: U4 = march_pulses(cast, self._passage(), budget, count, first_round)
+            return further
+        return super().fill_pulses(cast, budget, count, first_round)
+
+    def _passage(self) -> Passage:
+        return Passage(self.medium, self._beyond, lanes(), seen(self.medium.stems))
 
     def _reached(self, rise: float) -> Target:
         """Return the near faces; pieces that only steep rays can meet are built for the first steep ray."""

@@ -4,34 +4,25 @@ import threading
 import weakref
 from collections.abc import Sequence
 from concurrent.futures import Executor, Future
-from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.doors import door
 from vlp16emu.raycast import embree as rtc
+from vlp16emu.raycast.adaptive import RayBudget
 from vlp16emu.raycast.beam import FARTHEST, LINE, ROUND, Footprint, beam_axis_of
 from vlp16emu.raycast.build import EmbreeMesh, Placed, inverses, relative_to_window, shape_of
 from vlp16emu.raycast.kernel import Cast, PulseBatch, batch_of, cast_lines, cast_pulses, join_rounds
 from vlp16emu.raycast.packet import PACKET, Target, ray_packet
 from vlp16emu.store import recalled
-from vlp16emu.types import F8, I8, Firings, Hits, ShapeKey, Window, World
+from vlp16emu.types import F4, F8, I8, U2, U4, Firings, Hits, ShapeKey, Window, World
 from vlp16emu.units import INCLUSIVE
 
 _SECTOR_DEG = 1.6
 """Width of a sector, whose faces stay in the cache from revolution to revolution: over eight revolutions it
 saves a fifth of the time for one ray per pulse in `scenes/reference_forest`, a seventh for an adaptive beam.
 12 degrees save half."""
-
-
-class Stages(NamedTuple):
-    """Consecutive stages of a cast."""
-
-    near: Target
-    reach_m: float  # range at which the next stages begin
-    beyond: Target | None = None  # faces that are cast at any range beyond
-    passage: Any = None  # far medium, by the overload of `kernel.go_on`
 
 
 class EmbreeGeometry:
@@ -49,13 +40,25 @@ class EmbreeGeometry:
         self._placed = near  # keeps its scenes alive
         self._near = target_of(near, kept)
 
-    def stages(self, far_m: float, rise: float, *, as_far: bool) -> Stages:  # noqa: ARG002 - nothing is far
-        """Return the stages for rays up to range `far_m` with a slope of at most `rise`."""
-        return Stages(self._near, far_m)
+    @property
+    def as_far(self) -> "EmbreeGeometry":
+        """The same window, as nothing in it is far."""
+        return self
 
-    def cast(
-        self, firings: Firings, near_m: F8, far_m: float, beam: Footprint = LINE, *, as_far: bool = False
-    ) -> Hits:
+    def near_faces(self, rise: float, far_m: float) -> tuple[Target, float]:  # noqa: ARG002 - one for all
+        """Return the near faces for rays with a slope of at most `rise`, and the range up to `far_m` at which they end."""
+        return self._near, far_m
+
+    def fill_lines(self, cast: Cast, range_m: F4, surface: U4, cos_incidence: F4) -> None:
+        """Cast one ray per pulse; parameters as in `cast_lines`."""
+        cast_lines(cast, range_m, surface, cos_incidence)
+
+    def fill_pulses(self, cast: Cast, budget: RayBudget, count: U2, first_round: U4) -> U4:
+        """Cast the sub-rays of pulses; parameters and result as in `cast_pulses`."""
+        further: U4 = cast_pulses(cast, budget, count, first_round)
+        return further
+
+    def cast(self, firings: Firings, near_m: F8, far_m: float, beam: Footprint = LINE) -> Hits:
         """Cast pulses.
 
         Parameters
@@ -64,7 +67,6 @@ class EmbreeGeometry:
         near_m : (L,) range at which each laser's light begins
         far_m : farthest range
         beam : footprint of a pulse
-        as_far : whether near content is also cast as the far medium, if there is one
 
         Raises ValueError for other firings.
         """
@@ -74,7 +76,7 @@ class EmbreeGeometry:
         lean = FARTHEST * beam.sigmas[2:].max()
         rise = float(np.abs(firings.direction[..., 2]).max(initial=0.0) + lean)
         far_m *= INCLUSIVE
-        near, reach_m, *beyond = self.stages(far_m, rise, as_far=as_far)
+        near, reach_m = self.near_faces(rise, far_m)
         pulses = PulseBatch(
             firings.origin_m,
             firings.direction,
@@ -89,18 +91,18 @@ class EmbreeGeometry:
             firings.index,
         )
         most = beam.budget.most if beam.has_width else 1
-        own = Cast(near, pulses, ray_packet(), batch_of(PACKET * shape[1], most))
+        cast = Cast(near, pulses, ray_packet(), batch_of(PACKET * shape[1], most))
         if beam.has_width:
             count = np.empty(shape, np.uint16)
             # Numpy's arrays are in huge pages; arrays made in kernels have a page fault every 4 kB.
             met_bits = first_round = np.empty((3, count.size * min(ROUND, most)), np.uint32)
-            further = cast_pulses(own, *beyond, beam.budget, count, first_round)
+            further = self.fill_pulses(cast, beam.budget, count, first_round)
             if further.size:
                 met_bits = np.empty((3, first_round.shape[1] + further.shape[1]), np.uint32)
                 join_rounds(count, first_round, further, met_bits)
             return Hits(count, met_bits[0].view(np.float32), met_bits[1], met_bits[2].view(np.float32))
         met = np.empty(shape, np.float32), np.empty(shape, np.uint32), np.empty(shape, np.float32)
-        cast_lines(own, *beyond, *met)
+        self.fill_lines(cast, *met)
         if beam.section.model == "offset":
             door("displace")(met[0], beam, firings.index)
         return Hits.one_ray_each(*met)
