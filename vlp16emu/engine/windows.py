@@ -218,17 +218,20 @@ def in_order(
             yield windows.wait(pending.popleft())
 
 
-def window_of(
-    parts: Parts, start_ns: int, batching: Batching, segment: int, track_m: F8 | None = None
-) -> Window:
-    """Return the window within reach of a segment of the walk, or of positions (n, 3); parameters as in `windows_of`."""
+def window_of(parts: Parts, start_ns: int, batching: Batching, segment: int) -> Window:
+    """Return the window within reach of a segment of the walk; parameters as in `windows_of`."""
     edges_ns = start_ns + batching.edges_ns(segment)
-    if track_m is None:
-        track_m = np.concatenate([unit.motion.poses_at(edges_ns).world_p_body_m for unit in parts.units])
+    tracks_m = [unit.motion.poses_at(edges_ns).world_p_body_m for unit in parts.units]
+    return window_around(parts, np.concatenate(tracks_m), edges_ns)
+
+
+def window_around(parts: Parts, track_m: F8, edges_ns: NDArray[np.int64]) -> Window:
+    """Return the window within reach of positions (n, 3), with trees that sway from the first of instants to the last."""
     window = parts.world.window(track_m)
-    return (
-        parts.wind.with_sway(window, track_m, int(edges_ns[0]), int(edges_ns[-1])) if parts.wind else window
-    )
+    if parts.wind is None:
+        return window
+    with_sway: Window = parts.wind.with_sway(window, track_m, int(edges_ns[0]), int(edges_ns[-1]))
+    return with_sway
 
 
 @runtime_checkable

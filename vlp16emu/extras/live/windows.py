@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 import numpy as np
 
 from vlp16emu.elementary import norm
-from vlp16emu.engine import Parts, window_of
-from vlp16emu.engine.windows import Batching, Windows
+from vlp16emu.engine import Parts
+from vlp16emu.engine.windows import Batching, Windows, window_around
 from vlp16emu.motion.pose import Motion
 from vlp16emu.raycast.caster import Geometry, caster
 from vlp16emu.types import F8
@@ -88,7 +88,8 @@ class CubeWindows(Windows[Geometry]):
 
         def open_window(name: tuple[Cube, int]) -> Geometry:
             cube, segment = name
-            return built.open(window_of(parts, start_ns, batching, segment, cube.track_m(arm_m)))
+            edges_ns = start_ns + batching.edges_ns(segment)
+            return built.open(window_around(parts, cube.track_m(arm_m), edges_ns))
 
         super().__init__(open_window, batching, moves=True, threads=threads)
         self._start_ns = start_ns
