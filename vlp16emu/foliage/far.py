@@ -23,13 +23,11 @@ from vlp16emu.foliage.polyline import distance_m
 from vlp16emu.foliage.stems import seen, stem_lines, stems_of
 from vlp16emu.foliage.tiles import STEM, FarTile, TiledWindow, TiledWorld
 from vlp16emu.foliage.voxel import BRICK, COLUMNS, FINER, KNOTS, QUANTILES, VOXEL_M
-from vlp16emu.raycast.adaptive import RayBudget
 from vlp16emu.raycast.build import Placed
-from vlp16emu.raycast.kernel import Cast
 from vlp16emu.raycast.near import EmbreeCaster, EmbreeGeometry, target_of
 from vlp16emu.raycast.packet import LEVEL, Target
 from vlp16emu.store import recalled
-from vlp16emu.types import F4, F8, U1, U2, U4, Mesh, ShapeKey, Window
+from vlp16emu.types import F8, U1, Mesh, ShapeKey, Window
 
 STRAY_M = 1.0  # greatest distance of a sensor from the positions of its window
 _LEVEL = float(LEVEL) - 1e-4  # slope below which the rays of a pulse are also level in float32
@@ -88,6 +86,9 @@ class FarGeometry(EmbreeGeometry):
     medium : far medium
     """
 
+    lines = staticmethod(march_lines)
+    pulses = staticmethod(march_pulses)
+
     def __init__(self, near: Placed, track_m: F8, beyond: Placed | None, medium: Medium) -> None:
         self._met, level = within_reach(near, track_m, medium.near_m)
         super().__init__(near, level)
@@ -110,22 +111,9 @@ class FarGeometry(EmbreeGeometry):
         reach_m = min(far_m, self.medium.near_m)
         return (self._reached(rise) if reach_m > 0.0 else self._beyond), reach_m
 
-    def fill_lines(self, cast: Cast, range_m: F4, surface: U4, cos_incidence: F4) -> None:
-        """Cast one ray per pulse, also through the medium; parameters as in `cast_lines`."""
-        if cast.light.reach_m < cast.light.far_m:
-            march_lines(cast, self._passage(), range_m, surface, cos_incidence)
-        else:
-            super().fill_lines(cast, range_m, surface, cos_incidence)
-
-    def fill_pulses(self, cast: Cast, budget: RayBudget, count: U2, first_round: U4) -> U4:
-        """Cast the sub-rays of pulses, also through the medium; parameters and result as in `cast_pulses`."""
-        if cast.light.reach_m < cast.light.far_m:
-            further: U4 = march_pulses(cast, self._passage(), budget, count, first_round)
-            return further
-        return super().fill_pulses(cast, budget, count, first_round)
-
-    def _passage(self) -> Passage:
-        return Passage(self.medium, self._beyond, lanes(), seen(self.medium.stems))
+    def passage(self) -> tuple[object, ...]:
+        """Return the medium, the faces at any range, and scratch."""
+        return (Passage(self.medium, self._beyond, lanes(), seen(self.medium.stems)),)
 
     def _reached(self, rise: float) -> Target:
         """Return the near faces; pieces that only steep rays can meet are built for the first steep ray."""

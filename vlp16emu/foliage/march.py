@@ -354,6 +354,8 @@ def _pass_through(passage: Passage, cast: Cast, todo: int, count: int, reach: np
     """Continue the rays of pulses that have met nothing near; `reach` is their greatest distance from the centre ray, in sigmas."""
     (medium, _, L, ahead) = passage
     light = cast.light
+    if light.reach_m >= light.far_m:
+        return
     batch = cast.batch
     row = batch.row
     surface = batch.surface

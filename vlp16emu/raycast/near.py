@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 
 from vlp16emu.doors import door
 from vlp16emu.raycast import embree as rtc
-from vlp16emu.raycast.adaptive import RayBudget
 from vlp16emu.raycast.beam import FARTHEST, LINE, ROUND, Footprint, beam_axis_of
 from vlp16emu.raycast.build import EmbreeMesh, Placed, inverses, relative_to_window, shape_of
 from vlp16emu.raycast.kernel import Cast, PulseBatch, batch_of, cast_lines, cast_pulses, join_rounds
 from vlp16emu.raycast.packet import PACKET, Target, ray_packet
 from vlp16emu.store import recalled
-from vlp16emu.types import F4, F8, I8, U2, U4, Firings, Hits, ShapeKey, Window, World
+from vlp16emu.types import F8, I8, Firings, Hits, ShapeKey, Window, World
 from vlp16emu.units import INCLUSIVE
 
 _SECTOR_DEG = 1.6
@@ -34,6 +33,9 @@ class EmbreeGeometry:
     kept : (n,) mask of their pieces; None for all
     """
 
+    lines = staticmethod(cast_lines)  # kernel for beams without width
+    pulses = staticmethod(cast_pulses)  # kernel for sub-rays
+
     def __init__(self, near: Placed, kept: NDArray[np.bool_] | None = None) -> None:
         self.meshes = near.meshes
         self.surfaces = near.window.surfaces
@@ -49,14 +51,9 @@ class EmbreeGeometry:
         """Return the near faces for rays with a slope of at most `rise`, and the range up to `far_m` at which they end."""
         return self._near, far_m
 
-    def fill_lines(self, cast: Cast, range_m: F4, surface: U4, cos_incidence: F4) -> None:
-        """Cast one ray per pulse; parameters as in `cast_lines`."""
-        cast_lines(cast, range_m, surface, cos_incidence)
-
-    def fill_pulses(self, cast: Cast, budget: RayBudget, count: U2, first_round: U4) -> U4:
-        """Cast the sub-rays of pulses; parameters and result as in `cast_pulses`."""
-        further: U4 = cast_pulses(cast, budget, count, first_round)
-        return further
+    def passage(self) -> tuple[object, ...]:
+        """Return what the kernels take for what is behind the near faces: nothing."""
+        return ()
 
     def cast(self, firings: Firings, near_m: F8, far_m: float, beam: Footprint = LINE) -> Hits:
         """Cast pulses.
@@ -96,13 +93,13 @@ class EmbreeGeometry:
             count = np.empty(shape, np.uint16)
             # Numpy's arrays are in huge pages; arrays made in kernels have a page fault every 4 kB.
             met_bits = first_round = np.empty((3, count.size * min(ROUND, most)), np.uint32)
-            further = self.fill_pulses(cast, beam.budget, count, first_round)
+            further = self.pulses(cast, *self.passage(), beam.budget, count, first_round)
             if further.size:
                 met_bits = np.empty((3, first_round.shape[1] + further.shape[1]), np.uint32)
                 join_rounds(count, first_round, further, met_bits)
             return Hits(count, met_bits[0].view(np.float32), met_bits[1], met_bits[2].view(np.float32))
         met = np.empty(shape, np.float32), np.empty(shape, np.uint32), np.empty(shape, np.float32)
-        self.fill_lines(cast, *met)
+        self.lines(cast, *self.passage(), *met)
         if beam.section.model == "offset":
             door("displace")(met[0], beam, firings.index)
         return Hits.one_ray_each(*met)
