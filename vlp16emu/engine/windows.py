@@ -152,7 +152,7 @@ class Windows(Generic[S]):
         return self.at_block(max(since_ns, 0) // self._block_ns)
 
     def open_ahead(self, block: int, stop: int) -> None:
-        """Begin to open the window that is needed a while after a block, unless the run stops before: at block `stop`."""
+        """Begin to open the window that is needed a while after a block; a run ends before block `stop`."""
         lead = int(_LEAD * self._per_segment) if self._per_segment else 0
         self.at_block(min(block + lead, stop - 1))
 
@@ -226,7 +226,7 @@ def window_of(parts: Parts, start_ns: int, batching: Batching, segment: int) -> 
 
 
 def window_around(parts: Parts, track_m: F8, edges_ns: NDArray[np.int64]) -> Window:
-    """Return the window within reach of positions (n, 3), with trees that sway from the first of instants to the last."""
+    """Return the window within reach of positions (n, 3); trees sway from the first instant to the last."""
     window = parts.world.window(track_m)
     if parts.wind is None:
         return window

@@ -107,7 +107,7 @@ class FarGeometry(EmbreeGeometry):
         return geometry
 
     def near_faces(self, rise: float, far_m: float) -> tuple[Target, float]:
-        """Return the near faces, none if the medium begins at the sensor; parameters as in `EmbreeGeometry`."""
+        """Return near faces as `EmbreeGeometry` does, none if the medium begins at the sensor."""
         reach_m = min(far_m, self.medium.near_m)
         return (self._reached(rise) if reach_m > 0.0 else self._beyond), reach_m
 

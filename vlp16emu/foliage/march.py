@@ -92,7 +92,7 @@ def march_lines(cast: Cast, passage: Passage, range_m: F4, surface: U4, cos_inci
 
 @array_kernel
 def march_pulses(cast: Cast, passage: Passage, budget: RayBudget, count: U2, first_round: U4) -> U4:
-    """Cast the sub-rays of every pulse in rounds of eight; as `cast_pulses`, each round also through the medium."""
+    """Cast the sub-rays of every pulse; as `cast_pulses`, each round also through the medium."""
     set_filter(cast.packet)
     groups = no_groups(count)
     for first in cast.light.order:
@@ -351,7 +351,7 @@ def _lay_lines(
 
 @kernel
 def _pass_through(passage: Passage, cast: Cast, todo: int, count: int, reach: np.float32) -> None:
-    """Continue the rays of pulses that have met nothing near; `reach` is their greatest distance from the centre ray, in sigmas."""
+    """Continue rays that have met nothing near; `reach` is their distance from the centre, in sigmas."""
     (medium, _, L, ahead) = passage
     light = cast.light
     if light.reach_m >= light.far_m:

@@ -48,7 +48,7 @@ class EmbreeGeometry:
         return self
 
     def near_faces(self, rise: float, far_m: float) -> tuple[Target, float]:  # noqa: ARG002 - one for all
-        """Return the near faces for rays with a slope of at most `rise`, and the range up to `far_m` at which they end."""
+        """Return the near faces for rays with a slope of up to `rise`, and the range at which they end."""
         return self._near, far_m
 
     def passage(self) -> tuple[object, ...]:

@@ -1,4 +1,4 @@
-"""Windows of a live run: they belong to cubes of the world, follow from the places of the body, and serve it."""
+"""Windows of a live run belong to cubes of the world, follow from the places of the body, and serve it."""
 
 from types import SimpleNamespace
 
@@ -104,7 +104,7 @@ def test_parts_of_a_block_have_its_window_and_sway_its_time(windows_of):
 
 
 def test_a_recorded_flight_has_the_windows_of_the_flight(windows_of, tmp_path):
-    """The names of the windows of a motion whose knots come one by one are those of the table of these knots."""
+    """A motion whose knots come one by one has the windows of the table of these knots."""
     rng = np.random.default_rng(3)
     states = states_at((0.0, 0.0, 0.0), 40.0)
     states[:, 7:10] = np.cumsum(rng.normal(0.0, 0.15, (len(states), 3)), axis=0)
@@ -123,7 +123,7 @@ def test_a_recorded_flight_has_the_windows_of_the_flight(windows_of, tmp_path):
 
 
 def test_a_window_is_opened_for_its_whole_cube_and_the_margin():
-    """Each place in it is within 1 m of the track on the map, and no lower or higher than the track; also with a lever arm."""
+    """With a lever arm too, places are within 1 m of the track on the map, and no lower or higher than it."""
     rng = np.random.default_rng(1)
     track_m = Cube(-2, 1, 0).track_m(0.5)
     places_m = np.array([-24.0, 24.0, 8.0]) + rng.uniform(-16.5, 16.5, (2000, 3))
@@ -158,7 +158,7 @@ def test_a_body_sees_what_one_on_a_known_path_sees(tmp_path):
 
 @pytest.mark.usefixtures("kept_woods")
 def test_a_body_may_leave_the_region_of_its_path(tmp_path):
-    """Half a kilometre from its path a flight sees, to the last bit, the forest that a path 100 m away has there."""
+    """Half a kilometre from its path a flight sees, to the last bit, the forest of a path 100 m away."""
     live = '{{kind="live",flown="{flown}",path_m=%s}}'
     place_m = (400.0, -300.0)
     off_m = flight_ranges_m(tmp_path, place_m, live % "[[0,0]]")

@@ -211,7 +211,7 @@ def test_a_track_may_leave_the_region_of_the_path(make_forest, forest, track_m):
 
 @pytest.mark.parametrize("across", [(1, 1), (4, 2), (2, 5)])
 def test_tiles_have_numbers_without_gaps(across):
-    """Numbers of a region that grows by three rings are all those from 0, and the rectangle has the first, column by column."""
+    """A region that grows by three rings has all numbers from 0; its rectangle has the first, by columns."""
     region = Region((-2, 7), across)
     tiles = product(range(-5, across[0] + 1), range(4, across[1] + 10))
     numbers = [region.number(*tile) for tile in tiles]

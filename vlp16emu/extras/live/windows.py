@@ -59,13 +59,13 @@ class Cube(NamedTuple):
         return cls(*np.floor(place_m / _EDGE_M).astype(int).tolist())
 
     def serves(self, place_m: F8, speed_m_s: float) -> bool:
-        """Return True if its window is valid for a body that has been at a place (3,) until the end of the block."""
+        """Return True if its window is valid until the end of the block for a body at a place (3,) before."""
         middle_m = (np.array(self) + 0.5) * _EDGE_M
         spare_m = _SPARE_M + _SPARE_S * speed_m_s
         return bool((np.abs(place_m - middle_m) <= _EDGE_M / 2 + _ASIDE_M - spare_m).all())
 
     def track_m(self, arm_m: float) -> F8:
-        """Return positions (n, 3) all over the cube and its margin, for sensors up to `arm_m` from the body."""
+        """Return positions (n, 3) all over cube and margin, for sensors up to `arm_m` from the body."""
         aside_m = _ASIDE_M + arm_m
         wide_m = _EDGE_M + 2 * aside_m
         low_m = np.array(self) * _EDGE_M - aside_m
@@ -140,8 +140,8 @@ class LiveWindows(CubeWindows):
         if sys.platform == "linux":
             os.nice(_NICE)
 
-    def runs(self, blocks: range, together: int, threads: int) -> Iterator[range]:  # noqa: ARG002  # one at a time with any number of threads
-        """Yield blocks one by one, so that packets do not wait for each other, and skip to the present if they are too late."""
+    def runs(self, blocks: range, together: int, threads: int) -> Iterator[range]:  # noqa: ARG002
+        """Yield blocks one by one, as packets shall not wait; skip to the present if they are late."""
         block = blocks.start
         while block < blocks.stop:
             late = self._live.elapsed_ns // self._block_ns - block

@@ -117,7 +117,7 @@ class ForestWorld:
         )
 
     def window(self, track_m: F8) -> TiledWindow:
-        """Return the window within reach of sensor positions (n, 3); raises GeometryError if things there cannot be numbered."""
+        """Return the window within reach of sensors (n, 3); GeometryError beyond the numbered tiles."""
         names = self._in_view(track_m)
         tiles = [self._tile(*name) for name in names]
         index_of = dict[ShapeKey, int]()
@@ -287,7 +287,7 @@ class ForestWorld:
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """A rectangle of tiles around the path, which grows ring by ring: so each tile of the plane has a number."""
+    """A rectangle of tiles around the path that grows ring by ring, so that each tile has a number."""
 
     first: tuple[int, int]  # south-west tile of the rectangle
     across: tuple[int, int]  # tiles in x and y
