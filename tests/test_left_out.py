@@ -55,7 +55,7 @@ def test_a_beam_without_width_has_no_footprint(monkeypatch):
     first("beam.model=adaptive")
     assert axes[0] is None
     assert axes[-1].shape[1:] == (16, 3)
-    forbid(monkeypatch, (fast, "cast_pulses"), (fast, "beam_axis_of"))
+    forbid(monkeypatch, (fast.EmbreeGeometry, "pulses"), (fast, "beam_axis_of"))
     first()
     with pytest.raises(TouchedError):
         first("beam.model=adaptive")

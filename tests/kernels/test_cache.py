@@ -115,7 +115,7 @@ def test_content_changes_what_is_made_of_it(package, name, near, far):
 
 
 class Passage(NamedTuple):
-    """A type whose module may overload what a kernel calls."""
+    """A type whose module orders its fields."""
 
     x: int
 

@@ -151,10 +151,10 @@ class Windows(Generic[S]):
         """Window of a time since the first pulse; before it, the first segment's, as nothing moves yet."""
         return self.at_block(max(since_ns, 0) // self._block_ns)
 
-    @property
-    def lead(self) -> int:
-        """Number of blocks between the opening of a window and its use."""
-        return int(_LEAD * self._per_segment) if self._per_segment else 0
+    def open_ahead(self, block: int, stop: int) -> None:
+        """Begin to open the window that is needed a while after a block; a run ends before block `stop`."""
+        lead = int(_LEAD * self._per_segment) if self._per_segment else 0
+        self.at_block(min(block + lead, stop - 1))
 
     def runs(self, blocks: range, together: int, threads: int) -> Iterator[range]:
         """Cut blocks into runs of at most `together` whole blocks, each within one window.
@@ -211,24 +211,27 @@ def in_order(
         for run in runs:
             pending.append(pool.submit(work, run, windows.at_block(run.start)))
             # Only now: the first packet should not wait for the second window.
-            windows.at_block(min(run.stop - 1 + windows.lead, stop - 1))
+            windows.open_ahead(run.stop - 1, stop)
             if len(pending) > threads:
                 yield windows.wait(pending.popleft())
         while pending:
             yield windows.wait(pending.popleft())
 
 
-def window_of(
-    parts: Parts, start_ns: int, batching: Batching, segment: int, track_m: F8 | None = None
-) -> Window:
-    """Return the window within reach of a segment of the walk, or of positions (n, 3); parameters as in `windows_of`."""
+def window_of(parts: Parts, start_ns: int, batching: Batching, segment: int) -> Window:
+    """Return the window within reach of a segment of the walk; parameters as in `windows_of`."""
     edges_ns = start_ns + batching.edges_ns(segment)
-    if track_m is None:
-        track_m = np.concatenate([unit.motion.poses_at(edges_ns).world_p_body_m for unit in parts.units])
+    tracks_m = [unit.motion.poses_at(edges_ns).world_p_body_m for unit in parts.units]
+    return window_around(parts, np.concatenate(tracks_m), edges_ns)
+
+
+def window_around(parts: Parts, track_m: F8, edges_ns: NDArray[np.int64]) -> Window:
+    """Return the window within reach of positions (n, 3); trees sway from the first instant to the last."""
     window = parts.world.window(track_m)
-    return (
-        parts.wind.with_sway(window, track_m, int(edges_ns[0]), int(edges_ns[-1])) if parts.wind else window
-    )
+    if parts.wind is None:
+        return window
+    with_sway: Window = parts.wind.with_sway(window, track_m, int(edges_ns[0]), int(edges_ns[-1]))
+    return with_sway
 
 
 @runtime_checkable

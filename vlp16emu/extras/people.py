@@ -167,9 +167,12 @@ class Peopled:
         self.surfaces = np.concatenate([geometry.surfaces, people.surfaces])
         """(m,) `SURFACE`, with the rows of people at its end."""
 
-    def cast(
-        self, firings: Firings, near_m: F8, far_m: float, beam: Footprint = LINE, *, as_far: bool = False
-    ) -> Hits:
+    @property
+    def as_far(self) -> "Peopled":
+        """The same window and people, with near content as the far medium too."""
+        return Peopled(self._geometry.as_far, self._people)
+
+    def cast(self, firings: Firings, near_m: F8, far_m: float, beam: Footprint = LINE) -> Hits:
         """Cast pulses in the window, and end pulses that hit people."""
-        hits = self._geometry.cast(firings, near_m, far_m, beam, as_far=as_far)
+        hits = self._geometry.cast(firings, near_m, far_m, beam)
         return self._people.in_front(firings, hits, len(self._geometry.surfaces))

@@ -8,6 +8,7 @@ import math
 import threading
 from collections.abc import Iterable, Mapping
 from concurrent.futures import Executor
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -16,14 +17,14 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import hypot, matvec, norm
 from vlp16emu.foliage.cloud import Cloud, Library, cloud_of
 from vlp16emu.foliage.lanes import Ground, Medium, Stems, lanes
-from vlp16emu.foliage.march import Passage
+from vlp16emu.foliage.march import Passage, march_lines, march_pulses
 from vlp16emu.foliage.medium import Block, Name, Shelf, block_of, packed_block, stretch_of, unpacked_block
 from vlp16emu.foliage.polyline import distance_m
 from vlp16emu.foliage.stems import seen, stem_lines, stems_of
 from vlp16emu.foliage.tiles import STEM, FarTile, TiledWindow, TiledWorld
 from vlp16emu.foliage.voxel import BRICK, COLUMNS, FINER, KNOTS, QUANTILES, VOXEL_M
 from vlp16emu.raycast.build import Placed
-from vlp16emu.raycast.near import EmbreeCaster, EmbreeGeometry, Stages, target_of
+from vlp16emu.raycast.near import EmbreeCaster, EmbreeGeometry, target_of
 from vlp16emu.raycast.packet import LEVEL, Target
 from vlp16emu.store import recall
 from vlp16emu.types import F8, U1, Mesh, ShapeKey, Window
@@ -85,6 +86,9 @@ class FarGeometry(EmbreeGeometry):
     medium : far medium
     """
 
+    lines = staticmethod(march_lines)
+    pulses = staticmethod(march_pulses)
+
     def __init__(self, near: Placed, track_m: F8, beyond: Placed | None, medium: Medium) -> None:
         self._met, level = within_reach(near, track_m, medium.near_m)
         super().__init__(near, level)
@@ -95,14 +99,21 @@ class FarGeometry(EmbreeGeometry):
             self._near = self._near._replace(steep=0)
         self._beyond = target_of(beyond) if beyond else self._near._replace(scene=0, steep=0)
 
-    def stages(self, far_m: float, rise: float, *, as_far: bool) -> Stages:
-        """Return the stages that rays with a slope up to `rise` pass up to range `far_m`."""
-        medium = self.medium._replace(near_m=0.0) if as_far else self.medium
-        reach_m = min(far_m, medium.near_m)
-        near = self._reached(rise) if reach_m > 0.0 else self._beyond
-        if reach_m < far_m:
-            return Stages(near, reach_m, self._beyond, Passage(medium, lanes(), seen(medium.stems)))
-        return Stages(near, reach_m)
+    @property
+    def as_far(self) -> "FarGeometry":
+        """The same window, with near content as the medium too."""
+        geometry = copy(self)
+        geometry.medium = self.medium._replace(near_m=0.0)
+        return geometry
+
+    def near_faces(self, rise: float, far_m: float) -> tuple[Target, float]:
+        """Return near faces as `EmbreeGeometry` does, none if the medium begins at the sensor."""
+        reach_m = min(far_m, self.medium.near_m)
+        return (self._reached(rise) if reach_m > 0.0 else self._beyond), reach_m
+
+    def passage(self) -> tuple[object, ...]:
+        """Return the medium, the faces at any range, and scratch."""
+        return (Passage(self.medium, self._beyond, lanes(), seen(self.medium.stems)),)
 
     def _reached(self, rise: float) -> Target:
         """Return the near faces; pieces that only steep rays can meet are built for the first steep ray."""

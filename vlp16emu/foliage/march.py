@@ -6,7 +6,7 @@ sub-rays in a slab: the density of foliage (`vlp16emu.foliage.leaves`), and whet
 sub-ray is then intersected exactly with the ground (`vlp16emu.foliage.ground`).
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,10 +15,27 @@ from vlp16emu.foliage.lanes import AHEAD, Lanes, Medium, Pulse, lowest, ones
 from vlp16emu.foliage.leaves import Weights, lit_lanes, meet_leaves, weights_of
 from vlp16emu.foliage.stems import Seen, meet_stems, see_stems
 from vlp16emu.foliage.voxel import BRICK, GROUND, VOXEL_M
-from vlp16emu.kernels.compiler import inline_kernel, numba
-from vlp16emu.raycast.beam import FARTHEST
-from vlp16emu.raycast.kernel import COSINE, DIRECTION, LANES, RANGE, Cast, go_on
-from vlp16emu.types import F4, U8
+from vlp16emu.kernels.compiler import array_kernel, inline_kernel, kernel
+from vlp16emu.raycast.adaptive import RayBudget
+from vlp16emu.raycast.beam import FARTHEST, ROUND, reach_of
+from vlp16emu.raycast.kernel import (
+    COSINE,
+    DIRECTION,
+    LANES,
+    RANGE,
+    Cast,
+    all_pulses,
+    cast_middles,
+    cast_near,
+    further,
+    joined,
+    no_groups,
+    settle,
+    write_middles,
+)
+from vlp16emu.raycast.packet import PACKET, Target, set_filter
+from vlp16emu.trig import ZERO
+from vlp16emu.types import F4, U2, U4, U8
 
 f4 = np.float32
 u4 = np.uint32
@@ -27,9 +44,10 @@ _FEW = 4  # voxels whose leaves are processed together
 
 
 class Passage(NamedTuple):
-    """Medium and scratch of a cast, for `kernel.go_on`."""
+    """All that rays pass behind the near faces, and scratch of a cast."""
 
     medium: Medium
+    beyond: Target  # faces that are cast at any range
     lanes: Lanes  # scratch of this cast; `ahead` likewise
     ahead: Seen
 
@@ -59,6 +77,35 @@ class _Grid(NamedTuple):
     stride: tuple[np.uint32, np.uint32, np.uint32]  # stride from brick to brick
     shift: tuple[np.uint32, np.uint32, np.uint32]  # bits in a brick from voxel to voxel
     corner: tuple[int, int, int]  # corner in voxels of the world
+
+
+@array_kernel
+def march_lines(cast: Cast, passage: Passage, range_m: F4, surface: U4, cos_incidence: F4) -> None:
+    """Cast one ray per pulse; as `cast_lines`, and then through the medium."""
+    pulses = cast.batch.missed.shape[0]
+    set_filter(cast.packet)
+    for first in cast.light.order:
+        cast_middles(cast, passage.beyond, first)
+        _pass_through(passage, cast, pulses, ZERO + 1, f4(0.0))
+        write_middles(cast, first, range_m, surface, cos_incidence)
+
+
+@array_kernel
+def march_pulses(cast: Cast, passage: Passage, budget: RayBudget, count: U2, first_round: U4) -> U4:
+    """Cast the sub-rays of every pulse; as `cast_pulses`, each round also through the medium."""
+    set_filter(cast.packet)
+    groups = no_groups(count)
+    for first in cast.light.order:
+        todo = all_pulses(cast.batch)
+        have = ZERO
+        while todo:
+            rays = min(ROUND, budget.most - have)
+            cast_near(cast, passage.beyond, budget, first, todo, have, rays)
+            _pass_through(passage, cast, todo, rays, reach_of(have, budget.adaptive))
+            todo = settle(cast, budget, first_round, first, todo, have, rays)
+            have = have + rays
+        groups[first // PACKET] = further(cast.batch, min(ROUND, budget.most), first, count)
+    return joined(groups)
 
 
 @inline_kernel
@@ -302,9 +349,13 @@ def _lay_lines(
         line[5 * LANES + lane] = inverse
 
 
+@kernel
 def _pass_through(passage: Passage, cast: Cast, todo: int, count: int, reach: np.float32) -> None:
-    (medium, L, ahead) = passage
+    """Continue rays that have met nothing near; `reach` is their distance from the centre, in sigmas."""
+    (medium, _, L, ahead) = passage
     light = cast.light
+    if light.reach_m >= light.far_m:
+        return
     batch = cast.batch
     row = batch.row
     surface = batch.surface
@@ -333,14 +384,3 @@ def _pass_through(passage: Passage, cast: Cast, todo: int, count: int, reach: np
             row[q, a] = own_row[a]
         for lane in range(LANES):
             surface[q, lane] = own_surface[lane]
-
-
-@numba.extending.overload(go_on, jit_options={"cache": True, "nogil": True, "_nrt": False})
-def _go_on(  # numba requires the same parameter names as in the stub
-    passage: Passage,  # noqa: ARG001 - likewise all
-    cast: Cast,  # noqa: ARG001
-    todo: int,  # noqa: ARG001
-    count: int,  # noqa: ARG001
-    reach: np.float32,  # noqa: ARG001
-) -> Any:
-    return _pass_through

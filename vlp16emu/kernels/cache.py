@@ -1,7 +1,7 @@
 """Compiled kernels, kept on disk by content.
 
 A file's name is a digest of the sources of a kernel, regardless of their path and time stamps: its module,
-the modules of its argument types, whose overloads it may call, and all their imports; also of the compiling
+the modules of its argument types, which order their fields, and all their imports; also of the compiling
 libraries, the target processor, the kernel and its types.
 """
 

@@ -23,10 +23,12 @@ class Geometry(Protocol):
     def surfaces(self) -> NDArray[np.void]:
         """Table (m,) `SURFACE` of the window."""
 
-    def cast(
-        self, firings: Firings, near_m: F8, far_m: float, beam: Footprint = LINE, *, as_far: bool = False
-    ) -> Hits:
-        """Cast the pulses of k sequences, k a multiple of 8; `as_far` casts near content as the medium too, if there is one."""
+    @property
+    def as_far(self) -> "Geometry":
+        """The same window, with near content as the far medium too, if there is one."""
+
+    def cast(self, firings: Firings, near_m: F8, far_m: float, beam: Footprint = LINE) -> Hits:
+        """Cast the pulses of k sequences, k a multiple of 8."""
 
 
 class Caster(Protocol):
@@ -66,7 +68,7 @@ def sky_cover(geometry: Geometry, t_ns: int, position_m: F8, lowest_deg: float, 
     """
     direction = _directions(sin(math.radians(lowest_deg)))
     rays = Firings.rays(t_ns, position_m, direction)
-    hits = geometry.cast(rays, np.zeros(direction.shape[1]), far_m, as_far=True)
+    hits = geometry.as_far.cast(rays, np.zeros(direction.shape[1]), far_m)
     return float(np.isfinite(hits.range_m).mean())
 
 

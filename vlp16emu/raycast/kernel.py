@@ -1,19 +1,20 @@
-"""The inner loop: sub-rays of a pulse as one packet of eight through near faces, then the misses through the far medium.
+"""The inner loop: sub-rays of a pulse as one packet of eight through near faces.
 
-Eight sequences are cast at a time, step by step: all their pulses through the near faces, then the remaining
-ones through the far medium, so that their memory does not compete for the cache. Which rays share a packet
+Eight sequences are cast at a time. A far medium has loops of its own from the same steps: all pulses of eight
+sequences through the near faces, then the remaining ones through the medium, so that their memory does not
+compete for the cache. Which rays share a packet
 depends on firing numbers and hits, never on threads. Kernels without new arrays count no references
 (`_nrt=False`), and loops take arrays out of tuples first: saves a twentieth of the time.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.kernels.compiler import array_kernel, inline_kernel, kernel
 from vlp16emu.raycast.adaptive import RayBudget, enough
-from vlp16emu.raycast.beam import ROUND, lay, pulse_axes, reach_of, turn
+from vlp16emu.raycast.beam import ROUND, lay, pulse_axes, turn
 from vlp16emu.raycast.packet import (
     DIR,
     NONE,
@@ -103,86 +104,70 @@ class Cast(NamedTuple):
     batch: Batch
 
 
-def go_on(passage: Any, cast: Cast, todo: int, count: int, reach: np.float32) -> None:
-    """Continue the rays of pulses that have met nothing near through the far medium.
-
-    A far medium overloads it by `numba.extending.overload`: casting near faces does not need it.
-
-    Parameters
-    ----------
-    reach : greatest distance from the centre ray, in standard deviations of the beam
-    """
-    raise NotImplementedError
-
-
 @array_kernel
-def cast_lines(
-    cast: Cast, beyond: Target | None, passage: Any, range_m: F4, surface: U4, cos_incidence: F4
-) -> None:
-    """Cast one ray per pulse and fill arrays (k, L); packets hold eight consecutive firings of a laser.
-
-    Without a far medium, `beyond` and `passage` are None, and numba leaves out their code.
-    """
-    batch = cast.batch
-    pulses = PACKET * cast.light.origin_m.shape[1]
-    one = ZERO + 1
+def cast_lines(cast: Cast, range_m: F4, surface: U4, cos_incidence: F4) -> None:
+    """Cast one ray per pulse and fill arrays (k, L); packets hold eight consecutive firings of a laser."""
     set_filter(cast.packet)
     for first in cast.light.order:
-        _cast_middles(cast, beyond, first)
-        if passage is not None:
-            go_on(passage, cast, pulses, one, np.float32(0.0))
-        for q in range(pulses):
-            i = first + q % PACKET
-            j = q // PACKET
-            met = batch.surface[q, 0]
-            range_m[i, j] = np.float32(np.inf) if met == NONE else batch.row[q, RANGE]
-            surface[i, j] = met
-            cos_incidence[i, j] = batch.row[q, COSINE]
+        cast_middles(cast, None, first)
+        write_middles(cast, first, range_m, surface, cos_incidence)
 
 
 @array_kernel
-def cast_pulses(
-    cast: Cast, beyond: Target | None, passage: Any, budget: RayBudget, count: U2, first_round: U4
-) -> U4:
+def cast_pulses(cast: Cast, budget: RayBudget, count: U2, first_round: U4) -> U4:
     """Cast the sub-rays of every pulse in rounds of eight.
 
     Parameters
     ----------
     count : (k, L) output, sub-rays of each pulse
     first_round : (3, k L r) output: bits of the ranges, surfaces, bits of the cosines of the first r of each,
-        in order of
-        pulses: most positions are known in advance
+        in order of pulses: most positions are known in advance
 
     Returns
     -------
     (3, n) the same for all further sub-rays, in order of pulses
     """
-    batch = cast.batch
-    pulses = PACKET * count.shape[1]
     set_filter(cast.packet)
-    groups = [np.empty((3, 0), np.uint32) for _ in range(count.shape[0] // PACKET)]
+    groups = no_groups(count)
     for first in cast.light.order:
-        todo = pulses
+        todo = all_pulses(cast.batch)
         have = ZERO
-        for q in range(pulses):
-            batch.todo[q] = q
         while todo:
             rays = min(ROUND, budget.most - have)
-            _cast_near(cast, beyond, budget, first, todo, have, rays)
-            if passage is not None:
-                go_on(passage, cast, todo, rays, reach_of(have, budget.adaptive))
-            todo = _settle(cast, budget, first_round, first, todo, have, rays)
+            cast_near(cast, None, budget, first, todo, have, rays)
+            todo = settle(cast, budget, first_round, first, todo, have, rays)
             have = have + rays
-        groups[first // PACKET] = _further(batch, min(ROUND, budget.most), first, count)
+        groups[first // PACKET] = further(cast.batch, min(ROUND, budget.most), first, count)
+    return joined(groups)
+
+
+@array_kernel
+def no_groups(count: U2) -> list[U4]:
+    """Return empty hits for each eight sequences of pulses (k, L)."""
+    return [np.empty((3, 0), np.uint32) for _ in range(count.shape[0] // PACKET)]
+
+
+@kernel
+def all_pulses(batch: Batch) -> int:
+    """List all pulses of eight sequences as to be cast; return their number."""
+    pulses = batch.todo.shape[0]
+    for q in range(pulses):
+        batch.todo[q] = q
+    return pulses
+
+
+@array_kernel
+def joined(groups: list[U4]) -> U4:
+    """Concatenate hits (3, n)."""
     n = ZERO
     for group in groups:
         n += group.shape[1]
-    further = np.empty((3, n), np.uint32)
+    whole = np.empty((3, n), np.uint32)
     n = ZERO
     for group in groups:
-        further[:, n : n + group.shape[1]] = group
+        whole[:, n : n + group.shape[1]] = group
         n += group.shape[1]
-    return further
+    return whole
 
 
 @kernel
@@ -211,8 +196,25 @@ def join_rounds(count: U2, first_round: U4, further: U4, hits: U4) -> None:
 
 
 @kernel
-def _cast_middles(cast: Cast, beyond: Target | None, first: int) -> None:
-    """Cast the centre rays of the pulses of eight sequences against faces, one packet per laser."""
+def write_middles(cast: Cast, first: int, range_m: F4, surface: U4, cos_incidence: F4) -> None:
+    """Write the hits of the centre rays of eight sequences into arrays (k, L)."""
+    batch = cast.batch
+    for q in range(batch.missed.shape[0]):
+        i = first + q % PACKET
+        j = q // PACKET
+        met = batch.surface[q, 0]
+        range_m[i, j] = np.float32(np.inf) if met == NONE else batch.row[q, RANGE]
+        surface[i, j] = met
+        cos_incidence[i, j] = batch.row[q, COSINE]
+
+
+@kernel
+def cast_middles(cast: Cast, beyond: Target | None, first: int) -> None:
+    """Cast the centre rays of the pulses of eight sequences against faces, one packet per laser.
+
+    `beyond` are the faces at any range behind the near ones, for casts that go on through a far medium; with
+    None, here and below, numba leaves out what they need.
+    """
     near, light, packet, batch = cast
     rays = packet.rays
     origin_m = light.origin_m
@@ -235,7 +237,7 @@ def _cast_middles(cast: Cast, beyond: Target | None, first: int) -> None:
 
 
 @kernel
-def _cast_near(
+def cast_near(
     cast: Cast, beyond: Target | None, budget: RayBudget, first: int, todo: int, have: int, count: int
 ) -> None:
     """Cast the next sub-rays of pulses against faces, one packet per pulse."""
@@ -314,7 +316,7 @@ def _send_on(cast: Cast, beyond: Target, q: int, step: int, count: int) -> None:
 
 
 @kernel
-def _settle(
+def settle(
     cast: Cast, budget: RayBudget, first_round: U4, first: int, todo: int, have: int, count: int
 ) -> int:
     """Take the hits of a round; list the pulses that need another round, and return their number.
@@ -367,7 +369,7 @@ def _settle(
 
 
 @array_kernel
-def _further(batch: Batch, each: int, first: int, count: U2) -> U4:
+def further(batch: Batch, each: int, first: int, count: U2) -> U4:
     """Count the hits of eight sequences; return the ones after the first `each`, (3, n) as in `cast_pulses`."""
     most = batch.scratch.shape[1]
     n = ZERO

@@ -4,7 +4,6 @@ import threading
 import weakref
 from collections.abc import Sequence
 from concurrent.futures import Executor, Future
-from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,15 +24,6 @@ saves a fifth of the time for one ray per pulse in `scenes/reference_forest`, a 
 12 degrees save half."""
 
 
-class Stages(NamedTuple):
-    """Consecutive stages of a cast."""
-
-    near: Target
-    reach_m: float  # range at which the next stages begin
-    beyond: Target | None = None  # faces that are cast at any range beyond
-    passage: Any = None  # far medium, by the overload of `kernel.go_on`
-
-
 class EmbreeGeometry:
     """A window ready for casting by any number of threads.
 
@@ -43,19 +33,29 @@ class EmbreeGeometry:
     kept : (n,) mask of their pieces; None for all
     """
 
+    lines = staticmethod(cast_lines)  # kernel for beams without width
+    pulses = staticmethod(cast_pulses)  # kernel for sub-rays
+
     def __init__(self, near: Placed, kept: NDArray[np.bool_] | None = None) -> None:
         self.meshes = near.meshes
         self.surfaces = near.window.surfaces
         self._placed = near  # keeps its scenes alive
         self._near = target_of(near, kept)
 
-    def stages(self, far_m: float, rise: float, *, as_far: bool) -> Stages:  # noqa: ARG002 - nothing is far
-        """Return the stages for rays up to range `far_m` with a slope of at most `rise`."""
-        return Stages(self._near, far_m)
+    @property
+    def as_far(self) -> "EmbreeGeometry":
+        """The same window, as nothing in it is far."""
+        return self
 
-    def cast(
-        self, firings: Firings, near_m: F8, far_m: float, beam: Footprint = LINE, *, as_far: bool = False
-    ) -> Hits:
+    def near_faces(self, rise: float, far_m: float) -> tuple[Target, float]:  # noqa: ARG002 - one for all
+        """Return the near faces for rays with a slope of up to `rise`, and the range at which they end."""
+        return self._near, far_m
+
+    def passage(self) -> tuple[object, ...]:
+        """Return what the kernels take for what is behind the near faces: nothing."""
+        return ()
+
+    def cast(self, firings: Firings, near_m: F8, far_m: float, beam: Footprint = LINE) -> Hits:
         """Cast pulses.
 
         Parameters
@@ -64,7 +64,6 @@ class EmbreeGeometry:
         near_m : (L,) range at which each laser's light begins
         far_m : farthest range
         beam : footprint of a pulse
-        as_far : whether near content is also cast as the far medium, if there is one
 
         Raises ValueError for other firings.
         """
@@ -74,7 +73,7 @@ class EmbreeGeometry:
         lean = FARTHEST * beam.sigmas[2:].max()
         rise = float(np.abs(firings.direction[..., 2]).max(initial=0.0) + lean)
         far_m *= INCLUSIVE
-        near, reach_m, *beyond = self.stages(far_m, rise, as_far=as_far)
+        near, reach_m = self.near_faces(rise, far_m)
         pulses = PulseBatch(
             firings.origin_m,
             firings.direction,
@@ -89,18 +88,18 @@ class EmbreeGeometry:
             firings.index,
         )
         most = beam.budget.most if beam.has_width else 1
-        own = Cast(near, pulses, ray_packet(), batch_of(PACKET * shape[1], most))
+        cast = Cast(near, pulses, ray_packet(), batch_of(PACKET * shape[1], most))
         if beam.has_width:
             count = np.empty(shape, np.uint16)
             # Numpy's arrays are in huge pages; arrays made in kernels have a page fault every 4 kB.
             met_bits = first_round = np.empty((3, count.size * min(ROUND, most)), np.uint32)
-            further = cast_pulses(own, *beyond, beam.budget, count, first_round)
+            further = self.pulses(cast, *self.passage(), beam.budget, count, first_round)
             if further.size:
                 met_bits = np.empty((3, first_round.shape[1] + further.shape[1]), np.uint32)
                 join_rounds(count, first_round, further, met_bits)
             return Hits(count, met_bits[0].view(np.float32), met_bits[1], met_bits[2].view(np.float32))
         met = np.empty(shape, np.float32), np.empty(shape, np.uint32), np.empty(shape, np.float32)
-        cast_lines(own, *beyond, *met)
+        self.lines(cast, *self.passage(), *met)
         if beam.section.model == "offset":
             door("displace")(met[0], beam, firings.index)
         return Hits.one_ray_each(*met)

@@ -1,7 +1,7 @@
 """The public class: a scene as scans in arrays, as a capture, or over UDP."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from copy import copy
 from dataclasses import replace
 from pathlib import Path

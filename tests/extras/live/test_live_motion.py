@@ -139,10 +139,9 @@ def test_what_was_flown_is_read_back_bit_by_bit(tmp_path):
     """Poses and rates of the table are those of the run to the last bit, and the table is a CSV of recorded poses too."""
     bench = Bench()
     states, _ = bench.fly(turning, 1.5)
-    path, cells = tmp_path / "flown.csv", {0: (0, -1, 0), 20: (3, 4, -1)}
-    path.write_text(FLOWN_HEADER + flown_rows(0, states, cells))
+    path = tmp_path / "flown.csv"
+    path.write_text(FLOWN_HEADER + flown_rows(0, states))
     read = FlownMotion(path, start_ns=START_NS)
-    assert read.cells == cells
     t_ns = START_NS + np.arange(-1_000_000_000, 1_400_000_000, 333_333)
     was, now = bench.motion.kinematics_at(t_ns), read.kinematics_at(t_ns)
     for name in ("world_p_body_m", "world_R_body", "world_a_body_m_s2", "body_alpha_rad_s2"):
@@ -154,15 +153,13 @@ def test_what_was_flown_is_read_back_bit_by_bit(tmp_path):
     ("old", "new", "message"),
     [
         ("0.005308416,", "0.005308417,", "line 3, column t_s: found 0.005308417; expected 0.005308416"),
-        (",0 0 0\n", ",\n", "line 2, column cell: found ''; expected three whole numbers"),
-        (",0 0 0\n", ",0 0\n", "found '0 0'"),
         ("2.0,", "nan,", "column z_m: found nan; expected a number"),
     ],
 )
 def test_a_table_that_is_not_whole_is_refused(tmp_path, old, new, message):
-    """Missing knots, cells and numbers are named by line and column."""
+    """Missing knots and numbers are named by line and column."""
     state = np.array([[0.5, 0.25, 2.0, *LEVEL, *[0.125] * 6]])
-    text = FLOWN_HEADER + flown_rows(0, np.repeat(state, 3, axis=0), {0: (0, 0, 0)})
+    text = FLOWN_HEADER + flown_rows(0, np.repeat(state, 3, axis=0))
     path = tmp_path / "flown.csv"
     path.write_text(text.replace(old, new, 1))
     with pytest.raises(TrajectoryError, match=message):

@@ -13,6 +13,7 @@ from vlp16emu.forest.make import ForestSite
 from vlp16emu.forest.plants.prototypes import CROWN_PARTS
 from vlp16emu.forest.settings import SpeciesShare
 from vlp16emu.forest.stand.floor_shapes import FloorKey, is_ground
+from vlp16emu.forest.stand.forest import Region
 from vlp16emu.forest.stand.stand import REGENERATION
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.types import PlantPart, Semantic
@@ -197,10 +198,34 @@ def test_a_forest_that_cannot_be_is_refused(make_forest, changes, message):
         make_forest(**changes)
 
 
-def test_a_track_off_the_path_is_refused(forest, track_m):
-    """Trees beyond the surroundings of the path have no number, so a track that leads there is an error."""
-    with pytest.raises(GeometryError, match="no more than 35 m off the path"):
-        forest.window(track_m + np.array([0.0, 200.0, 0.0]))
+def test_a_track_may_leave_the_region_of_the_path(make_forest, forest, track_m):
+    """200 m off the path there is forest too, with numbers of its own, the same after any other window."""
+    off_m = track_m + np.array([0.0, 200.0, 0.0])
+    window = forest.window(off_m)
+    assert placed(make_forest().window(off_m)) == placed(window)
+    numbers = np.unique(window.surfaces["instance"])
+    assert len(numbers) == 1 + len(forest.trees(off_m)) > 50
+    near_path = set(forest.trees(track_m)["id"].tolist())
+    assert near_path.isdisjoint(numbers.tolist())
+
+
+@pytest.mark.parametrize("across", [(1, 1), (4, 2), (2, 5)])
+def test_tiles_have_numbers_without_gaps(across):
+    """A region that grows by three rings has all numbers from 0; its rectangle has the first, by columns."""
+    region = Region((-2, 7), across)
+    tiles = product(range(-5, across[0] + 1), range(4, across[1] + 10))
+    numbers = [region.number(*tile) for tile in tiles]
+    assert sorted(numbers) == list(range((across[0] + 6) * (across[1] + 6)))
+    inside = product(range(-2, across[0] - 2), range(7, across[1] + 7))
+    assert [region.number(*tile) for tile in inside] == list(range(across[0] * across[1]))
+
+
+def test_a_track_beyond_all_numbers_is_refused(forest, track_m):
+    """Things 10 km off the path have no numbers below those of the user's objects, and that is one line."""
+    with pytest.raises(
+        GeometryError, match=r"track: reaches tile \(.*; expected at most 209 km2 around the path"
+    ):
+        forest.window(track_m + np.array([0.0, 1e4, 0.0]))
 
 
 @pytest.mark.parametrize("aside_m", [(-35, 0), (0, -35), (42, 0), (0, 35)])

@@ -216,7 +216,7 @@ class Photographer:
             level,
         )
         if sun is not None:
-            return firings, geometry.cast(firings, np.zeros(1), _HIGHEST_M, _SUN_RAYS, as_far=True)
+            return firings, geometry.as_far.cast(firings, np.zeros(1), _HIGHEST_M, _SUN_RAYS)
         return firings, geometry.cast(firings, np.array([_NEAR_M]), self.far_m)
 
     def _light(self, geometry: Geometry, view: View, fine: int) -> F8:

@@ -14,12 +14,12 @@ from typing import Self
 import numpy as np
 
 from vlp16emu.engine.engine import make_receiver
-from vlp16emu.engine.windows import STEPS
 from vlp16emu.errors import InputError, OutputError
-from vlp16emu.extras.live.flown import FLOWN_HEADER, LiveWindows, flown_rows
+from vlp16emu.extras.live.flown import FLOWN_HEADER, flown_rows
 from vlp16emu.extras.live.knots import STEP_NS
 from vlp16emu.extras.live.motion import LOST_NS, LiveMotion, PosesLost
 from vlp16emu.extras.live.pose_packet import POSE_BYTES, is_pose, unpack_pose
+from vlp16emu.extras.live.windows import LiveWindows
 from vlp16emu.output import OutputFile, spare
 from vlp16emu.run.options import PosesIn, host_and_port
 from vlp16emu.run.part import PosePart
@@ -176,9 +176,8 @@ class Flight(PosePart):
                 self.result = self._report()
             if self._file and self._motion.knots:
                 with self._file.writing():
-                    self._write(self._motion.knots.last + 1)
+                    self._write()
         self._motion.end()
-        self._windows.begin_again()
 
     def begin(self) -> None:
         """Wait for the first pose or a stop, open the world around it, and start the clock."""
@@ -191,9 +190,8 @@ class Flight(PosePart):
             # With a receiver of its own: this one sees a body that does not move yet.
             receiver = make_receiver(self._engine.scenario, self._engine.parts, self._engine.windows)
             deque(replace(self._engine, receiver=receiver).packets(0.0, _WARM_S), 0)
-            while not self._windows.is_here() and not stop.is_set():  # the body has moved meanwhile
-                self._windows.begin_again()
-                self._windows.wait(self._windows.at_block(0))
+            while not (here := self._windows.at_block(0)).done() and not stop.is_set():
+                self._windows.wait(here)  # the body has moved meanwhile
         self._start_clock()
 
     def _start_clock(self) -> None:
@@ -227,9 +225,7 @@ class Flight(PosePart):
                 self._stream.say(f"poses are back after {gap_s:.1f} s")
         if self._file and now_ns >= self._write_at_ns:
             self._write_at_ns = now_ns + _ROWS_NS
-            # Which window a block has is settled before the next one begins.
-            settled = STEPS * self._windows.decided
-            self._write(min(settled, self._motion.knots.last + 1 if self._motion.knots else 0))
+            self._write()
 
     def _report(self) -> LiveReport:
         """Sum up, and fly on until the end of the run, so that a run that is repeated gets there too."""
@@ -259,13 +255,14 @@ class Flight(PosePart):
             flown=str(self._flown) if self._flown else None,
         )
 
-    def _write(self, stop: int) -> None:
+    def _write(self) -> None:
+        """Write the knots that are not in the table yet."""
         knots = self._motion.knots
         assert self._file is not None
-        if knots is None or stop <= self._written:
+        if knots is None:
             return
-        cells = {STEPS * block: cell for block, cell in self._windows.cells}
+        stop = knots.last + 1
         header = "" if self._written else FLOWN_HEADER
-        rows = flown_rows(self._written, knots.states(self._written, stop), cells)
+        rows = flown_rows(self._written, knots.states(self._written, stop))
         self._file.file.write(f"{header}{rows}".encode())
         self._written = stop

@@ -13,9 +13,9 @@ import numpy as np
 from vlp16emu.elementary import norm
 from vlp16emu.engine import Batching, Parts
 from vlp16emu.errors import InputError, TrajectoryError
-from vlp16emu.extras.live.flown import LiveWindows
 from vlp16emu.extras.live.knots import GAP_M, GAP_RAD, STATE, STEP_NS, Knots, follow, turn_between
 from vlp16emu.extras.live.settings import Live
+from vlp16emu.extras.live.windows import LiveWindows
 from vlp16emu.extras.recorded.files import UNIT_TOLERANCE
 from vlp16emu.motion.pose import Kinematics
 from vlp16emu.types import F8, I8, Poses
@@ -231,11 +231,6 @@ class LiveMotion:
     def elapsed_ns(self) -> int:
         """Time since the first pulse, in nanoseconds; 0 before the beginning."""
         return 0 if self.knots is None else self._clock_ns() - self._zero_ns
-
-    @property
-    def state(self) -> F8:
-        """State (13,) of the last knot, or of the last pose before the beginning."""
-        return self._seen().state if self.knots is None else self.knots.last_state
 
     def poses_at(self, t_ns: I8) -> Poses:
         """Return poses at UTC instants (n,) and wait for future ones; before the beginning the body is at rest.

@@ -22,8 +22,8 @@ class Live(MotionSection):
     kind: Literal["live"]
     """Selects poses that arrive during the run."""
     path_m: Annotated[list[_Place], Field(min_length=1, default_factory=lambda: [(0.0, 0.0)])]
-    """x and y of one or more places where the body is expected. No plant is on the line through them, and in
-    a forest the body stays within 35 m of the rectangle around them."""
+    """x and y of one or more places where the body is expected. No plant is on the line through them; the
+    body may be anywhere."""
     smoothing_s: Annotated[float, Field(ge=0.005, le=1)] = 0.02
     """Time constant with which the body follows the poses. It lags by the square of this times the
     acceleration; at constant speed there is no lag."""

@@ -5,8 +5,9 @@ Tiles and shapes are cached.
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache, lru_cache
-from typing import TypeVar
+from typing import Self, TypeVar
 
 import numpy as np
 
@@ -30,6 +31,8 @@ from vlp16emu.store import recall
 from vlp16emu.types import F8, FIRST_FREE_INSTANCE, I8, Mesh, PlantPart, ShapeKey
 
 _NUMBERS_PER_TILE = 8192  # numbers reserved for the trees and things of a tile
+_MOST_TILES = (FIRST_FREE_INSTANCE - 1) // _NUMBERS_PER_TILE
+_MOST = "209 km2"  # area of these tiles
 _DENSEST_PER_HA = 125_000
 """Greatest density; a tile then holds 5000 things on average. Even in clusters of ten the number has a sigma
 below 240, and with all possible patches below 500, far from `_NUMBERS_PER_TILE`."""
@@ -37,10 +40,9 @@ _TILES_IN_GROWTH = 16
 """Number of tiles whose stems are grown together, kept until all are taken: more than grow at the same
 time."""
 _OVERHANG_M = 10.0  # greatest reach of crowns beyond the tile of their stem
-_ASIDE_M = 35.0  # greatest distance of a sensor from the path at which it sees numbered trees only
 _MARGIN_M = 80.0
-"""Margin of the numbered tiles beyond the reach of the path: distance of the sensor from the path, overhang
-of crowns, half a tile's diagonal, and one tile, since voxels of a tile also depend on the tiles around it."""
+"""Margin of the region around the reach of the path whose tiles are numbered first: overhang of crowns, half
+a tile's diagonal, one tile, since voxels of a tile also depend on the tiles around it, and 35 m to stray."""
 T = TypeVar("T")
 
 
@@ -55,7 +57,8 @@ def _by_tile(kind: str, name: str, make: Callable[[int, int], T]) -> Callable[[i
 class ForestWorld:
     """Trees with the plants and things under them on a terrain; a `World`.
 
-    A tree or a stone has the same shape and number in every window and from either end of the path. Raises
+    A tree or a stone has the same shape and number in every window and from either end of the path; windows
+    may be anywhere, also far from the path. Raises
     GeometryError for a path with numbers that are not finite, or for more things than can be numbered.
 
     Parameters
@@ -94,7 +97,7 @@ class ForestWorld:
         if per_ha > _DENSEST_PER_HA:
             found = f"found {per_ha:.0f} trees and things per hectare"
             raise GeometryError("forest", found, f"at most {_DENSEST_PER_HA}")
-        self._first_tile, self._tiles_across = _numbered_tiles(land.path.xy_m, reach_m)
+        self._region = Region.around(land.path.xy_m, reach_m + _MARGIN_M)
         # Twice the need of one window: tiles left behind are dropped, tiles in reach never are.
         across = 4 + int((2 * reach_m + TILE_M) / TILE_M)
         kept = 2 * across * across
@@ -122,7 +125,7 @@ class ForestWorld:
     def window(self, track_m: F8) -> TiledWindow:
         """Return the window within reach of sensor positions (n, 3).
 
-        Raises GeometryError if they are too far from the path.
+        Raises GeometryError beyond the numbered tiles.
         """
         names = self._in_view(track_m)
         tiles = [self._tile(*name) for name in names]
@@ -218,14 +221,12 @@ class ForestWorld:
         return list(map(tuple, tiles_within(track_m[:, :2], self._reach_m + _OVERHANG_M).tolist()))
 
     def _grow_tile(self, ix: int, iy: int) -> Tile:
-        column, row = ix - self._first_tile[0], iy - self._first_tile[1]
-        if not (0 <= column < self._tiles_across[0] and 0 <= row < self._tiles_across[1]):
-            raise GeometryError(
-                "track", f"reaches tile ({ix}, {iy})", f"no more than {_ASIDE_M:g} m off the path"
-            )
+        tile_number = self._region.number(ix, iy)
+        if tile_number >= _MOST_TILES:
+            raise GeometryError("track", f"reaches tile ({ix}, {iy})", f"at most {_MOST} around the path")
         key = TileKey(ix, iy)
         trees = self._trees(ix, iy).copy()
-        number = 1 + (column * self._tiles_across[1] + row) * _NUMBERS_PER_TILE
+        number = 1 + tile_number * _NUMBERS_PER_TILE
         trees["id"] = number + np.arange(len(trees))
         number += len(trees)
         is_modelled = self.models.has(trees)
@@ -298,15 +299,43 @@ class ForestWorld:
         )
 
 
-def _numbered_tiles(path_xy_m: F8, reach_m: float) -> tuple[tuple[int, int], tuple[int, int]]:
-    """First tile and number of tiles, in x and y, of the box around everything visible from the path."""
-    if not np.isfinite(path_xy_m).all():
-        row = int(np.flatnonzero(~np.isfinite(path_xy_m).all(axis=1))[0])
-        raise GeometryError(f"path_xy_m[{row}]", f"found {path_xy_m[row].tolist()}", "finite numbers")
-    aside = reach_m + _MARGIN_M
-    low = np.floor((path_xy_m.min(axis=0) - aside) / TILE_M).astype(int)
-    across = np.floor((path_xy_m.max(axis=0) + aside) / TILE_M).astype(int) - low + 1
-    if int(across[0]) * int(across[1]) * _NUMBERS_PER_TILE >= FIRST_FREE_INSTANCE:
-        size = " x ".join(f"{n * TILE_M / 1000:.0f} km" for n in across)
-        raise GeometryError("path_xy_m", f"spans {size} with what is in reach", "at most 209 km2")
-    return (int(low[0]), int(low[1])), (int(across[0]), int(across[1]))
+@dataclass(frozen=True, slots=True)
+class Region:
+    """A rectangle of tiles around the path that grows ring by ring, so that each tile has a number."""
+
+    first: tuple[int, int]  # south-west tile of the rectangle
+    across: tuple[int, int]  # tiles in x and y
+
+    @classmethod
+    def around(cls, path_xy_m: F8, aside_m: float) -> Self:
+        """Return the region around a path (n, 2); raises GeometryError if it is too large to be numbered."""
+        if not np.isfinite(path_xy_m).all():
+            row = int(np.flatnonzero(~np.isfinite(path_xy_m).all(axis=1))[0])
+            raise GeometryError(f"path_xy_m[{row}]", f"found {path_xy_m[row].tolist()}", "finite numbers")
+        low = np.floor((path_xy_m.min(axis=0) - aside_m) / TILE_M).astype(int)
+        across = np.floor((path_xy_m.max(axis=0) + aside_m) / TILE_M).astype(int) - low + 1
+        if int(across[0]) * int(across[1]) > _MOST_TILES:
+            size = " x ".join(f"{n * TILE_M / 1000:.0f} km" for n in across)
+            raise GeometryError("path_xy_m", f"spans {size} with what is in reach", f"at most {_MOST}")
+        return cls((int(low[0]), int(low[1])), (int(across[0]), int(across[1])))
+
+    def number(self, ix: int, iy: int) -> int:
+        """Return the number of a tile: column by column in the rectangle, then around it, ring after ring."""
+        column = ix - self.first[0]
+        row = iy - self.first[1]
+        columns, rows = self.across
+        ring = max(-column, column - columns + 1, -row, row - rows + 1, 0)
+        if ring == 0:
+            return column * rows + row
+
+        within = (columns + 2 * ring - 2) * (rows + 2 * ring - 2)
+        column += ring
+        row += ring
+        columns += 2 * ring
+        rows += 2 * ring
+        if column == 0:
+            return within + row
+        if column == columns - 1:
+            return within + rows + row
+        side = 0 if row == 0 else columns - 2
+        return within + 2 * rows + side + column - 1

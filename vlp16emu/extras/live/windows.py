@@ -1,0 +1,153 @@
+"""Windows of a run whose path is not known in advance.
+
+The bytes of a pulse depend on the window that it is cast in, through rounding. So windows belong to cubes of
+the world, and the window of a block follows from the places of the body before the block alone: a recorded
+flight has the windows of the flight.
+"""
+
+import math
+import os
+import sys
+from collections.abc import Hashable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, NamedTuple, Self
+
+import numpy as np
+
+from vlp16emu.elementary import norm
+from vlp16emu.engine import Parts
+from vlp16emu.engine.windows import Batching, Windows, window_around
+from vlp16emu.motion.pose import Motion
+from vlp16emu.raycast.caster import Geometry, caster
+from vlp16emu.types import F8
+from vlp16emu.units import S_NS
+
+if TYPE_CHECKING:
+    from vlp16emu.extras.live.motion import LiveMotion
+
+_EDGE_M = 16.0  # of a cube
+_ASIDE_M = 8.0  # margin around its cube in which a window is valid
+_APART_M = 2.0
+"""Distance between the lines that a window is opened along: each place is within the 1 m that the medium
+allows for."""
+_BEFORE_NS = 4 * S_NS
+"""Time for which the body has been in the next cube before its window is used, so that it is open by then:
+less for bodies that leave the margin earlier, 2 s at 3 m/s."""
+_KNOWN_NS = (
+    200_000_000  # time before a block at which the place of the body is known when the block is submitted
+)
+_SPARE_M = 1.0
+_SPARE_S = 0.35  # from that time to the end of a block
+"""Margin that is left for the way of the body until the end of the block, at its speed."""
+_LATE_BLOCKS = 6
+"""Steps of delay, 32 ms, from which all late steps are left out: receivers need recent packets."""
+_NICE = 10
+"""Niceness of threads that open windows of a live run above the casting threads, which then get nine tenths
+of a core."""
+
+
+class Cube(NamedTuple):
+    """A cube of the world, for whose sensors a window is opened."""
+
+    x: int
+    y: int
+    z: int
+
+    @classmethod
+    def around(cls, place_m: F8) -> Self:
+        """Return the cube that contains a place (3,)."""
+        return cls(*np.floor(place_m / _EDGE_M).astype(int).tolist())
+
+    def serves(self, place_m: F8, speed_m_s: float) -> bool:
+        """Return True if its window is valid until the end of the block for a body at a place (3,) before."""
+        middle_m = (np.array(self) + 0.5) * _EDGE_M
+        spare_m = _SPARE_M + _SPARE_S * speed_m_s
+        return bool((np.abs(place_m - middle_m) <= _EDGE_M / 2 + _ASIDE_M - spare_m).all())
+
+    def track_m(self, arm_m: float) -> F8:
+        """Return positions (n, 3) all over cube and margin, for sensors up to `arm_m` from the body."""
+        aside_m = _ASIDE_M + arm_m
+        wide_m = _EDGE_M + 2 * aside_m
+        low_m = np.array(self) * _EDGE_M - aside_m
+        lines = 1 + math.ceil(wide_m / _APART_M)
+        x_m = np.repeat(np.arange(lines), 2) * _APART_M
+        # Up one line and down the next one, at the lowest and the highest places in turn.
+        y_m = np.resize([0.0, wide_m, wide_m, 0.0], 2 * lines)
+        z_m = np.resize([0.0, wide_m], 2 * lines)
+        return low_m + np.column_stack([x_m, y_m, z_m])
+
+
+class CubeWindows(Windows[Geometry]):
+    """The world in windows of cubes; parameters as in `windows_of`, and the motion of the body."""
+
+    kept = 4
+
+    def __init__(self, parts: Parts, start_ns: int, batching: Batching, threads: int, motion: Motion) -> None:
+        built = caster(parts.world, ThreadPoolExecutor(threads, "build", self.yielding))
+        arm_m = max(float(norm(np.array(unit.mount.lever_arm_m))) for unit in parts.units)
+
+        def open_window(name: tuple[Cube, int]) -> Geometry:
+            cube, segment = name
+            edges_ns = start_ns + batching.edges_ns(segment)
+            return built.open(window_around(parts, cube.track_m(arm_m), edges_ns))
+
+        super().__init__(open_window, batching, moves=True, threads=threads)
+        self._start_ns = start_ns
+        self._motion = motion
+        self._segment = batching.segment if parts.wind is not None else None  # time counts if trees sway
+        self._ahead = _BEFORE_NS // batching.block_ns
+
+    def name_of(self, block: int) -> Hashable:
+        """Return the name of the window of a block: its cube, and its segment of time if trees sway.
+
+        The cube is that of the body some seconds before, as long as its window serves.
+        """
+        begin_ns = self._begin_ns(block)
+        known = self._motion.kinematics_at(np.array([begin_ns - _BEFORE_NS, begin_ns - _KNOWN_NS]))
+        before_m, place_m = known.world_p_body_m
+        cube = Cube.around(before_m)
+        if not cube.serves(place_m, float(norm(known.world_v_body_m_s[1]))):
+            cube = Cube.around(place_m)
+        return self._named(cube, block)
+
+    def open_ahead(self, block: int, stop: int) -> None:  # noqa: ARG002  # the body goes on
+        """Begin to open the window of the cube that the body has entered."""
+        known_ns = self._begin_ns(block) - _KNOWN_NS
+        place_m = self._motion.poses_at(np.array([known_ns])).world_p_body_m[0]
+        self._opened(self._named(Cube.around(place_m), block + self._ahead))
+
+    def _begin_ns(self, block: int) -> int:
+        """UTC at which the ordinary block begins that a block is part of."""
+        return self._start_ns + block // self._parts * self._parts * self._block_ns
+
+    def _named(self, cube: Cube, block: int) -> tuple[Cube, int]:
+        return cube, block // self._segment if self._segment else 0
+
+
+class LiveWindows(CubeWindows):
+    """Windows of a run that is being flown."""
+
+    def __init__(
+        self, parts: Parts, start_ns: int, batching: Batching, threads: int, motion: "LiveMotion"
+    ) -> None:
+        super().__init__(parts, start_ns, batching, threads, motion)
+        self._live = motion
+        self.left_out = 0  # blocks that were not cast because their time was over
+
+    @staticmethod
+    def yielding() -> None:
+        """Lower the priority of a thread that opens windows: the next window can wait, casting cannot."""
+        if sys.platform == "linux":
+            os.nice(_NICE)
+
+    def runs(self, blocks: range, together: int, threads: int) -> Iterator[range]:  # noqa: ARG002
+        """Yield blocks one by one, as packets shall not wait; skip to the present if they are late."""
+        block = blocks.start
+        while block < blocks.stop:
+            late = self._live.elapsed_ns // self._block_ns - block
+            if late > _LATE_BLOCKS:
+                self.left_out += min(late, blocks.stop - block)
+                block += late
+                continue
+            yield range(block, block + 1)
+            block += 1
