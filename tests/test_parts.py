@@ -6,14 +6,49 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import vlp16emu
+from vlp16emu.captures.capture import FRAMES, UNWRAPPER
 from vlp16emu.doors import Part
+from vlp16emu.engine.build import EVENTS, IMU, PEOPLE
+from vlp16emu.engine.engine import FAULTS
+from vlp16emu.extras.accuracy.audit import Audit
+from vlp16emu.extras.bag.write import bag_of_run
+from vlp16emu.extras.bench.changes import with_events
+from vlp16emu.extras.bench.control import WebInterfaces
 from vlp16emu.extras.bench.events import checked, tables
+from vlp16emu.extras.bench.faults import arriving
+from vlp16emu.extras.bench.gps_in import GpsReader
+from vlp16emu.extras.bench.outlets import Beside, OutletSinks
+from vlp16emu.extras.bench.retime import Present
 from vlp16emu.extras.camera.settings import Camera
+from vlp16emu.extras.captures.containers import frames
+from vlp16emu.extras.captures.links import Unwrapper
+from vlp16emu.extras.clouds.scan import scans_of
+from vlp16emu.extras.displace import displace
+from vlp16emu.extras.field import in_the_field
+from vlp16emu.extras.free_ports import free_ports
+from vlp16emu.extras.imu.sampler import sampler_of
 from vlp16emu.extras.imu.settings import Imu
+from vlp16emu.extras.live.flight import Flight
+from vlp16emu.extras.meshes.files import load_mesh
 from vlp16emu.extras.meshes.furnished import furnished
 from vlp16emu.extras.meshes.settings import MeshFile
+from vlp16emu.extras.outlook import Outlook
+from vlp16emu.extras.people import People
+from vlp16emu.extras.replay import prepared
+from vlp16emu.extras.truth.slots import slots_of
+from vlp16emu.extras.truth.truth import Truth
+from vlp16emu.foliage.far import far_caster
 from vlp16emu.forest.make import ForestSite
 from vlp16emu.forest.settings import FOREST_SITE, Wind
+from vlp16emu.forest.stand.tree_models import LOAD_MESH
+from vlp16emu.raycast.caster import FAR
+from vlp16emu.raycast.near import DISPLACE
+from vlp16emu.run.emulator import AUDIT, SCANS, TRUTH, TRUTH_OF_RECORDS
+from vlp16emu.run.feed import BESIDE
+from vlp16emu.run.record import BAG
+from vlp16emu.run.scene_stream import FREE_PORTS, GPS_IN, LIVE, OUTLETS, OUTLOOK, PREPARED, WEB
+from vlp16emu.run.stream import PRESENT
+from vlp16emu.scenario.load import FIELD
 from vlp16emu.scenario.model import CAMERA_SECTION, CHECKED_EVENTS, EVENT_TABLES, IMU_SECTION, WIND_SECTION
 from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.settings import FURNISHED, HALL_SITE, MESH_SECTION
@@ -27,15 +62,39 @@ def loads(part: Part[T]) -> Callable[[T], tuple[Part[Any], object]]:
 
 
 PARTS = (
-    loads(IMU_SECTION)(Imu),
+    loads(AUDIT)(Audit),
+    loads(BAG)(bag_of_run),
+    loads(BESIDE)(Beside),
     loads(CAMERA_SECTION)(Camera),
-    loads(WIND_SECTION)(Wind),
-    loads(MESH_SECTION)(MeshFile),
-    loads(EVENT_TABLES)(tables),
     loads(CHECKED_EVENTS)(checked),
-    loads(FURNISHED)(furnished),
-    loads(HALL_SITE)(HallWorld),
+    loads(DISPLACE)(displace),
+    loads(EVENTS)(with_events),
+    loads(EVENT_TABLES)(tables),
+    loads(FAR)(far_caster),
+    loads(FAULTS)(arriving),
+    loads(FIELD)(in_the_field),
     loads(FOREST_SITE)(ForestSite),
+    loads(FRAMES)(frames),
+    loads(FREE_PORTS)(free_ports),
+    loads(FURNISHED)(furnished),
+    loads(GPS_IN)(GpsReader),
+    loads(HALL_SITE)(HallWorld),
+    loads(IMU)(sampler_of),
+    loads(IMU_SECTION)(Imu),
+    loads(LIVE)(Flight),
+    loads(LOAD_MESH)(load_mesh),
+    loads(MESH_SECTION)(MeshFile),
+    loads(OUTLETS)(OutletSinks),
+    loads(OUTLOOK)(Outlook),
+    loads(PEOPLE)(People),
+    loads(PREPARED)(prepared),
+    loads(PRESENT)(Present),
+    loads(SCANS)(scans_of),
+    loads(TRUTH)(Truth),
+    loads(TRUTH_OF_RECORDS)(slots_of),
+    loads(UNWRAPPER)(Unwrapper),
+    loads(WEB)(WebInterfaces),
+    loads(WIND_SECTION)(Wind),
 )
 
 

@@ -102,45 +102,10 @@ DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its obje
         "accuracy": "vlp16emu.cli.about:accuracy",
         "plot": "vlp16emu.cli.check:plot",
     },
-    "parts": {
-        "audit": "vlp16emu.extras.accuracy.audit:Audit",
-        "bag": "vlp16emu.extras.bag.write:bag_of_run",
-        "beside": "vlp16emu.extras.bench.outlets:Beside",
-        "camera_section": "vlp16emu.extras.camera.settings:Camera",
-        "displace": "vlp16emu.extras.displace:displace",
-        "events": "vlp16emu.extras.bench.changes:with_events",
-        "events_of_scene": "vlp16emu.extras.bench.events:checked",
-        "events_schema": "vlp16emu.extras.bench.events:tables",
-        "far": "vlp16emu.foliage.far:FarCaster",
-        "faults": "vlp16emu.extras.bench.faults:arriving",
-        "frames": "vlp16emu.extras.captures.containers:frames",
-        "field": "vlp16emu.extras.field:in_the_field",
-        "free_ports": "vlp16emu.extras.free_ports:free_ports",
-        "gps_in": "vlp16emu.extras.bench.gps_in:GpsReader",
-        "forest_site": "vlp16emu.forest.make:ForestSite",
-        "furnished": "vlp16emu.extras.meshes.furnished:furnished",
-        "hall_site": "vlp16emu.world.hall:HallWorld",
-        "imu": "vlp16emu.extras.imu.sampler:ImuSampler",
-        "imu_section": "vlp16emu.extras.imu.settings:Imu",
-        "live": "vlp16emu.extras.live.flight:Flight",
-        "load_mesh": "vlp16emu.extras.meshes.files:load_mesh",
-        "mesh_section": "vlp16emu.extras.meshes.settings:MeshFile",
-        "outlets": "vlp16emu.extras.bench.outlets:OutletSinks",
-        "outlook": "vlp16emu.extras.outlook:Outlook",
-        "people": "vlp16emu.extras.people:People",
-        "prepared": "vlp16emu.extras.replay:prepared",
-        "present": "vlp16emu.extras.bench.retime:Present",
-        "scans": "vlp16emu.extras.clouds.scan:scans_of",
-        "truth": "vlp16emu.extras.truth.truth:Truth",
-        "truth_of_records": "vlp16emu.extras.truth.slots:slots_of",
-        "unwrapper": "vlp16emu.extras.captures.links:Unwrapper",
-        "web": "vlp16emu.extras.bench.control:WebInterfaces",
-        "wind_section": "vlp16emu.forest.settings:Wind",
-    },
 }
 
 
-def door(name: str, group: str = "parts") -> Any:
+def door(name: str, group: str) -> Any:
     """Return the object behind a name of a group.
 
     Raises InputError if this part of the package is not installed or another package's entry point cannot be
@@ -151,7 +116,7 @@ def door(name: str, group: str = "parts") -> Any:
     return _imported(DOORS[group][name])
 
 
-def has_door(name: str, group: str = "parts") -> bool:
+def has_door(name: str, group: str) -> bool:
     """Return whether a group has a name whose module is installed."""
     if name not in DOORS[group]:
         return name in _entry_points(group)

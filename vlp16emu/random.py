@@ -100,7 +100,7 @@ def philox4x32(
 
 
 @inline_kernel
-def uniform_pair(seed: int, purpose: int, n: int, lane: int) -> tuple[float, float]:
+def uniform_pair(seed: int, purpose: int, n: int | np.int64, lane: int | np.int64) -> tuple[float, float]:
     """Draw two uniform numbers in [0, 1) of 53 bits each; for use in kernels.
 
     Parameters

@@ -3,12 +3,13 @@
 No geometry is built here.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from vlp16emu.doors import door
+from vlp16emu.doors import Part
 from vlp16emu.elementary import norm
 from vlp16emu.engine.gps_input import GpsInput
 from vlp16emu.engine.state import SensorState
@@ -19,8 +20,10 @@ from vlp16emu.motion.settings import Gps, Mount
 from vlp16emu.packets import FACTORY_LINK, Link, positions_from_ns
 from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.beam import LINE, Footprint
+from vlp16emu.raycast.caster import Geometry
 from vlp16emu.returns.detector import UnitDetector, threshold_of
 from vlp16emu.scenario import Scenario
+from vlp16emu.scenario.model import InertialSection
 from vlp16emu.sensor.beams import with_angle_errors
 from vlp16emu.sensor.clock import clock_of
 from vlp16emu.sensor.head import Head
@@ -28,8 +31,9 @@ from vlp16emu.sensor.operation import spins
 from vlp16emu.sensor.power_up import counters_of, powered_up
 from vlp16emu.sensor.rotor import Encoder, Rotor, Swing
 from vlp16emu.sensor.settings import Lidar, require_packets
-from vlp16emu.types import F8, I8, HeightField, ReturnMode, World
+from vlp16emu.types import F8, I8, HeightField, Inertial, MovingTrees, ReturnMode, World
 from vlp16emu.units import seconds_to_ns
+from vlp16emu.world.settings import People
 
 if TYPE_CHECKING:
     from vlp16emu.engine.engine import Engine
@@ -88,18 +92,58 @@ class Unit:
         return positions_from_ns(require_packets(self.section).position_rate, self.head.start_ns, phase)
 
 
+class Sampler(Protocol):
+    """Samples of an inertial unit."""
+
+    def read(self, first: int, count: int) -> Inertial:
+        """Return samples, numbered from the start of the run."""
+
+    def late_ns(self, first: int, count: int) -> I8:
+        """Return the delays (count,) of the time stamps of samples."""
+
+
+class SamplerOf(Protocol):
+    """Function that makes the samples of an inertial unit from its motion."""
+
+    def __call__(self, motion: Motion, imu: InertialSection, *, start_ns: int, seed: int) -> Sampler:
+        """Return the samples from the first pulse on."""
+
+
+class Bystanders(Protocol):
+    """People beside the carrier."""
+
+    def among(self, geometry: Geometry) -> Geometry:
+        """Return a window of the world with the people in it."""
+
+
+class BystandersOf(Protocol):
+    """Function that makes the people beside a carrier."""
+
+    def __call__(
+        self, section: People, carrier: Motion, height_m: HeightField, *, start_ns: int, seed: int
+    ) -> Bystanders:
+        """Return the people on a carrier's path."""
+
+
+IMU = Part[SamplerOf]("vlp16emu.extras.imu.sampler:sampler_of")
+PEOPLE = Part[BystandersOf]("vlp16emu.extras.people:People")
+EVENTS = Part[Callable[[SensorState, Scenario, int], SensorState]](
+    "vlp16emu.extras.bench.changes:with_events"
+)
+
+
 @dataclass(frozen=True, slots=True)
 class Parts:
     """Parts of an emulator: sensors, carrier and world."""
 
     units: tuple[Unit, ...]  # At least one
     carrier: Motion  # Motion of the body that carries the devices
-    imu: Any  # Its samples, an `extras.imu.sampler.ImuSampler`; None without an inertial unit
+    imu: Sampler | None  # Samples of the inertial unit; None without one
     imu_mount: Mount  # True mount of the inertial unit, if there is one
     ground_m: HeightField  # Height of the ground over places
     world: World  # At rest
-    wind: Any  # Sway of its trees, a `forest.stand.wind.TreeSway`; None in still air
-    people: Any  # People beside the carrier, an `extras.people.People`; None without them
+    wind: MovingTrees | None  # Its trees in the wind; None in still air
+    people: Bystanders | None  # People beside the carrier; None without them
     gps: GpsInput  # Signals that the receiver sends; each unit holds what it gets
 
     @property
@@ -154,9 +198,9 @@ def assemble(scenario: Scenario, like: "Engine | None" = None) -> Parts:
     people = None
     if imu:
         imu_mount = true_mount(imu.mount, seed, _IMU)
-        sampler = door("imu")(mounted(carrier, imu_mount, start_ns), imu, start_ns=start_ns, seed=seed)
+        sampler = IMU.load()(mounted(carrier, imu_mount, start_ns), imu, start_ns=start_ns, seed=seed)
     if scenario.people:
-        people = door("people")(
+        people = PEOPLE.load()(
             scenario.people, carrier, ground_m, start_ns=start_ns, seed=scenario.motion_seed
         )
     mounts = [true_mount(mount, seed, device) for device, mount in enumerate(mounts_of(scenario))]
@@ -188,7 +232,7 @@ def beam_of(scenario: Scenario, seed: int) -> Footprint:
     return Footprint(scenario.beam, seed, scenario.detector.resolution_m, *seen)
 
 
-def _world(scenario: Scenario) -> tuple[Motion, HeightField, World, Any]:
+def _world(scenario: Scenario) -> tuple[Motion, HeightField, World, MovingTrees | None]:
     """Make the carrier, the ground, the world that it goes through, and the sway of its trees."""
     sensors = _sensors(scenario)
     section = scenario.world
@@ -234,7 +278,7 @@ def _unit(scenario: Scenario, number: int, mount: Mount, motion: Motion) -> Unit
     section = powered_up(given, seed)
     state = SensorState.steady(section, gps_input(scenario.gps))
     if scenario.events:
-        state = door("events")(state, scenario, number)
+        state = EVENTS.load()(state, scenario, number)
     head = _head(scenario, section, seed, state)
     mode = ReturnMode(section.return_mode)
     detector = UnitDetector.of_unit(

@@ -15,7 +15,7 @@ from typing import Self
 import numpy as np
 
 from vlp16emu.cores import usable_cores
-from vlp16emu.doors import door
+from vlp16emu.doors import Part
 from vlp16emu.engine.build import Parts, Unit, assemble, with_events
 from vlp16emu.engine.timeline import Packer, Stretch, TruthOf
 from vlp16emu.engine.windows import Batching, OwnWindows, Windows, in_order, windows_of
@@ -53,6 +53,14 @@ class Job:
 Tap = Callable[[Job, Firings, Hits, Geometry], None]
 """Observer of a job's pulses and their hits, called on the thread that cast them; texture is added to the
 hits after it returns."""
+
+
+Sent = Callable[[int, int], Iterator[Packet]]
+"""Function that returns the packets that are sent in a span, in ns since the first pulse."""
+FAULTS = Part[Callable[[Scenario, Sequence[Unit], Sent, int, int], Iterator[Packet]]](
+    "vlp16emu.extras.bench.faults:arriving"
+)
+"""Function that returns the packets that arrive in a span, in ns since the first pulse."""
 
 
 def scan(job: Job, geometry: Geometry, taps: Iterable[Tap] = ()) -> Returns:
@@ -120,8 +128,7 @@ class Engine:
         span_ns = self.span_ns(start_s, stop_s)
         if not self.scenario.events:
             return self.sent(*span_ns)
-        arriving: Iterator[Packet] = door("faults")(self.scenario, self.parts.units, self.sent, *span_ns)
-        return arriving
+        return FAULTS.load()(self.scenario, self.parts.units, self.sent, *span_ns)
 
     def sent(self, start_ns: int, stop_ns: int) -> Iterator[Packet]:
         """Merge the packets that are sent in a span since the first pulse, before network faults."""

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import hypot, matvec, norm
+from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.cloud import Cloud, Library, cloud_of
 from vlp16emu.foliage.lanes import Ground, Medium, Stems, lanes
 from vlp16emu.foliage.march import Passage, march_lines, march_pulses
@@ -27,7 +28,7 @@ from vlp16emu.raycast.build import Placed
 from vlp16emu.raycast.near import EmbreeCaster, EmbreeGeometry, target_of
 from vlp16emu.raycast.packet import LEVEL, Target
 from vlp16emu.store import recall
-from vlp16emu.types import F8, U1, Mesh, ShapeKey, Window
+from vlp16emu.types import F8, U1, Mesh, ShapeKey, Window, World
 
 STRAY_M = 1.0  # greatest distance of a sensor from the positions of its window
 _LEVEL = float(LEVEL) - 1e-4  # slope below which the rays of a pulse are also level in float32
@@ -314,3 +315,11 @@ def _part(window: Window, keep: NDArray[np.bool_]) -> Window:
         surfaces=window.surfaces,
         sway=sway,
     )
+
+
+def far_caster(world: World, workers: Executor) -> FarCaster:
+    """Return the caster of a world with a far medium; raises GeometryError if the world has no far squares."""
+    if not isinstance(world, TiledWorld):
+        found = f"found near_m = {world.near_m:g} in a world of the class {type(world).__name__}"
+        raise GeometryError("world", found, "near_m = inf, or a world with `far_tile`")
+    return FarCaster(world, workers)

@@ -16,7 +16,7 @@ _Slope = tuple[
 
 
 @inline_kernel
-def meet_ground(ground: Ground, pulse: Pulse, middle_m: float, length: float) -> bool:
+def meet_ground(ground: Ground, pulse: Pulse, middle_m: np.float32, length: np.float32) -> bool:
     """Intersect the lanes with the ground within a slab; return True if any hits it."""
     L = pulse.lanes
     axis = pulse.axis
@@ -84,7 +84,7 @@ def _ground_at(ground: Ground, ray: _Ray, first_m: np.float32, last_m: np.float3
 
 
 @inline_kernel
-def _over_ground(ground: Ground, ray: _Ray, at_m: float) -> _Slope:
+def _over_ground(ground: Ground, ray: _Ray, at_m: np.float32) -> _Slope:
     """Return the height of a ray over the ground at a range, and the slope there; infinite height without ground."""
     (x, y, z, dx, dy, dz) = ray
     ground_m = ground.height_m

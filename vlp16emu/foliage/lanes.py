@@ -3,12 +3,12 @@
 Ground is a grid, stems are cones, and foliage is voxels in bricks.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import llvmlite.ir
 import numpy as np
 
-from vlp16emu.kernels.compiler import numba
+from vlp16emu.kernels.compiler import NumbaObject, numba
 from vlp16emu.raycast.kernel import COSINE, DIRECTION, LANES, ORIGIN, RANGE, ROW
 from vlp16emu.types import F4, F8, U4, U8
 
@@ -117,20 +117,24 @@ def lanes() -> Lanes:
 
 
 @numba.extending.intrinsic
-def lowest(typingctx: Any, word: Any) -> Any:  # noqa: ARG001 - the signature is numba's
+def lowest(typingctx: NumbaObject, word: NumbaObject) -> NumbaObject:
     """Find the lowest bit of a word that is not 0."""
 
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:  # noqa: ARG001 - likewise
+    def codegen(
+        context: NumbaObject, builder: NumbaObject, signature: NumbaObject, args: NumbaObject
+    ) -> NumbaObject:
         return builder.cttz(args[0], llvmlite.ir.Constant(llvmlite.ir.IntType(1), 1))
 
     return numba.types.uint64(numba.types.uint64), codegen
 
 
 @numba.extending.intrinsic
-def ones(typingctx: Any, word: Any) -> Any:  # noqa: ARG001 - likewise
+def ones(typingctx: NumbaObject, word: NumbaObject) -> NumbaObject:
     """Count the bits of a word."""
 
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:  # noqa: ARG001 - likewise
+    def codegen(
+        context: NumbaObject, builder: NumbaObject, signature: NumbaObject, args: NumbaObject
+    ) -> NumbaObject:
         return builder.ctpop(args[0])
 
     return numba.types.uint64(numba.types.uint64), codegen

@@ -6,7 +6,7 @@ the share of the light that foliage of that density intercepts over the length o
 voxel's square, its mirroring, and the rounding of n follow from a hash of the voxel's position in the world.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from llvmlite import ir
@@ -23,7 +23,7 @@ from vlp16emu.foliage.voxel import (
     TILE_BIT,
     VOXEL_M,
 )
-from vlp16emu.kernels.compiler import inline_kernel, numba
+from vlp16emu.kernels.compiler import NumbaObject, inline_kernel, numba
 from vlp16emu.raycast.kernel import LANES
 from vlp16emu.types import F4, U1, U8
 
@@ -81,7 +81,7 @@ _COVER = (1.0 - exp(-np.arange(_COVER_STEPS * _COVER_MOST + 2) / _COVER_STEPS)).
 
 
 @inline_kernel
-def _mixed(a: int, b: int, c: int, seed: int) -> np.uint32:
+def _mixed(a: int, b: int, c: int, seed: np.uint32) -> np.uint32:
     """Hash the position of a voxel (constants and rounds as in MurmurHash3's finaliser)."""
     h = u4(u4(a) * u4(0x9E3779B1)) ^ u4(u4(b) * u4(0x85EBCA77)) ^ u4(u4(c) * u4(0xC2B2AE3D)) ^ u4(seed)
     h = u4(h ^ u4(h >> u4(16)))
@@ -210,28 +210,37 @@ def _column(line: F4, lane: int, middle_m: np.float32, r1: np.int32, r2: np.int3
 
 
 @numba.extending.intrinsic
-def _in_columns(typingctx: Any, line: Any, middle_m: Any, r1: Any, r2: Any, bits: Any) -> Any:  # noqa: ARG001 - the signature is numba's
+def _in_columns(
+    typingctx: NumbaObject,
+    line: NumbaObject,
+    middle_m: NumbaObject,
+    r1: NumbaObject,
+    r2: NumbaObject,
+    bits: NumbaObject,
+) -> NumbaObject:
     """Return bits of the lanes whose `_column` is a bit of a word.
 
     Written as vectors, because the compiler splits a loop of eight: saves a twentieth of casting.
     """
 
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+    def codegen(
+        context: NumbaObject, builder: NumbaObject, signature: NumbaObject, args: NumbaObject
+    ) -> NumbaObject:
         floats = ir.VectorType(ir.FloatType(), LANES)
         wholes = ir.VectorType(ir.IntType(32), LANES)
         array, middle, *mirrors, word = args
         first = context.make_array(signature.args[0])(context, builder, array).data
 
-        def row(number: int) -> Any:
+        def row(number: int) -> NumbaObject:
             at = builder.gep(first, [ir.Constant(ir.IntType(64), LANES * number)])
             return builder.load(builder.bitcast(at, floats.as_pointer()), align=4)
 
-        def each(value: Any) -> Any:
+        def each(value: NumbaObject) -> NumbaObject:
             nothing = ir.Constant(ir.VectorType(value.type, LANES), ir.Undefined)
             alone = builder.insert_element(nothing, value, ir.Constant(ir.IntType(32), 0))
             return builder.shuffle_vector(alone, nothing, ir.Constant(wholes, None))
 
-        def whole(number: int) -> Any:
+        def whole(number: int) -> NumbaObject:
             return ir.Constant(wholes, [number] * LANES)
 
         a, b = (

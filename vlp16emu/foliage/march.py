@@ -307,7 +307,11 @@ def _shorter(L: Lanes, way: _Way, n: int, alive: np.uint64, slab: int, slabs: in
 
 @inline_kernel
 def _lines(
-    corner_m: tuple[float, float, float], L: Lanes, n: int, near_m: np.float32, axes: tuple[int, int, int]
+    corner_m: tuple[np.float32, np.float32, np.float32],
+    L: Lanes,
+    n: int,
+    near_m: np.float32,
+    axes: tuple[int, int, int],
 ) -> tuple[np.uint64, np.float32]:
     """Set up the lanes' lines; return the lanes that go on from `near_m`, and the farthest range."""
     row = L.row
@@ -326,7 +330,11 @@ def _lines(
 
 @inline_kernel
 def _lay_lines(
-    corner_m: tuple[float, float, float], row: F4, line: F4, lanes: int, axes: tuple[int, int, int]
+    corner_m: tuple[np.float32, np.float32, np.float32],
+    row: F4,
+    line: F4,
+    lanes: int,
+    axes: tuple[int, int, int],
 ) -> None:
     (main, one, two) = axes
     scale = f4(LANES / VOXEL_M)

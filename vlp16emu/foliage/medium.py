@@ -57,7 +57,8 @@ def block_of(
     corner_m = near[ix, iy].corner_m
     around = [(3 * (dx + 1) + dy + 1, near[ix + dx, iy + dy]) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
     parts = zip(*(_placed(library, shape_of, tile, number, corner_m) for number, tile in around), strict=True)
-    placed = tuple(np.concatenate(part) for part in parts)
+    shape, world_T_shape, first_surface, number = (np.concatenate(part) for part in parts)
+    placed = shape, world_T_shape, first_surface, number
     stems = np.concatenate([tile.stems for _, tile in around])
     ground_m = here.ground_m - corner_m[2]
     lines = stem_lines(stems, corner_m)

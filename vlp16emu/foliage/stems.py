@@ -106,12 +106,10 @@ def see_stems(
     y_m = f4(sector.y_m)
     mx = f4(sector.mx)
     my = f4(sector.my)
-    (cos_right, sin_right) = sector.right
-    (cos_left, sin_left) = sector.left
-    cos_right = f4(cos_right)
-    sin_right = f4(sin_right)
-    cos_left = f4(cos_left)
-    sin_left = f4(sin_left)
+    cos_right = f4(sector.right[0])
+    sin_right = f4(sector.right[1])
+    cos_left = f4(sector.left[0])
+    sin_left = f4(sector.left[1])
     margin_m = f4(sector.away_m + aside_m) + _ROUNDING_M
     begin_m = f4(near_m * sector.level)
     end_m = f4(far_m)

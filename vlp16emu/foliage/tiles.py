@@ -5,7 +5,7 @@ alone.
 """
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +67,7 @@ class TiledWindow(Window):
         return {"far": np.append(self.far, exact), "low": np.append(self.low, exact)}
 
 
+@runtime_checkable
 class TiledWorld(World, Protocol):
     """A world of squares that are cast as a far medium beyond `near_m`."""
 

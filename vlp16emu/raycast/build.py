@@ -325,7 +325,7 @@ def _set_steps(geometry: int, transforms: F4) -> None:
 
 
 @inline_kernel
-def knot_at(knots: int, time: float) -> tuple[int, float]:
+def knot_at(knots: int | np.int64, time: float) -> tuple[int | np.int64, float]:
     """Return the knot before a ray time 0..1, and the fraction from it to the next knot."""
     at = np.float64(time) * (knots - 1)
     knot = min(int(at), knots - 2)

@@ -1,13 +1,14 @@
 """Casters, the choice of a caster with or without a far medium, and the sky cover by casting."""
 
 import math
+from collections.abc import Callable
 from concurrent.futures import Executor
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.doors import door
+from vlp16emu.doors import Part
 from vlp16emu.elementary import cos, sin
 from vlp16emu.raycast.beam import LINE, Footprint
 from vlp16emu.types import F8, Firings, Hits, Window, World
@@ -38,8 +39,12 @@ class Caster(Protocol):
         """Make a window ready for casting."""
 
 
+FAR = Part[Callable[[World, Executor], Caster]]("vlp16emu.foliage.far:far_caster")
+"""Caster of a world with a far medium."""
+
+
 def caster(world: World, workers: Executor) -> Caster:
-    """Make the caster of a world: faces alone, or with a far medium (door "far").
+    """Make the caster of a world: faces alone, or with a far medium (`FAR`).
 
     Raises EmbreeMissingError if the library cannot be loaded.
     """
@@ -49,8 +54,7 @@ def caster(world: World, workers: Executor) -> Caster:
         from vlp16emu.raycast.near import EmbreeCaster
 
         return EmbreeCaster(world, workers)
-    far: Caster = door("far")(world, workers)
-    return far
+    return FAR.load()(world, workers)
 
 
 def sky_cover(geometry: Geometry, t_ns: int, position_m: F8, lowest_deg: float, far_m: float) -> float:

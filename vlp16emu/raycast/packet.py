@@ -11,17 +11,17 @@ Kernels without new arrays count no references (`_nrt=False`), and loops take ar
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import llvmlite.ir
 import numpy as np
 from numba import types
 
 from vlp16emu.elementary import sin
-from vlp16emu.kernels.compiler import inline_kernel, kernel, numba
+from vlp16emu.kernels.compiler import NumbaObject, inline_kernel, kernel, numba
 from vlp16emu.raycast.build import knot_at
 from vlp16emu.raycast.embree import FLAG_COHERENT, FLAG_FILTER
-from vlp16emu.types import F4, F8, I4, I8, U4, U8
+from vlp16emu.types import F4, F8, I4, I8, U4, U8, AnyArray
 
 PACKET = 8  # rays per packet; 16 is slower without AVX-512
 
@@ -91,13 +91,15 @@ _Corners = tuple[_Vector, _Vector, _Vector]
 _DTYPES = ["f4", "i4", "u8", "u8", "f4", "f8", "u4", "u8", "u8"]
 
 
-def _pointer(kind: Any) -> Any:
+def _pointer(kind: NumbaObject) -> NumbaObject:
     """Make a function that converts an address to a pointer to numbers of a type."""
 
     @numba.extending.intrinsic
-    def pointer(typingctx: Any, address: Any) -> Any:  # noqa: ARG001 - the signature is numba's
+    def pointer(typingctx: NumbaObject, address: NumbaObject) -> NumbaObject:
 
-        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        def codegen(
+            context: NumbaObject, builder: NumbaObject, signature: NumbaObject, args: NumbaObject
+        ) -> NumbaObject:
             return builder.inttoptr(args[0], context.get_value_type(signature.return_type))
 
         return types.CPointer(kind)(types.uint64), codegen
@@ -129,12 +131,12 @@ def _cross(a: _Vector, b: _Vector) -> _Vector:
 
 
 @inline_kernel
-def _vector(numbers: Any, at: int, step: int) -> _Vector:
+def _vector(numbers: AnyArray, at: int | np.int64, step: int) -> _Vector:
     return np.float64(numbers[at]), np.float64(numbers[at + step]), np.float64(numbers[at + 2 * step])
 
 
 @inline_kernel
-def _corners(desk: Any, instance: int, face: int) -> _Corners:
+def _corners(desk: U8, instance: np.int64, face: np.uint64) -> _Corners:
     row = 2 * (_as_int64(desk[5])[instance] + np.int64(face >> np.uint64(32)))
     buffers = _as_uint64(desk[6])
     triangle = 3 * np.int64(face & np.uint64(NONE))
@@ -145,7 +147,7 @@ def _corners(desk: Any, instance: int, face: int) -> _Corners:
 
 
 @inline_kernel
-def _in_shape(desk: Any, own: Any, r: int, instance: int) -> tuple[_Vector, _Vector]:
+def _in_shape(desk: U8, own: F8, r: np.int64, instance: np.int64) -> tuple[_Vector, _Vector]:
     """Return origin and direction of ray r in the coordinates of an instance's shape."""
     (x, y, z) = _vector(own, r, PACKET)
     (dx, dy, dz) = _vector(own, DIR + r, PACKET)
@@ -235,18 +237,21 @@ def _decide(arguments: int) -> None:
 
 
 @numba.extending.intrinsic
-def _filter(typingctx: Any) -> Any:
+def _filter(typingctx: NumbaObject) -> NumbaObject:
     """Return the address of `_decide` as a C function, compiled into the calling kernel."""
     kind = types.Dispatcher(_decide)
     decision = kind.get_call_type(typingctx, (types.uint64,), {})
 
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:  # noqa: ARG001 - the signature is numba's
+    def codegen(
+        context: NumbaObject, builder: NumbaObject, signature: NumbaObject, args: NumbaObject
+    ) -> NumbaObject:
         word = llvmlite.ir.IntType(64)
         kinds = llvmlite.ir.FunctionType(llvmlite.ir.VoidType(), [word])
         function = llvmlite.ir.Function(builder.module, kinds, f"{builder.function.name}.filter")
         function.linkage = "internal"
         inside = llvmlite.ir.IRBuilder(function.append_basic_block())
-        compiled = _decide.overloads[decision.args]
+        dispatcher: NumbaObject = _decide
+        compiled = dispatcher.overloads[decision.args]
         context.add_linking_libs([compiled.library])
         context.call_internal_no_propagate(inside, compiled.fndesc, decision, function.args)
         inside.ret_void()

@@ -1,7 +1,7 @@
 """The public class: a scene as scans in arrays, as a capture, or over UDP."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
@@ -53,6 +53,14 @@ class TruthWriter(Protocol):
         """Write the ground truth up to a time since the first pulse, without packets of a run."""
 
 
+class HasEngine(Protocol):
+    """An emulator, or the feed of its packets in a stream."""
+
+    @property
+    def engine(self) -> Engine:
+        """Engine that makes the packets, with the settings and events so far."""
+
+
 class ScansOf(Protocol):
     """Function that returns the revolutions of a unit within a span."""
 
@@ -64,9 +72,9 @@ class ScansOf(Protocol):
 
 AUDIT = Part[Callable[[Scenario], Audit]]("vlp16emu.extras.accuracy.audit:Audit")
 TRUTH_OF_RECORDS = Part[TruthOf]("vlp16emu.extras.truth.slots:slots_of")
-TRUTH = Part[
-    "Callable[[TruthTo, Emulator | PacketFeed, tuple[float, float]], AbstractContextManager[TruthWriter]]"
-]("vlp16emu.extras.truth.truth:Truth")
+TRUTH = Part[Callable[[TruthTo, HasEngine, tuple[float, float]], AbstractContextManager[TruthWriter]]](
+    "vlp16emu.extras.truth.truth:Truth"
+)
 SCANS = Part[ScansOf]("vlp16emu.extras.clouds.scan:scans_of")
 
 

@@ -24,7 +24,6 @@ pytest.importorskip("viser", reason="the extra viewer is not installed")
 
 import vlp16emu
 from vlp16emu import Emulator
-from vlp16emu.doors import door
 from vlp16emu.errors import RunError
 from vlp16emu.extras.viewer.live import (
     Batch,
@@ -41,6 +40,7 @@ from vlp16emu.extras.viewer.live_settings import SettingsPanel
 from vlp16emu.extras.viewer.page import guarded_server
 from vlp16emu.packets import DATA_BYTES, pack_position
 from vlp16emu.packets.layout import DATA_PAYLOAD
+from vlp16emu.run.emulator import TRUTH_OF_RECORDS
 from vlp16emu.run.options import Http, StreamOptions
 from vlp16emu.run.part import StreamPart
 from vlp16emu.run.scene_stream import SceneStream
@@ -112,7 +112,7 @@ def test_batches_hold_sent_packets_with_their_poses(ends, truth):
     second = {"name": "second", "data_port": 2369, "position_port": 8309, "mount": {"pitch_deg": -35.0}}
     emulator = Emulator("static_bench", {"duration_s": 0.02, "rig": [second]})
     if truth:
-        emulator = emulator.with_engine(replace(emulator.engine, truth_of=door("truth_of_records")))
+        emulator = emulator.with_engine(replace(emulator.engine, truth_of=TRUTH_OF_RECORDS.load()))
     sent = list(emulator.packets())
     page = page_on(ours, emulator, http=Http("127.0.0.1:0"))
     batches = []
@@ -280,7 +280,7 @@ def test_sweeps_are_those_of_the_packets_in_the_world(server, emulator, packets,
 def test_labels_of_packets_colour_the_points(server, ends):
     """Packets with ground truth give points a class, and the page offers the layers of labels."""
     emulator = Emulator("static_bench", {"duration_s": 0.3})
-    emulator = emulator.with_engine(replace(emulator.engine, truth_of=door("truth_of_records")))
+    emulator = emulator.with_engine(replace(emulator.engine, truth_of=TRUTH_OF_RECORDS.load()))
     view = seen_view(server, emulator, list(emulator.packets()), ends)
     view._draw_sweeps()
     assert {"class", "instance", "reflectivity", "ring"} <= set(view._layer.options)

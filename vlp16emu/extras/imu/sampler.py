@@ -10,6 +10,7 @@ from vlp16emu.extras.imu.settings import Imu
 from vlp16emu.kernels.compiler import array_kernel
 from vlp16emu.motion.pose import Motion, rotations
 from vlp16emu.random import Purpose, normal, normal_pair, uniform
+from vlp16emu.scenario.model import InertialSection
 from vlp16emu.types import F8, I8, Inertial
 from vlp16emu.units import S_NS
 
@@ -26,6 +27,12 @@ _AXIS_ERROR = 0.005
 """Error of sensitivity and of alignment of an axis, one sigma: half of the tolerance of 1 % each (Bosch
 BNO055; assumption)."""
 _HEADING = 6  # lane of the heading's random walk; the six axes have lanes 0 to 5
+
+
+def sampler_of(motion: Motion, imu: InertialSection, *, start_ns: int, seed: int) -> "ImuSampler":
+    """Return the samples of a scene's inertial unit; parameters as in `ImuSampler`."""
+    assert isinstance(imu, Imu)  # the only section of an inertial unit
+    return ImuSampler(motion, imu, start_ns=start_ns, seed=seed)
 
 
 class ImuSampler:

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from vlp16emu.elementary import matvec
 from vlp16emu.engine import Engine
+from vlp16emu.engine.build import Sampler
 from vlp16emu.errors import InputError, readable
-from vlp16emu.extras.imu.sampler import ImuSampler
 from vlp16emu.motion.gnss import Receiver, to_geodetic
 from vlp16emu.motion.pose import Kinematics, Motion
 from vlp16emu.motion.settings import Gps
@@ -202,7 +202,7 @@ def fix_samples(engine: Engine) -> Samples:
     return Samples(FIXES, partial(_fix_rows, engine.receiver, engine.scenario.gps), 0, 1)
 
 
-def _inertial_rows(table: Table, imu: ImuSampler, first: int, count: int) -> Rows:
+def _inertial_rows(table: Table, imu: Sampler, first: int, count: int) -> Rows:
     read = imu.read(first, count)
     return table.rows(
         read.t_ns,

@@ -34,8 +34,7 @@ from vlp16emu.motion.pose import rotation
 from vlp16emu.motion.settings import Mount
 from vlp16emu.output import write_json
 from vlp16emu.packets import SENSOR_R_MANUAL
-from vlp16emu.run.emulator import Emulator
-from vlp16emu.run.feed import PacketFeed
+from vlp16emu.run.emulator import Emulator, HasEngine
 from vlp16emu.run.options import TruthPlace, TruthTo
 from vlp16emu.scenario import Scenario, named_files
 from vlp16emu.sensor.settings import Sensor, require_packets
@@ -189,7 +188,7 @@ class Truth:
     later.
     """
 
-    def __init__(self, to: TruthTo, of: Emulator | PacketFeed, span_s: tuple[float, float]) -> None:
+    def __init__(self, to: TruthTo, of: HasEngine, span_s: tuple[float, float]) -> None:
         engine = of.engine
         scenario = engine.scenario
         parts = engine.parts
