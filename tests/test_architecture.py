@@ -74,7 +74,7 @@ EXTRAS_TAKE = {
     "score": {"clouds", "options", "recorded"},
     "slam": {"truth"},
     "survey": {"colours", "meshes", "stand_map"},
-    "truth": {"bench", "camera", "imu"},
+    "truth": {"bench", "camera"},
     "viewer": {"clouds", "colours", "options", "survey", "verify", "walk"},
     "walk": {"splines"},
 }

@@ -141,7 +141,7 @@ def test_points_have_the_truth_of_their_run(cli, tmp_path):
         outcome = cli("points", "static_bench", tmp_path / "x.npz", *span, "--truth-folder", beside)
         assert outcome.code == 0
         assert cli("truth", "static_bench", alone, *span).code == 0
-        assert len(list(alone.iterdir())) == 3
+        assert len(list(alone.iterdir())) == 4
         for path in alone.iterdir():
             assert (beside / path.name).read_bytes() == path.read_bytes(), path.name
 

@@ -9,7 +9,7 @@ from vlp16emu.errors import OutputError, ScenarioError
 from vlp16emu.extras import outlook
 from vlp16emu.extras.outlook import LADDER
 from vlp16emu.run.options import Outlets, StreamOptions
-from vlp16emu.run.scene_stream import PARTS, SceneStream
+from vlp16emu.run.scene_stream import SceneStream
 from vlp16emu.run.stream import State
 from vlp16emu.sinks import FellBehind
 
@@ -79,9 +79,3 @@ def test_what_cannot_be_opened_is_an_error_of_the_call():
         SceneStream(emulator, StreamOptions(to="nobody.invalid"))
     with pytest.raises(ScenarioError, match=r"gps\.connected: found false"):
         SceneStream(emulator, StreamOptions(outlets=Outlets(gps_out="/dev/null"), **FREE))
-
-
-def test_options_of_parts_are_options_of_a_stream():
-    """Each row of the table of parts is a field of the options, which is empty by default."""
-    options = StreamOptions()
-    assert [getattr(options, option) for option in PARTS] == [None] * len(PARTS)

@@ -74,13 +74,15 @@ class Present(Protocol):
     """Moves packets by whole seconds into the present."""
 
     moved_s: int
-    began_ns: int
 
     def start(self, first: Packet, pacer: Pacer, stop: Event) -> None:
         """Start the clock of a stream before its first packet."""
 
     def moved(self, packet: Packet) -> Packet:
         """Return a packet of the present."""
+
+    def utc_ns(self, due_ns: int) -> int:
+        """Return the UTC by the sensor's clock at which a packet with a due time leaves."""
 
 
 PRESENT = Part[Callable[[], Present]]("vlp16emu.extras.bench.retime:Present")
@@ -347,8 +349,8 @@ class Stream:
             packet = part.leaving(packet)
         self._sinks[packet.kind].send(packet)
         if self._first_sent is None:
-            began_ns = self._present.began_ns if self._present else None
-            self._first_sent = FirstPacket(due_ns, began_ns, time.time_ns())
+            sensor_ns = self._present.utc_ns(due_ns) if self._present else None
+            self._first_sent = FirstPacket(due_ns, sensor_ns, time.time_ns())
         for part in self.parts:
             part.sent(packet)
 

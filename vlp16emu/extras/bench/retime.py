@@ -140,9 +140,7 @@ class Present:
         self._clock_ns = clock_ns
         self._ahead_ns = 0
         self.moved_s = 0
-        """Whole seconds from the time of the packets to the present; set when the first packet leaves, like
-        `began_ns`."""
-        self.began_ns = 0  # UTC of the first packet by the sensor's clock
+        """Whole seconds from the time of the packets to the present; set when the first packet leaves."""
 
     def start(self, first: Packet, pacer: Pacer, stop: Event) -> None:
         """Start the clock of a stream; wait for the instant at which the first packet leaves, or for `stop`.
@@ -159,12 +157,15 @@ class Present:
             due_ns = self._clock_ns() + pacer.deadline_ns(first.due_ns) - pacer.now_ns()
             at_ns = sent_ns + round((due_ns - sent_ns) / S_NS) * S_NS
         self.moved_s = (at_ns - sent_ns) // S_NS
-        self.began_ns = at_ns
         self._ahead_ns = at_ns - first.due_ns
 
     def moved(self, packet: Packet) -> Packet:
         """Return a packet of the present."""
-        return moved(packet, self.moved_s, packet.due_ns + self._ahead_ns)
+        return moved(packet, self.moved_s, self.utc_ns(packet.due_ns))
+
+    def utc_ns(self, due_ns: int) -> int:
+        """Return the UTC by the sensor's clock at which a packet with a due time leaves."""
+        return due_ns + self._ahead_ns
 
     def _sent_ns(self, first: Packet) -> int:
         """Return the UTC at which a packet leaves by its own stamp, or its due time if it has none."""
