@@ -4,6 +4,7 @@ import threading
 import weakref
 from collections.abc import Sequence
 from concurrent.futures import Executor, Future
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,11 +19,17 @@ from vlp16emu.raycast.packet import PACKET, Target, ray_packet
 from vlp16emu.store import recalled
 from vlp16emu.types import F8, I8, Firings, Hits, ShapeKey, Window, World
 from vlp16emu.units import INCLUSIVE
+from vlp16emu.world.hall import Thing, hall_shape
 
 _SECTOR_DEG = 1.6
 """Width of a sector, whose faces stay in the cache from revolution to revolution: over eight revolutions it
 saves a fifth of the time for one ray per pulse in `scenes/reference_forest`, a seventh for an adaptive beam.
 12 degrees save half."""
+
+
+_THINGS_KEPT = 16
+"""Things of halls that the process keeps: to build the balls of `static_bench` takes as long as a second of
+its packets, and a program of tests makes many emulators of one hall."""
 
 
 class Stages(NamedTuple):
@@ -175,6 +182,14 @@ class EmbreeCaster:
         return Placed(window, [meshes[which] for which in window.shape.tolist()], self._workers)
 
     def _solid(self, key: ShapeKey) -> EmbreeMesh:
+        if isinstance(key, Thing):
+            return _thing(key)
         name = self._world.shape_name(key)
         world = self._world
         return EmbreeMesh(recalled(name and f"faces {name}", lambda: shape_of(world.shape(key))))
+
+
+@lru_cache(maxsize=_THINGS_KEPT)
+def _thing(key: Thing) -> EmbreeMesh:
+    """Build a thing of a hall, which its key describes whole."""
+    return EmbreeMesh(shape_of(hall_shape(key)))
