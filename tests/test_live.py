@@ -10,7 +10,7 @@ import pytest
 from listening import Listener
 
 from vlp16emu import Emulator
-from vlp16emu.errors import InputError, OutputError, TrajectoryError
+from vlp16emu.errors import OutputError, TrajectoryError
 from vlp16emu.extras.bench.options import PosesIn
 from vlp16emu.extras.live.flight import PoseReceiver
 from vlp16emu.extras.truth.truth import write_truth
@@ -148,23 +148,10 @@ def test_a_live_scene_is_not_recorded(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_poses_of_another_scene_are_refused(tmp_path):
-    """Poses, and a table of them, are for live scenes; and these go at their own speed."""
-    with pytest.raises(InputError, match=r'--flown: found motion\.kind = "static"'):
-        Emulator("static_bench").stream(poses=PosesIn(flown=tmp_path / "flown.csv"))
-    with pytest.raises(InputError, match="--speed: found 2"):
-        Emulator("static_bench", [LIVE]).stream(speed=2.0)
+def test_poses_of_another_scene_are_refused():
+    """A pose that a program puts is for live scenes."""
     with pytest.raises(TrajectoryError, match=r'motion\.kind: found "static"; expected "live"'):
         Emulator("static_bench").put_pose((0, 0, 0), (0, 0, 0, 1))
-
-
-@pytest.mark.parametrize(
-    "where", ["7000", "udp://7000", "tcp://127.0.0.1:7000", "udp://127.0.0.1:x", "udp://h:70000"]
-)
-def test_where_poses_come_in_is_checked(where):
-    """An address without scheme, host or port is refused."""
-    with pytest.raises(InputError, match="--pose-in: found"):
-        PoseReceiver(where, lambda *_: None)
 
 
 def test_a_port_in_use_is_reported():

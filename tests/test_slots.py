@@ -38,11 +38,17 @@ def data_payloads(path):
     return np.frombuffer(b"".join(found), DATA_PAYLOAD)
 
 
+@pytest.fixture(scope="module")
+def walk():
+    """A walk among birches without noise."""
+    return Emulator("birch_walk", THIN | {"noise.preset": "ideal"})
+
+
 @pytest.fixture(scope="module", params=["strongest", "last", "dual"])
-def run(request, tmp_path_factory):
-    """A quarter of a second among birches without noise: emulator, capture and truth."""
+def run(request, walk, tmp_path_factory):
+    """A quarter of a second of the walk: emulator, capture and truth."""
     folder = tmp_path_factory.mktemp("slots")
-    emulator = Emulator("birch_walk", THIN | {"sensor.return_mode": request.param, "noise.preset": "ideal"})
+    emulator = walk.changed({"sensor.return_mode": request.param})
     to = TruthTo(folder / "truth", rate_hz=2000, per_return=True)
     emulator.record(folder / "walk.pcap", duration_s=SPAN_S, truth=to)
     return emulator, folder / "walk.pcap", to.folder
@@ -103,7 +109,7 @@ def test_relative_and_absolute_places_are_one(run, table):
 def test_truth_alone_is_the_same(run, tmp_path):
     """Without packets, and with other threads, the file has the same bytes."""
     emulator, _, folder = run
-    other = Emulator(emulator.scenario, threads=1)
+    other = Emulator(emulator.scenario, threads=1, like=emulator)
     write_truth(other, TruthTo(tmp_path / "t", 2000, per_return=True), duration_s=SPAN_S)
     assert (tmp_path / "t" / "returns.parquet").read_bytes() == (folder / "returns.parquet").read_bytes()
 

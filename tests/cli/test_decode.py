@@ -123,36 +123,6 @@ def test_ply_opens_elsewhere(cli, bench, tmp_path):
     np.testing.assert_allclose(data["time"] % 3600, points.time_ns / 1e9, rtol=0, atol=3e-7)
 
 
-@pytest.mark.parametrize("verb", ["decode", "points"])
-@pytest.mark.parametrize(
-    ("name", "code", "said"),
-    [
-        ("x.xyz", 2, "found suffix '.xyz'; expected .csv, .npz, .ply"),
-        ("no/x.ply", 2, "No such file or directory; expected a file that can be written"),
-        *(
-            (f"full.{kind}", 1, "No space left on device; the file is not complete")
-            for kind in ("ply", "csv", "npz", "laz")
-        ),
-    ],
-)
-def test_points_that_cannot_be_written_are_reported(cli, bench, tmp_path, verb, name, code, said):
-    """A wrong suffix, a missing folder and a full disk are one line each."""
-    if name.endswith("laz"):
-        pytest.importorskip("lazrs")
-    out = tmp_path / name
-    if "full" in name:
-        out.symlink_to("/dev/full")
-    line = (
-        ("decode", bench, "--out", out)
-        if verb == "decode"
-        else ("points", "static_bench", out, "--duration", "0.02")
-    )
-    outcome = cli(*line)
-    assert outcome.code == code
-    assert f"{out}: {said}" in outcome.err
-    assert outcome.err.count("\n") == 1
-
-
 def test_a_cut_file_is_read_to_its_last_whole_packet(cli, bench, tmp_path):
     """A file that ends in the middle of a packet is read so far, and this is said."""
     cut = tmp_path / "cut.pcap"

@@ -1,6 +1,5 @@
 """The lint as a command."""
 
-import os
 from pathlib import Path
 
 import pytest
@@ -46,11 +45,3 @@ def test_a_broken_rule_is_named_with_its_packet(cli, bench, tmp_path):
     text = cli("verify", damaged).out
     assert text.startswith(f"packet {finding['packet']}: flag: {finding['found']}; expected ")
     assert f"{damaged}: not what a VLP-16 sends\n" in text
-
-
-def test_a_pipe_is_refused(cli, tmp_path):
-    """What can be read once only is told as such, and not called an empty file."""
-    os.mkfifo(tmp_path / "pipe")
-    outcome = cli("verify", tmp_path / "pipe")
-    assert outcome.code == 2
-    assert outcome.err == f"error: {tmp_path}/pipe: a pipe; expected a file, which can be read twice\n"

@@ -207,20 +207,6 @@ def test_a_scene_without_a_walk_is_only_shown():
         assert not any("way points" in str(text) for text in texts)
 
 
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
-        (["static_bench", "--save", "new.toml"], "motion.kind: found static; expected walk"),
-        (["birch_walk", "--save", "new.txt"], "found the ending '.txt'"),
-        (["walk.pcap", "--save", "new.toml"], "--save: found beside the capture walk.pcap"),
-    ],
-)
-def test_a_wrong_save_is_one_clear_line(words, line, capsys):
-    """`--save` beside what has no path to edit, or with a name of no scene, ends before a page is there."""
-    assert run(["view", *words]) == 2
-    assert line in capsys.readouterr().err
-
-
 def arrow(r, g, b):
     return (r < 130) & (g > 200) & (abs(b - 140) < 30)
 
