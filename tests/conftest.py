@@ -98,6 +98,23 @@ def kept_woods():
     user_store.cache_clear()
 
 
+DEFAULT_UNIT = Path(__file__).parent / "default_unit.toml"
+
+
+@pytest.fixture(
+    scope="session", params=["static_bench", str(DEFAULT_UNIT)], ids=["ideal unit", "default unit"]
+)
+def each_unit(request):
+    """Scene of a hall with a sensor without errors, GPS and beam width, then with the unit of scenes by default."""
+    return request.param
+
+
+@pytest.fixture(scope="session")
+def default_unit():
+    """Scene of a hall with the unit that scenes have by default: rotor and noise of a real one, GPS, beams with a width."""
+    return str(DEFAULT_UNIT)
+
+
 @pytest.fixture
 def refused(capsys):
     """Run a command line that is bad input, and return the one line that says so."""

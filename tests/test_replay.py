@@ -16,10 +16,10 @@ S_NS, HOUR_NS = 1_000_000_000, 3_600_000_000_000
 
 
 @pytest.fixture(scope="module")
-def capture(tmp_path_factory):
+def capture(each_unit, tmp_path_factory):
     """A third of a second of the hall, with a receiver."""
     path = tmp_path_factory.mktemp("replay") / "bench.pcap"
-    Emulator("static_bench", {"gps.connected": True}).record(path, duration_s=0.3)
+    Emulator(each_unit, {"gps.connected": True}).record(path, duration_s=0.3)
     return path
 
 

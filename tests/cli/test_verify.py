@@ -7,10 +7,12 @@ import pytest
 CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "captures"
 
 
-@pytest.mark.parametrize("kind", ["bench", "dual"])
-def test_our_own_recordings_are_clean(cli, request, kind):
+@pytest.mark.parametrize("mode", ["strongest", "dual"])
+def test_our_own_recordings_are_clean(cli, each_unit, tmp_path, mode):
     """What `record` writes breaks no rule: exit 0, nothing but the summary."""
-    path = request.getfixturevalue(kind)
+    path = tmp_path / "x.pcap"
+    settings = "--set", f"sensor.return_mode={mode}", "--set", "start_utc=2026-05-20T08:59:59.9Z"
+    cli("record", each_unit, path, "--duration", "0.5", *settings)
     outcome = cli("verify", path, "--json")
     assert outcome.code == 0
     assert (outcome.tree["clean"], outcome.tree["findings"]) == (True, [])
