@@ -3,6 +3,7 @@
 import signal
 
 import pytest
+from kit import set_words
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
@@ -32,14 +33,7 @@ def test_the_truth_alone_is_that_of_a_recording(cli, tmp_path):
         "start_utc=2026-05-20T09:00:00.25Z",
         "gps.connected=true",
     )
-    run = [
-        "--start",
-        "0.7",
-        "--duration",
-        "0.3",
-        "--json",
-        *(word for one in sets for word in ("--set", one)),
-    ]
+    run = ["--start", "0.7", "--duration", "0.3", "--json", *set_words(sets)]
     options = [*run, "--truth-rate", "50", "--truth-packets"]
     made = cli("record", "static_bench", tmp_path / "x.pcap", *options, "--truth", tmp_path / "a").tree
     assert len(rows(tmp_path / "a" / "trajectory.tum")) in {16, 17}

@@ -1,10 +1,6 @@
 """The lint as a command."""
 
-from pathlib import Path
-
 import pytest
-
-CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "captures"
 
 
 @pytest.mark.parametrize("mode", ["strongest", "dual"])

@@ -8,6 +8,7 @@ from threading import Event
 
 import numpy as np
 import pytest
+from kit import set_words
 from scipy.spatial.transform import Rotation
 from woods import THIN
 
@@ -302,8 +303,7 @@ def test_the_command_writes_them(tmp_path, capsys):
         "--duration",
         "0.3",
     ]
-    small = [word for key, value in SMALL.items() for word in ("--set", f"{key}={value}")]
-    assert run([*words, *small]) == 0
+    assert run([*words, *set_words(SMALL)]) == 0
     made = json.loads(capsys.readouterr().out)
     assert (made["images"], made["width_px"], made["height_px"], made["interrupted"]) == (2, 160, 120, False)
     assert made["bytes"] == sum(len(content) for content in files_of(tmp_path / "images").values())

@@ -15,6 +15,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from kit import data_payloads
 from listening import Listener, MemorySink
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
@@ -163,7 +164,7 @@ def test_a_page_that_hangs_or_is_killed_costs_no_packet(emulator, packets):
 
     Its niceness is 10 above the stream's, and it has a session of its own, which Ctrl-C at the terminal does not reach.
     """
-    expected = [packet.payload for packet in packets if packet.kind is PacketKind.DATA]
+    expected = [payload.tobytes() for payload in data_payloads(packets)]
     gone = threading.Event()
     before = children()
     with live_page(emulator, 0) as page:

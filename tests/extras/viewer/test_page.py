@@ -8,6 +8,7 @@ from contextlib import closing, suppress
 import numpy as np
 import pytest
 from extras.viewer.kit import places_of
+from kit import set_words
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
 
@@ -140,8 +141,7 @@ def stem(r, g, b):
 @pytest.mark.usefixtures("kept_woods")
 def test_a_browser_shows_the_stand_and_plays_the_sweeps(in_browser):
     """The page has stems and leaves, and the points of the sweep at the cursor, which goes on as it plays."""
-    settings = [word for setting in BIRCHES for word in ("--set", setting)]
-    _, page = in_browser("view", "birch_walk", *settings, "--radius", "8", "--port", "0")
+    _, page = in_browser("view", "birch_walk", *set_words(BIRCHES), "--radius", "8", "--port", "0")
     page.get_by_text("points by natural, sweep at 0.0 s").wait_for()
     places_of(page, stem, 1000)
     places_of(page, leaf, 200)
