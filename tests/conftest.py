@@ -3,7 +3,6 @@
 import os
 import sys
 import tempfile
-from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from importlib.machinery import SourceFileLoader
 from importlib.util import module_from_spec, spec_from_loader
@@ -35,9 +34,6 @@ ALLOWED_SKIPS = {
 """Parts of the reasons for which a test may be skipped with CI=true, and why."""
 
 WOODS = "VLP16EMU_TEST_WOODS"  # variable that names the folder of `kept_woods` to workers
-GROWN = deque(
-    maxlen=6
-)  # engines whose worlds `kept_woods` lends to others of the same way through the same world
 
 
 def pytest_configure(config):
@@ -91,52 +87,32 @@ def tool_named():
 
 @pytest.fixture(scope="module")
 def kept_woods():
-    """Keep what grows from test to test, on disk and built, where they are about what is seen of it and not about how it grows."""
-    from vlp16emu.engine import Engine, in_one_world
+    """Keep on disk what grows from test to test, where they are about what is seen of it and not about how it grows."""
     from vlp16emu.store import user_store
-
-    of = Engine.of.__func__
-
-    def kept(cls, scenario, *, like=None, **options):
-        like = like or next((engine for engine in GROWN if in_one_world(scenario, engine.scenario)), None)
-        engine = of(cls, scenario, like=like, **options)
-        if like is None and scenario.world.kind != "hall":
-            GROWN.appendleft(engine)
-        return engine
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("VLP16EMU_CACHE_DIR", os.environ[WOODS])
-        patch.setattr(Engine, "of", classmethod(kept))
         user_store.cache_clear()
         yield
         user_store().flush()
     user_store.cache_clear()
 
 
-@pytest.fixture(scope="session", autouse=True)
-def _things_of_halls():
-    """Build each thing of a hall once: its key describes it whole, and a ball takes as long as a second of packets."""
-    from vlp16emu.raycast.near import EmbreeCaster
-    from vlp16emu.world.hall import HallWorld
-
-    made, begin = {}, EmbreeCaster.__init__
-
-    def begun(caster, world, workers):
-        begin(caster, world, workers)
-        if isinstance(world, HallWorld):
-            caster._solids = made
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(EmbreeCaster, "__init__", begun)
-        yield
+DEFAULT_UNIT = Path(__file__).parent / "default_unit.toml"
 
 
-@pytest.fixture(scope="session", autouse=True)
-def _memory_is_kept():
-    """Leave freed memory in the process: a worker of a thousand tests would clear it anew for each window."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("vlp16emu.raycast.embree.give_memory_back", lambda: None)
-        yield
+@pytest.fixture(
+    scope="session", params=["static_bench", str(DEFAULT_UNIT)], ids=["ideal unit", "default unit"]
+)
+def each_unit(request):
+    """Scene of a hall with a sensor without errors, GPS and beam width, then with the unit of scenes by default."""
+    return request.param
+
+
+@pytest.fixture(scope="session")
+def default_unit():
+    """Scene of a hall with the unit that scenes have by default: rotor and noise of a real one, GPS, beams with a width."""
+    return str(DEFAULT_UNIT)
 
 
 @pytest.fixture

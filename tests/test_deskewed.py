@@ -9,7 +9,7 @@ from woods import THIN
 
 from vlp16emu import Emulator
 from vlp16emu.cli.app import run
-from vlp16emu.errors import InputError, TrajectoryError
+from vlp16emu.errors import InputError
 from vlp16emu.extras.clouds.deskew import Trajectory, write_deskewed
 from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.extras.options import TrajectoryErrors
@@ -162,52 +162,6 @@ def test_each_unit_of_a_rig_has_its_own_trajectory(tmp_path):
     (tmp_path / "rig.json").write_text('{"units": 3}')
     with pytest.raises(InputError, match="no description of a rig"):
         Trajectory(tmp_path, 1)
-
-
-def test_a_trajectory_of_another_day_is_refused(walk, tmp_path):
-    """Where no pulse has a pose the line has both spans, and no file is left."""
-    folder, _, _ = walk
-    other = tmp_path / "other.tum"
-    other.write_text("".join(f"{t} 0 0 0 0 0 0 1\n" for t in (100.0, 100.5, 101.0)))
-    line = r"poses from 100.000 to 101.000 s; expected poses at the pulses, from 17"
-    with pytest.raises(TrajectoryError, match=line):
-        deskewed(folder / "walk.pcap", other, tmp_path / "none.npz")
-    assert not (tmp_path / "none.npz").exists()
-
-
-@pytest.mark.parametrize(
-    ("options", "line"),
-    [
-        (["{pcap}", "{out}"], "is a capture; expected --trajectory"),
-        (
-            ["{pcap}", "{out}", "--trajectory", "{truth}", "--set", "seed=3"],
-            "--set: found beside the capture",
-        ),
-        (["{pcap}", "{out}", "--trajectory", "{out}"], "no such file"),
-        (["{pcap}", "{out}", "--trajectory", "{folder}"], "rig.json: no such file"),
-        (["static_bench", "{out}", "--time-offset", "1"], "--time-offset: found beside a scene"),
-        (["static_bench", "{out}", "--drift", "1,0,0,0"], "--drift: found beside a scene"),
-        (
-            ["{pcap}", "{out}", "--mount", "1,0"],
-            "--mount: found 1,0; expected the numbers X,Y,Z,ROLL,PITCH,YAW",
-        ),
-        (
-            ["{pcap}", "{out}", "--drift", "1,0,0,nan"],
-            "--drift: found 1,0,0,nan; expected the numbers EAST,NORTH,UP,YAW",
-        ),
-    ],
-)
-def test_what_makes_no_sense_is_refused_in_one_line(walk, refused, options, line):
-    """Options that do not fit exit with 2 and name what was found."""
-    folder, _, _ = walk
-    names = {
-        "pcap": folder / "walk.pcap",
-        "truth": folder / "truth",
-        "out": folder / "no.ply",
-        "folder": folder,
-    }
-    assert line in refused(["points", *(option.format(**names) for option in options)])
-    assert not (folder / "no.ply").exists()
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from kit import data_payloads
 from woods import LINES
 
 from vlp16emu import Emulator
@@ -19,14 +20,10 @@ RESOLUTION_M, NOISE_M, ERROR_M = 1.0, 0.3, 0.05
 def pairs(request):
     """Blocks (n, 12) of more than one revolution as on the wire, and strongest, last and second strongest (n, 6, 32, 3) in steps of distance."""
     emulator = Emulator("birch_walk", [*LINES, *OWN, f"noise.preset={request.param}"])
-    sent = [
-        packet.payload
-        for packet in emulator.packets(0.0, 0.12)
-        if len(packet.payload) == DATA_PAYLOAD.itemsize
-    ]
+    sent = data_payloads(emulator.packets(0.0, 0.12))
     returned = np.concatenate([r.distance_m for r in emulator.returns(0.0, 0.12)])[: 12 * len(sent)]
     steps = np.rint(returned.astype(float) / DISTANCE_LSB_M).reshape(len(sent), 6, 32, 3)
-    return np.frombuffer(b"".join(sent), DATA_PAYLOAD)["blocks"], steps
+    return sent.view(DATA_PAYLOAD)[:, 0]["blocks"], steps
 
 
 def broken(blocks, returned):

@@ -19,25 +19,21 @@ from vlp16emu.scenario import load
 from vlp16emu.types import PacketKind
 from vlp16emu.units import S_NS
 
-UNIT = {"sensor.preset": "unit", "noise.preset": "unit", "gps.connected": True}
-"""The character of a real unit, as scenes have by default; `static_bench` alone is an ideal sensor."""
-
 
 def setting(at_s, **keys):
     return {"kind": "setting", "at_s": at_s, **keys}
 
 
-def hall(*events, **settings):
-    return Emulator("static_bench", {"duration_s": 1.0, "events": list(events), **settings}, threads=1)
+def hall(*events, scene="static_bench", **settings):
+    return Emulator(scene, {"duration_s": 1.0, "events": list(events), **settings}, threads=1)
 
 
-@pytest.mark.parametrize("of", [{}, UNIT], ids=["hall", "unit"])
 @pytest.mark.parametrize(
     "changed", [{"laser": False}, {"return_mode": "last"}, {"fov_deg": [0, 90]}], ids=str
 )
-def test_scans_follow_settings_as_the_capture_does(of, changed, tmp_path):
+def test_scans_follow_settings_as_the_capture_does(each_unit, changed, tmp_path):
     """Revolutions of the scene have the points of those in its recording, before and after a change of settings."""
-    emulator = hall(setting(0.3, **changed), **of)
+    emulator = hall(setting(0.3, **changed), scene=each_unit)
     emulator.record(tmp_path / "hall.pcap", duration_s=0.7)
     sent = list(decode(tmp_path / "hall.pcap"))
     scans = list(emulator.scans(duration_s=0.7))[: len(sent)]  # the last packet of a capture is not full
@@ -48,9 +44,9 @@ def test_scans_follow_settings_as_the_capture_does(of, changed, tmp_path):
         assert np.array_equal(scan.ring, other.ring)
 
 
-def test_a_file_of_points_has_none_while_the_laser_is_off(tmp_path):
+def test_a_file_of_points_has_none_while_the_laser_is_off(each_unit, tmp_path):
     """Points of a scene end with the last packet before the laser is switched off, and begin again with the first after it."""
-    emulator = hall(setting(0.1, laser=False), setting(0.2, laser=True))
+    emulator = hall(setting(0.1, laser=False), setting(0.2, laser=True), scene=each_unit)
     write_points(emulator, tmp_path / "points.npz", duration_s=0.3)
     with np.load(tmp_path / "points.npz") as points:
         since_s = (points["t_ns"] - emulator.scenario.start_ns) / 1e9
@@ -96,18 +92,16 @@ def off_deg(scenario, phase_deg, seconds):
     [{"sensor.phase_lock_deg": 90.0}, {"events": [setting(1.0, phase_lock_deg=90.0)]}],
     ids=["from the start", "by an event"],
 )
-def test_a_phase_lock_holds(settings):
+def test_a_phase_lock_holds(default_unit, settings):
     """At each whole second of minutes the rotor of a unit with a speed error is within a degree of its phase."""
-    scenario = load("static_bench", UNIT | {"duration_s": 200.0, **settings})
+    scenario = load(default_unit, {"duration_s": 200.0, **settings})
     assert abs(off_deg(scenario, 90.0, range(5, 190))).max() < 1.0
 
 
-def test_a_rotor_wanders_without_its_lock():
+def test_a_rotor_wanders_without_its_lock(default_unit):
     """Without lock the error of the mean speed moves the rotor by tens of degrees; the move begins at the end of the lock, without a jump."""
     off = setting(60.0, phase_lock_deg="off")
-    scenario = load(
-        "static_bench", UNIT | {"duration_s": 200.0, "sensor.phase_lock_deg": 90.0, "events": [off]}
-    )
+    scenario = load(default_unit, {"duration_s": 200.0, "sensor.phase_lock_deg": 90.0, "events": [off]})
     assert abs(off_deg(scenario, 90.0, range(5, 60))).max() < 1.0
     assert abs(off_deg(scenario, 90.0, range(70, 190))).max() > 20.0
     rotor = Engine.of(scenario, threads=1).parts.head.rotor
@@ -115,9 +109,9 @@ def test_a_rotor_wanders_without_its_lock():
     assert abs(turned_deg - 3.6).max() < 0.02
 
 
-def test_only_position_packets_that_leave_are_counted():
+def test_only_position_packets_that_leave_are_counted(each_unit):
     """What a stream skips through a power cycle is what the sensor would have sent: nothing in the seconds without power."""
-    emulator = hall({"kind": "power_cycle", "at_s": 0.2, "off_s": 5.0}, duration_s=8.0)
+    emulator = hall({"kind": "power_cycle", "at_s": 0.2, "off_s": 5.0}, scene=each_unit, duration_s=8.0)
     due = [packet.kind for packet in emulator.packets(0.0, 5.3)]
     feed = PacketFeed(emulator.engine, 0.0, 6.0)
     first = next(feed).kind
@@ -127,9 +121,9 @@ def test_only_position_packets_that_leave_are_counted():
         assert feed.skipped[kind] == due.count(kind) - (first is kind)
 
 
-def test_copies_of_packets_survive_a_change_of_settings():
+def test_copies_of_packets_survive_a_change_of_settings(each_unit):
     """A packet and its copy, due at one instant, are both sent when packets are computed again with other settings."""
-    emulator = hall({"kind": "duplicate", "at_s": 0.0, "count": 1_000_000})
+    emulator = hall({"kind": "duplicate", "at_s": 0.0, "count": 1_000_000}, scene=each_unit)
     whole = list(PacketFeed(emulator.engine, 0.0, 0.05))
     feed = PacketFeed(emulator.engine, 0.0, 0.05)
     first = next(feed)
@@ -205,9 +199,9 @@ def test_set_up_takes_each_event_once():
     assert asked(500) <= 12 * asked(50)
 
 
-def test_lost_records_keep_their_range():
+def test_lost_records_keep_their_range(default_unit):
     """A record that a unit loses has distance 0 and keeps the range that it would have had, as the type says."""
-    emulator = hall(**UNIT | {"sensor.return_mode": "dual"})
+    emulator = hall(scene=default_unit, **{"sensor.return_mode": "dual"})
     lost = 0
     for returns in emulator.returns(0.0, 0.3, truth=True):
         first = returns.distance_m[..., 0]

@@ -7,7 +7,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from vlp16emu import Emulator, load, write_truth
-from vlp16emu.errors import ScenarioError
 from vlp16emu.extras.truth.truth import given_mount
 from vlp16emu.extras.walk.settings import Harness
 from vlp16emu.motion.mount import true_mount
@@ -44,20 +43,6 @@ def test_keys_of_the_field_are_those_that_are_not_given():
     assert (perfect.imu, perfect.motion.mast, perfect.people) == (None, None, None)
     assert load(field) == field
     assert load(json.loads(field.model_dump_json(by_alias=True, exclude_none=True))) == field
-
-
-@pytest.mark.parametrize(
-    ("scene", "setting", "line"),
-    [
-        ("static_bench", "people={}", "expected none beside a motion that is no walk"),
-        (HALL, "imu={jitter_s = 0.006}", "a jitter_s below 1 / rate_hz"),
-        (HALL, "imu={delay_s = [0.2, 0.1]}", "a delay_s of two rising times"),
-    ],
-)
-def test_what_cannot_be_is_refused(scene, setting, line):
-    """People need a walk, and time stamps rise."""
-    with pytest.raises(ScenarioError, match=line):
-        load(scene, [setting])
 
 
 def test_true_mounts_differ_as_far_as_they_shall():

@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+from kit import set_words
 from woods import LINES
 
 import vlp16emu.engine.engine as page
@@ -195,9 +196,8 @@ def test_commands_load_no_library_they_do_not_need(tmp_path, monkeypatch):
         "world.stones.cover=0.01",
         "gps.connected=false",
     )
-    words = [word for each in sets for word in ("--set", each)]
     ports = "--data-port", "23680", "--position-port", "23681"
-    walk = "stream", "birch_walk", "--duration", "0.05", "--no-audit", *words, *ports, json_
+    walk = "stream", "birch_walk", "--duration", "0.05", "--no-audit", *set_words(sets), *ports, json_
     scipy = [f"scipy.{part}" for part in ("interpolate", "ndimage", "optimize", "spatial", "special")]
     heavy = ["trimesh", "rich.progress", "vlp16emu.extras.verify", *scipy]
     talks = ["rasterio", "PIL", "networkx", "serial", "pynmea2", "velodyne_decoder"]

@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from kit import data_payloads
 
 from vlp16emu import Emulator
 from vlp16emu.packets import decode_data
 from vlp16emu.scenario import load
-from vlp16emu.types import PacketKind
 
 TURN_S = 0.1
 PLATE_M = 8.94  # from the sensor to the face of the reflector of `static_bench`
@@ -16,9 +16,7 @@ PLATE_M = 8.94  # from the sensor to the face of the reflector of `static_bench`
 
 def decoded(scenario):
     """Points of one revolution, from the packets."""
-    packets = Emulator(scenario).packets(0.0, TURN_S)
-    payloads = b"".join(packet.payload for packet in packets if packet.kind is PacketKind.DATA)
-    return decode_data(np.frombuffer(payloads, np.uint8).reshape(-1, 1206), keep_no_returns=False)
+    return decode_data(data_payloads(Emulator(scenario).packets(0.0, TURN_S)), keep_no_returns=False)
 
 
 def on_the_plate(points):

@@ -54,10 +54,10 @@ def test_a_scan_is_a_whole_revolution(hall, rpm, start_deg):
 
 
 @pytest.mark.parametrize("mode", ["strongest", "last", "dual"])
-def test_scans_are_those_of_the_capture(hall, tmp_path, mode):
+def test_scans_are_those_of_the_capture(each_unit, tmp_path, mode):
     """Point by point a scan of the scene is that of its recording, to the steps of the wire."""
     emulator = Emulator(
-        "static_bench",
+        each_unit,
         {
             "sensor.return_mode": mode,
             "beam.model": "fixed",
@@ -70,6 +70,9 @@ def test_scans_are_those_of_the_capture(hall, tmp_path, mode):
     recorded = emulator.record(tmp_path / "x.pcap", duration_s=SPAN_S)
     own, wire = list(emulator.scans(duration_s=SPAN_S)), list(decode(tmp_path / "x.pcap"))
     assert len(own) == len(wire) == 3
+    encoder_deg = (
+        0.02 if emulator.scenario.sensor.preset == "unit" else 0.0
+    )  # of readings that are not on the wire
     assert (
         sum(len(scan.ring) for scan in wire) == pytest.approx(recorded.returns * 0.3 / SPAN_S, rel=0.01)
         or mode == "dual"
@@ -78,12 +81,12 @@ def test_scans_are_those_of_the_capture(hall, tmp_path, mode):
         for name in ("ring", "reflectivity", "is_last"):
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
         late_ns = one.t_ns - other.t_ns
-        assert 0 <= late_ns.min() <= late_ns.max() < 1_000
+        assert -300 <= late_ns.min() <= late_ns.max() < 1_000  # a locked clock errs by 0.3 ppm in a second
         assert abs(one.start_ns - other.start_ns) < 1_000
         turned_deg = off_deg(one.azimuth_deg, other.azimuth_deg)
-        assert -0.002 < turned_deg.min() <= turned_deg.max() < 0.012
+        assert -0.002 - encoder_deg < turned_deg.min() <= turned_deg.max() < 0.012 + encoder_deg
         assert np.abs(one.distance_m - other.distance_m).max() <= DISTANCE_LSB_M / 2 + 1e-5
-        reach_m = DISTANCE_LSB_M / 2 + np.radians(0.012) * one.distance_m + 1e-5
+        reach_m = DISTANCE_LSB_M / 2 + np.radians(0.012 + encoder_deg) * one.distance_m + 1e-5
         assert (np.linalg.norm(one.xyz_m - other.xyz_m, axis=1) < reach_m).all()
     assert all((scan.world_T_sensor, scan.labels) == (None, None) for scan in wire)
 
@@ -117,12 +120,12 @@ def test_poses_take_points_to_the_world(tmp_path):
         np.testing.assert_allclose(world_m, points["world_m"][same], atol=1e-5)
 
 
-def test_spans_that_begin_anywhere_give_the_same_scans(hall):
+def test_spans_that_begin_anywhere_give_the_same_scans(each_unit):
     """The scans of a later span are those of the whole run."""
-    emulator = hall(rpm=1200)
+    emulator = Emulator(each_unit, {"sensor.rpm": 1200}, threads=1)
     whole, later = list(emulator.scans(duration_s=0.3)), list(emulator.scans(start_s=0.12, duration_s=0.18))
-    assert len(later) == 3
-    for one, other in zip(whole[3:], later, strict=True):
+    assert len(later) >= 2
+    for one, other in zip(whole[-len(later) :], later, strict=True):
         np.testing.assert_array_equal(one.t_ns, other.t_ns)
         np.testing.assert_array_equal(one.xyz_m, other.xyz_m)
 
@@ -134,9 +137,9 @@ def test_a_free_sensor_has_scans_of_its_own_table():
     assert len(scan.ring) == 4 * 180
 
 
-def test_chunks_leave_no_trace(hall, tmp_path, monkeypatch):
+def test_chunks_leave_no_trace(each_unit, tmp_path, monkeypatch):
     """Read packet by packet the scans are those of the file read at once."""
-    hall(rpm=1200).record(tmp_path / "x.pcap", duration_s=0.16)
+    Emulator(each_unit, {"sensor.rpm": 1200}, threads=1).record(tmp_path / "x.pcap", duration_s=0.16)
     whole = list(decode(tmp_path / "x.pcap"))
     monkeypatch.setattr("vlp16emu.captures.reading._CHUNK", 3)
     for one, other in zip(whole, decode(tmp_path / "x.pcap"), strict=True):

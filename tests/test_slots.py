@@ -7,17 +7,16 @@ import numpy as np
 import pytest
 import trimesh
 import velodyne_decoder
+from kit import data_payloads, set_words
 from scipy.spatial.transform import Rotation
 from woods import THIN
 
 from vlp16emu import Emulator
-from vlp16emu.captures import Capture
 from vlp16emu.cli.app import run as command
 from vlp16emu.extras.truth.slots import SLOT_COLUMNS
 from vlp16emu.extras.truth.truth import write_truth
-from vlp16emu.packets import DATA_BYTES, DATA_PAYLOAD
+from vlp16emu.packets import DATA_PAYLOAD
 from vlp16emu.run.options import TruthTo
-from vlp16emu.types import PacketKind
 
 parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is in the extra data")
 compute = pytest.importorskip("pyarrow.compute", reason="pyarrow is in the extra data")
@@ -31,17 +30,17 @@ Z_UP = np.array(
 )  # from rows of glTF, whose y is up, to those of the world
 
 
-def data_payloads(path):
-    """Payloads (n,) of the data packets of a capture."""
-    found = [one.payload for one in Capture(path) if len(one.payload) == DATA_BYTES]
-    return np.frombuffer(b"".join(found), DATA_PAYLOAD)
+@pytest.fixture(scope="module")
+def walk():
+    """A walk among birches without noise."""
+    return Emulator("birch_walk", THIN | {"noise.preset": "ideal"})
 
 
 @pytest.fixture(scope="module", params=["strongest", "last", "dual"])
-def run(request, tmp_path_factory):
-    """A quarter of a second among birches without noise: emulator, capture and truth."""
+def run(request, walk, tmp_path_factory):
+    """A quarter of a second of the walk: emulator, capture and truth."""
     folder = tmp_path_factory.mktemp("slots")
-    emulator = Emulator("birch_walk", THIN | {"sensor.return_mode": request.param, "noise.preset": "ideal"})
+    emulator = walk.changed({"sensor.return_mode": request.param})
     to = TruthTo(folder / "truth", rate_hz=2000, per_return=True)
     emulator.record(folder / "walk.pcap", duration_s=SPAN_S, truth=to)
     return emulator, folder / "walk.pcap", to.folder
@@ -54,7 +53,7 @@ def table(run):
 
 def test_every_record_has_its_row(run, table):
     """Rows go by packet, block and channel, and their ranges in steps of 2 mm are the distances in the packets, all of them."""
-    distance = data_payloads(run[1])["blocks"]["records"]["distance_lsb"].reshape(-1)
+    distance = data_payloads(run[1]).view(DATA_PAYLOAD)[:, 0]["blocks"]["records"]["distance_lsb"].reshape(-1)
     assert table.column_names == list(SLOT_COLUMNS)
     number = np.arange(len(distance))
     for name, expected in (("packet", number // 384), ("block", number // 32 % 12), ("channel", number % 32)):
@@ -102,7 +101,7 @@ def test_relative_and_absolute_places_are_one(run, table):
 def test_truth_alone_is_the_same(run, tmp_path):
     """Without packets, and with other threads, the file has the same bytes."""
     emulator, _, folder = run
-    other = Emulator(emulator.scenario, threads=1)
+    other = Emulator(emulator.scenario, threads=1, like=emulator)
     write_truth(other, TruthTo(tmp_path / "t", 2000, per_return=True), duration_s=SPAN_S)
     assert (tmp_path / "t" / "returns.parquet").read_bytes() == (folder / "returns.parquet").read_bytes()
 
@@ -119,8 +118,7 @@ def test_packets_that_are_not_sent_have_no_rows(tmp_path, events):
     """Rows are those of the packets that leave, by their number: some are lost or twice, or the field of view is narrow."""
     emulator = Emulator("static_bench", {"events": events, "noise.preset": "ideal", "beam.model": "none"})
     emulator.record(tmp_path / "x.pcap", duration_s=0.3, truth=TruthTo(tmp_path / "t", per_return=True))
-    sent = [packet.payload for packet in emulator.packets(0.0, 0.3) if packet.kind is PacketKind.DATA]
-    payloads = np.frombuffer(b"".join(sent), DATA_PAYLOAD)
+    payloads = data_payloads(emulator.packets(0.0, 0.3)).view(DATA_PAYLOAD)[:, 0]
     rows = parquet.read_table(tmp_path / "t" / "returns.parquet")
     distance = payloads["blocks"]["records"]["distance_lsb"].reshape(-1)
     assert (np.rint(rows["range_m"].fill_null(0.0).to_numpy().astype(float) / 0.002) == distance).all()
@@ -155,11 +153,8 @@ def test_labels_are_those_of_the_nearest_surface(tmp_path):
     settings = ["beam.model=none", "noise.preset=ideal", "sensor.max_range_m=7", "duration_s=0.5"]
     settings += ["world.near_m=inf", "world.stems_per_ha=80", "world.terrain.rough_rms_m=0"]
     write_truth(Emulator("spruce_walk", settings), TruthTo(tmp_path / "t", per_return=True), duration_s=0.1)
-    options = [word for one in settings for word in ("--set", one)]
-    assert (
-        command(["forest", "spruce_walk", *options, "--radius", "7", "--glb", str(tmp_path / "twin.glb")])
-        == 0
-    )
+    words = ["forest", "spruce_walk", *set_words(settings), "--radius", "7"]
+    assert command([*words, "--glb", str(tmp_path / "twin.glb")]) == 0
     table = parquet.read_table(tmp_path / "t" / "returns.parquet")
     rows = table.filter(compute.less(table["range_m"], 6.5))
     rows = rows.take(np.random.default_rng(1).choice(len(rows), 150, replace=False))

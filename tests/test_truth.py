@@ -31,7 +31,7 @@ pytestmark = pytest.mark.usefixtures("kept_woods")
 
 
 @pytest.fixture(scope="module")
-def walk():
+def walk(each_unit):
     """An emulator of a walk in a world that is quickly built."""
     settings = [
         'motion={kind="walk", way_points_m=[[-10, 0], [0, 3], [10, 0]]}',
@@ -40,7 +40,7 @@ def walk():
         "start_utc=2026-05-20T09:00:00.25Z",
         "beam.model=none",
     ]
-    return Emulator(load("static_bench", settings))
+    return Emulator(load(each_unit, settings))
 
 
 def written(emulator, folder, start_s=0.0, stop_s=2.0, *, rate_hz=200, per_packet=False, most=None):
@@ -182,9 +182,9 @@ def test_the_resolved_scenario_names_its_program_and_takes_settings(walk, tmp_pa
     assert tree["written_by"].startswith("vlp16emu ")
     assert tree["seed"] == walk.scenario.seed
     assert tree["gps"]["wander_s"] == 300.0
-    settings = ["sensor.rpm=1200", "start_utc=2026-05-20T10:00:00+01:00"]
+    settings = ["sensor.rpm=1200", "start_utc=2026-05-20T10:00:00.5+01:00"]
     scenario = load(str(tmp_path / "scenario.json"), settings)
-    assert (scenario.sensor.rpm, scenario.start_ns) == (1200, 1_779_267_600_000_000_000)
+    assert (scenario.sensor.rpm, scenario.start_ns) == (1200, 1_779_267_600_500_000_000)
 
 
 def test_texts_are_those_of_the_tables(tmp_path):

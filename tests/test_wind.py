@@ -7,7 +7,6 @@ import pytest
 from woods import LINES
 
 from vlp16emu import Emulator
-from vlp16emu.errors import ScenarioError
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M
 from vlp16emu.scenario import load
 from vlp16emu.types import PlantPart
@@ -54,9 +53,3 @@ def test_swaying_stems_are_where_the_formula_has_them_at_each_pulse():
             checked += int(slab.sum())
     assert checked > 500
     assert max(left_m) > 0.03
-
-
-def test_a_hall_has_no_wind():
-    """Wind where nothing sways is refused by its key."""
-    with pytest.raises(ScenarioError, match=r"wind: .*expected none in a hall, which has no trees"):
-        load("static_bench", ["wind.speed_m_s=3.0"])

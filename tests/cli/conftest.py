@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from kit import set_words
 
 from vlp16emu.cli.app import main, run
 from vlp16emu.cli.terminal import ENDINGS, Progress, was_stopped
@@ -137,6 +138,7 @@ def dual(tmp_path_factory):
     """A third of a second in dual return with GPS, over the full hour."""
     path = tmp_path_factory.mktemp("dual") / "dual.pcap"
     settings = ["sensor.return_mode=dual", "gps.connected=true", "start_utc=2026-05-20T08:59:59.9Z"]
-    options = [word for setting in settings for word in ("--set", setting)]
-    assert run(["record", "static_bench", str(path), "--duration", "0.3", "--json", *options]) == 0
+    assert (
+        run(["record", "static_bench", str(path), "--duration", "0.3", "--json", *set_words(settings)]) == 0
+    )
     return path

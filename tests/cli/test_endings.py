@@ -69,16 +69,6 @@ def test_what_waits_ends_with_the_first_signal(cli, gap, line, number):
     assert "\ninterrupted: " in f"\n{outcome.out}"
 
 
-@pytest.mark.parametrize("option", ["--unit=2", "--clock=gps"])
-def test_what_needs_a_second_reading_is_refused_for_a_pipe(cli, tmp_path, option):
-    """A pipe is not opened for an option that would be ignored, or find the rest of it alone."""
-    os.mkfifo(tmp_path / "pipe")
-    name, found = option.split("=")
-    outcome = cli("decode", tmp_path / "pipe", option)
-    assert outcome.code == 2
-    assert outcome.err.startswith(f"error: {name}: found {found} for the pipe {tmp_path}/pipe; expected ")
-
-
 @pytest.mark.parametrize("most_bytes", [0, None])
 def test_the_wait_for_a_pipe_ends_with_the_first_signal(cli, bench, tmp_path, most_bytes):
     """Decoding ends with 130 while a pipe stays open without bytes (PEP 475 retries reads); points that came through are kept."""

@@ -145,23 +145,6 @@ def test_a_hall_tells_its_things(cli):
     assert "place 0, 7, 0 m, size 0.35, 0.35, 6 m" in cli("forest", "static_bench").out
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (("--glb", "twin.obj"), "--glb twin.obj: found suffix '.obj'; expected .glb"),
-        (("--glb", "no/such/folder/twin.glb"), "--glb no/such/folder/twin.glb: No such file or directory"),
-        (("--inventory", "/proc/trees.csv"), "--inventory /proc/trees.csv: "),
-        (("--radius", "150"), "--radius: found 150; expected at most 100, which is the sensor's reach"),
-    ],
-)
-def test_what_cannot_be_done_is_refused(cli, monkeypatch, options, message):
-    """A wrong suffix, a place that cannot be written and a radius out of reach exit with 2 and one line before a forest grows."""
-    monkeypatch.setattr("vlp16emu.extras.survey.assemble", lambda *_: 1 / 0)
-    outcome = cli("forest", "birch_walk", *options)
-    assert outcome.code == 2
-    assert outcome.err.startswith(f"error: {message}")
-
-
 def test_files_take_their_names_together(cli, tmp_path):
     """A full disk for the last of several files leaves all earlier ones as they were, and nothing beside them."""
     (tmp_path / "trees.csv").write_text("earlier")

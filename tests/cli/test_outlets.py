@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kit import set_words
 from listening import opened, parse_rmc, port_of
 
 from vlp16emu import Emulator
@@ -30,7 +31,7 @@ WALK = {
     "motion": '{ kind = "walk", way_points_m = [[-8.0, 5.0], [8.0, 6.0]], back_and_forth = true, laps = 50 }',
     "start_utc": "2026-06-12T08:59:58.5Z",
 }
-OPTIONS = [word for key, value in WALK.items() for word in ("--set", f"{key}={value}")]
+OPTIONS = set_words(WALK)
 SILENT = ["--data-port", "9", "--position-port", "10"]
 
 

@@ -91,9 +91,8 @@ def test_people_get_a_page(cli):
 
 
 def test_a_recording_is_estimated(cli):
-    """Size and run time grow with the duration; a span beyond the end of a walk is refused."""
+    """Size and run time grow with the duration."""
     short, long = (cli("plan", "static_bench", "--duration", s, "--json").tree["recording"] for s in (1, 10))
     assert long["bytes"] == pytest.approx(10 * short["bytes"], rel=0.01)
     assert long["bytes"] == pytest.approx(753.5 * 10 * (1206 + 58) + 146 * 10 * (512 + 58), rel=0.01)
     assert long["wall_s"] > short["wall_s"] > 0
-    assert "expected" in cli("plan", "birch_walk", "--duration", 1000).err

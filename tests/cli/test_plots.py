@@ -43,36 +43,6 @@ def test_lists_of_numbers_are_printed_on_one_line(cli, bench):
     assert len(outcome.tree["histograms"][0]["edges"]) == 41
 
 
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
-        (
-            ("compare", "a", "b", "--plot", "a.jpg"),
-            "--plot a.jpg: found the ending '.jpg'; expected .png, .svg or .pdf",
-        ),
-        (("accuracy", "static_bench", "--plot", "x/a.png"), "--plot x/a.png: No such file or directory"),
-        (
-            ("score", "t", "--map", "m.ply", "--plot", "a.png"),
-            "--plot a.png: found nothing to draw; expected --trajectory",
-        ),
-        (
-            ("score", "t", "--map", "m.ply", "--out", "a.htm"),
-            "--out a.htm: found the ending '.htm'; expected .html",
-        ),
-        (("plot", "no.json", "a.png"), "no.json: no such file or directory; expected a report in JSON"),
-    ],
-)
-def test_what_cannot_be_drawn_is_refused_before_any_work(cli, tmp_path, monkeypatch, words, line):
-    """A wrong ending or place is one line and exit code 2, and no file is left."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("vlp16emu.cli.about.compile_first", None)
-    outcome = cli(*words)
-    assert outcome.code == 2
-    assert outcome.err.startswith(f"error: {line}")
-    assert outcome.err.count("\n") == 1
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_missing_matplotlib_is_named_before_any_work(cli, tmp_path, monkeypatch):
     """Without matplotlib one line names it and the extra, for plots and pages."""
     monkeypatch.setitem(sys.modules, "matplotlib", None)

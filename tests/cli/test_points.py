@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from kit import set_words
 from woods import WORDS
 
 from vlp16emu import Emulator
@@ -55,7 +56,7 @@ def test_a_free_table_is_what_is_seen(points, beams):
 def test_angle_errors_show_in_the_points(points):
     """A laser that looks lower than its table meets the floor nearer, and so its points stand over the floor."""
     settings = ["sensor.model=free", "sensor.elevations_deg=[-30, -20, -40]", "noise.elevation_error_deg=0.3"]
-    own, _ = points("--truth", *(word for setting in settings for word in ("--set", setting)))
+    own, _ = points("--truth", *set_words(settings))
     beams = Emulator(load("static_bench", settings)).parts.head.beams
     floor = own["semantic"] == Semantic.GROUND
     told_rad = np.radians(beams.elevation_deg)

@@ -7,6 +7,7 @@ import signal
 import threading
 
 import pytest
+from kit import set_words
 from woods import LINES
 
 from vlp16emu import Emulator
@@ -40,7 +41,7 @@ def test_people_get_a_summary(cli, tmp_path):
     """Without --json the same stands in a few lines, models as they are after presets, `--set` and `--ideal`; nothing is on stderr."""
     sets = "noise.preset=datasheet", "beam.model=adaptive", "weather={visibility_m=60.0,rain_mm_h=10.0}"
     run = "record", "static_bench", tmp_path / "x.pcap", "--duration", "0.1"
-    out, ideal = cli(*run, *(word for one in sets for word in ("--set", one))).out, cli(*run, "--ideal")
+    out, ideal = cli(*run, *set_words(sets)).out, cli(*run, "--ideal")
     assert out.startswith(
         f"wrote {tmp_path}/x.pcap\n  scene             static_bench\n  seed              1\n"
     )
@@ -62,8 +63,7 @@ def test_a_walk_that_is_cut_off_says_how_much_of_it_there_is(cli, tmp_path):
     """The report has the share of the walk's time that was recorded, and its line names it."""
     settings = "beam.model=none", *LINES
     run_s = Emulator("birch_walk", settings).parts.motion.run_time_s
-    options = [word for setting in settings for word in ("--set", setting)]
-    out = cli("record", "birch_walk", tmp_path / "x.pcap", "--duration", "0.8", *options).out
+    out = cli("record", "birch_walk", tmp_path / "x.pcap", "--duration", "0.8", *set_words(settings)).out
     assert f"\n  of the walk       {80 / run_s:.0f} %\n" in out
 
 

@@ -55,10 +55,11 @@ def assert_recorded(listeners, capture):
     return came
 
 
-def test_a_stream_is_a_recording_on_the_wire(cli, bench, listeners, ports):
+def test_a_stream_is_a_recording_on_the_wire(cli, each_unit, listeners, ports, tmp_path):
     """The payloads that arrive are those of the recording: all of them, in order, each on its port."""
-    report = cli("stream", "static_bench", "--duration", "0.5", *ports, "--json").tree
-    data, position = assert_recorded(listeners, bench)
+    cli("record", each_unit, tmp_path / "x.pcap", "--duration", "0.5")
+    report = cli("stream", each_unit, "--duration", "0.5", *ports, "--json").tree
+    data, position = assert_recorded(listeners, tmp_path / "x.pcap")
     assert (report["packets"], report["position_packets"]) == (len(data), len(position))
     assert (report["to"], report["interrupted"]) == ("127.0.0.1", False)
     assert report["units"][0]["turn"]["revolutions"] == pytest.approx(10 * report["sent"]["simulated_s"])
@@ -103,10 +104,10 @@ def test_a_strict_stream_that_was_late_has_failed(cli, bench, ports, monkeypatch
 
 
 @pytest.mark.parametrize("how", [[], ["--prepare"]])
-def test_clocks_of_packet_0_are_in_report_and_truth(cli, listeners, ports, tmp_path, how):
+def test_clocks_of_packet_0_are_in_report_and_truth(cli, each_unit, listeners, ports, tmp_path, how):
     """With --now the first packet's time by the sensor's clock is that of its stamp, by this machine's the same, and by the truth `moved_s` earlier."""
     gps = "--set", "gps.connected=true"
-    line = "stream", "static_bench", "--duration", "0.1", *gps, *ports, "--now", "--truth", tmp_path / "truth"
+    line = "stream", each_unit, "--duration", "0.1", *gps, *ports, "--now", "--truth", tmp_path / "truth"
     began_ns = time.time_ns()
     report = cli(*line, *how, "--json").tree["sent"]
     ended_ns = time.time_ns()

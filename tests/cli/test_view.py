@@ -63,14 +63,6 @@ def test_a_port_in_use_is_one_line(refused):
     )
 
 
-def test_a_port_needs_its_page(refused):
-    """--view-port alone is refused."""
-    assert (
-        refused([*STREAM, "--view-port", "8017"])
-        == "error: --view-port: found without --view; expected both\n"
-    )
-
-
 def test_without_the_extra_one_line_names_it(refused, monkeypatch):
     """Without viser, --view names the extra to install."""
     monkeypatch.setattr("vlp16emu.cli.stream.find_spec", lambda _: None)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from kit import set_words
 from woods import LINES, THIN
 
 from vlp16emu.extras.stand_map import bark_seen, map_of
@@ -59,7 +60,7 @@ def test_the_command_reports_what_is_seen(capsys):
     """`forest --seen` counts the stems by the share of bark that is seen, each once."""
     from vlp16emu.cli.app import run
 
-    words = [word for line in (*LINES, "duration_s=3.0") for word in ("--set", line)]
+    words = set_words([*LINES, "duration_s=3.0"])
     assert run(["forest", "birch_walk", "--seen", "--radius", "12", *words]) == 0
     lines = capsys.readouterr().out.splitlines()
     (at,) = [i for i, line in enumerate(lines) if line.startswith("stems within the radius, by the share")]

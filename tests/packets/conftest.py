@@ -1,22 +1,13 @@
 """Real captures, where they are at hand."""
 
-from pathlib import Path
-
 import dpkt
 import numpy as np
 import pytest
-
-CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "captures"
-
-
-def _capture(name):
-    if not (CAPTURES / name).exists():
-        pytest.skip(f"no real captures: {CAPTURES.name}/{name} is not at hand")
-    return CAPTURES / name
+from kit import real_capture
 
 
 def _payloads(length):
-    with _capture("mrpt_vlp16_gps.pcap").open("rb") as file:
+    with real_capture("mrpt_vlp16_gps.pcap").open("rb") as file:
         return [(stamp, frame[42:]) for stamp, frame in dpkt.pcap.Reader(file) if len(frame) == 42 + length]
 
 
@@ -29,7 +20,7 @@ def real_single():
 @pytest.fixture
 def real_dual():
     """603 data packets of another real unit: dual return, 600 rpm, no GPS."""
-    return np.fromfile(_capture("nebula_vlp16_dual.bin"), np.uint8).reshape(-1, 1206)
+    return np.fromfile(real_capture("nebula_vlp16_dual.bin"), np.uint8).reshape(-1, 1206)
 
 
 @pytest.fixture

@@ -8,7 +8,6 @@ import pytest
 
 REPOSITORY = Path(__file__).parents[2]
 PROTOCOL = REPOSITORY / "protocol"
-CAPTURES = REPOSITORY.parent / "shared" / "captures"
 STRUCT_CODES = {"u1": "<B", "u2": "<H", "u4": "<I", "i2": "<h"}
 
 
@@ -109,16 +108,3 @@ def timing():
 @pytest.fixture(scope="session")
 def oracle():
     return Oracle()
-
-
-@pytest.fixture(scope="session")
-def capture():
-    """Path of a real recording, or a skip where it is not at hand."""
-
-    def find(name):
-        path = CAPTURES / name
-        if not path.exists():
-            pytest.skip(f"the real capture {name} is not beside the repository")
-        return path
-
-    return find

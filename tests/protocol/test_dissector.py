@@ -9,6 +9,7 @@ from itertools import islice
 
 import dpkt
 import pytest
+from kit import real_capture
 
 AZIMUTHS = [35_900 + 40 * i if i < 3 else 40 * i - 100 for i in range(12)]
 PAIRED_AZIMUTHS = [100 + 40 * (i // 2) for i in range(12)]
@@ -205,9 +206,9 @@ def test_ports_are_preferences(tmp_path, protocol):
     assert rows == [["2369"], ["8309"]]
 
 
-def test_against_a_real_capture(tmp_path, protocol, oracle, capture):
+def test_against_a_real_capture(tmp_path, protocol, oracle):
     """The first 100 packets of a real sensor show the distances in their bytes, and none raises an alarm."""
-    path = capture("mrpt_vlp16_gps.pcap")
+    path = real_capture("mrpt_vlp16_gps.pcap")
     columns = (
         "-e",
         "velodyne.distance",

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kit import real_capture
 
 from vlp16emu.packets.decode import decode_data, decode_position
 
@@ -95,7 +96,7 @@ def test_two_decoders_agree_on_golden_packets(oracle, name):
     assert_same(oracle, [golden(name)[0]])
 
 
-def test_two_decoders_agree_on_a_real_sensor(capture, oracle):
+def test_two_decoders_agree_on_a_real_sensor(oracle):
     """They agree on dual-return packets of a real sensor as well."""
-    raw = capture("nebula_vlp16_dual.bin").read_bytes()
+    raw = real_capture("nebula_vlp16_dual.bin").read_bytes()
     assert_same(oracle, [raw[start : start + 1206] for start in range(0, 12 * 1206, 1206)])

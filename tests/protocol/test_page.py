@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kit import data_payloads
 
 from vlp16emu import Emulator
-from vlp16emu.packets import DATA_BYTES, decode_data
-from vlp16emu.types import PacketKind
+from vlp16emu.packets import decode_data
 
 PAGE = (Path(__file__).parents[2] / "protocol" / "README.md").read_text(encoding="utf-8")
 
@@ -22,9 +22,7 @@ def answer(question):
 def no_return_codes(preset):
     """Return the codes of records without a return in the hall, and the distances of the others in metres."""
     emulator = Emulator("static_bench", {"noise.preset": preset, "sensor.max_range_m": 6.0})
-    sent = [packet.payload for packet in emulator.packets(0.0, 0.05) if packet.kind is PacketKind.DATA]
-    payload = np.frombuffer(b"".join(sent), np.uint8).reshape(-1, DATA_BYTES)
-    points = decode_data(payload, keep_no_returns=True)
+    points = decode_data(data_payloads(emulator.packets(0.0, 0.05)), keep_no_returns=True)
     is_empty = points.distance_m == 0
     return points.reflectivity[is_empty], points.distance_m[~is_empty]
 

@@ -18,6 +18,8 @@ from vlp16emu.raycast.build import EmbreeMesh, Placed, shape_of
 from vlp16emu.raycast.caster import caster, sky_cover
 from vlp16emu.raycast.near import EmbreeCaster
 from vlp16emu.types import SURFACE, Mesh, Window
+from vlp16emu.world.hall import HallWorld
+from vlp16emu.world.settings import Hall, HallSphere
 
 TASKS = Path("/proc/self/task")
 
@@ -150,3 +152,15 @@ def test_the_sky_is_that_of_its_instant():
     far = SimpleNamespace(cast=cast)
     assert sky_cover(SimpleNamespace(as_far=far), 1_234, AT_M, 15.0, 100.0) == 0.0
     assert (asked[0] == 1_234).all()
+
+
+def test_halls_share_their_things():
+    """A ball that two halls of one program have is built once; a greater ball is another shape."""
+    with ThreadPoolExecutor(1) as worker:
+        solids = []
+        for diameter_m in (0.5, 0.5, 0.6):
+            ball = HallSphere(name="ball", centre_m=(0.0, 0.0, 1.0), diameter_m=diameter_m)
+            hall = HallWorld(Hall(kind="hall", length_m=10.0, width_m=8.0, height_m=3.0, spheres=[ball]))
+            solids.append(EmbreeCaster(hall, worker).open(hall.window(np.zeros((1, 3)))).meshes[1])
+    assert solids[0] is solids[1]
+    assert solids[0] is not solids[2]

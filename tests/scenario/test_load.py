@@ -5,8 +5,7 @@ from pathlib import Path
 import dpkt
 import pytest
 
-from vlp16emu.engine import assemble
-from vlp16emu.errors import InputError, ScenarioError
+from vlp16emu.errors import ScenarioError
 from vlp16emu.scenario import load
 from vlp16emu.sinks import PcapSink
 from vlp16emu.types import Packet, PacketKind
@@ -155,108 +154,6 @@ def test_an_ideal_scene_has_no_errors_but_those_that_are_set(tmp_path):
     assert (ideal.noise.range_noise_m, ideal.noise.range_bias_m) == (0.01, 0.0)
     for sensor in (ideal.sensor, *ideal.rig):
         assert (sensor.eccentricity_deg, sensor.azimuth_noise_deg, sensor.clock_error_ppm) == (0.0, 0.0, 0.0)
-
-
-@pytest.mark.parametrize(
-    "setting",
-    [
-        "motion.laps=1000000",
-        "motion.sensor_height_m=1e300",
-        "motion.gait.sideways_m=1e5",
-        "motion.lawn_mower={length_m=1e9,width_m=2.0}",
-        "motion.lawn_mower={length_m=20.0,width_m=20.0,turn_radius_m=1e-9}",
-        "motion={kind='static',x_m=1e300}",
-        "world.pattern={kind='plantation',row_spacing_m=1e-9}",
-        "world.species=[{species='silver_birch',share=1e300,dbh_cm=18,height_m=19}]",
-        "world.logs={per_ha=30,diameter_m=[1e-300,1e-300]}",
-        "world.basal_area_m2_per_ha=120",
-        "imu.gyro_noise_rad_s_sqrt_hz=1e308",
-        "beam.target_m=1e-300",
-    ],
-)
-def test_sizes_that_nothing_has_are_refused(tmp_path, setting):
-    """Lengths, counts and errors beyond all use are refused by name and limit, before memory or time are gone."""
-    scene = tmp_path / "walk.toml"
-    small = WALK.replace("dbh_cm = 18, height_m = 19", "dbh_cm = 5, height_m = 3")
-    scene.write_text(small if "basal" in setting else WALK + "stems_per_ha = 500\n")
-    key = setting.split("=")[0].split(".")[0]
-    with pytest.raises(InputError, match=rf"{key if key != 'world' else ''}.*expected .*\d"):
-        assemble(load(str(scene), [setting]))
-
-
-def test_saplings_of_dead_trees_are_refused(tmp_path):
-    """Young trees without a species need a living one in the canopy."""
-    scene = tmp_path / "walk.toml"
-    scene.write_text(WALK.replace("silver_birch", "snag") + "stems_per_ha = 500\n")
-    with pytest.raises(InputError, match=r"regeneration.species: found none, .*; expected names of species"):
-        assemble(load(str(scene), ["world.regeneration={stems_per_ha=200}"]))
-
-
-BAD_FILES = [
-    # text to replace, replacement, the line after "<file>: "
-    ("rpm = 600", "rpm = 620", "sensor.rpm: found 620; expected a whole number from 300 to 1200 in steps of 60"),
-    ("rpm = 600", 'rpm = "fast"', 'sensor.rpm: found "fast"; expected a whole number from 300 to 1200 in steps of 60'),
-    ("rpm = 600", "rmp = 600", "sensor.rmp: unknown key; expected rpm, the nearest known one"),
-    ("title", "titel", "titel: unknown key; expected title, the nearest known one"),
-    ("schema = 1", "", "schema: missing; expected 1"),
-    ("schema = 1", "schema = 1\nseed = -1", "seed: found -1; expected a whole number at least 0 and below 9223372036854775808"),
-    ('kind = "static"', 'kind = "run"', 'motion.kind: found "run"; expected "live", "recorded", "static" or "walk"'),
-    ('kind = "static"', "", 'motion.kind: missing; expected "live", "recorded", "static" or "walk"'),
-    ('kind = "static"', 'kind = "static"\nspeed = 1.0', "motion.speed: unknown key; expected one of mount, kind, x_m, y_m, height_m, yaw_deg, pitch_deg, roll_deg"),
-    ("length_m = 30", "length_m = 0", "world.length_m: found 0; expected a number from 0.001 to 10000"),
-    ("length_m = 30", "length_m = inf", "world.length_m: found inf; expected a finite number from 0.001 to 10000"),
-    ("height_m = 6.0", 'height_m = 6.0\npoles = [{ name = "p", foot_m = [0, 0], diameter_m = 1, height_m = 1 }]', "world.poles[0].foot_m[2]: missing; expected a number"),
-    ("[motion]", "[gps]\nconnected = 1\n[motion]", "gps.connected: found 1; expected true or false"),
-    ("[sensor]\nrpm = 600", "sensor = 600", 'sensor: found 600; expected a table with model = "free", "puck-hi-res", "puck-lite" or "vlp-16"'),
-    ("rpm = 600", "min_range_m = 20.0\nmax_range_m = 10.0", "sensor.max_range_m: found 10.0; expected more than min_range_m = 20.0"),
-    ('title = "A bench"', 'title = "A bench"\nstart_utc = 2026-05-20T09:00:00', "start_utc: found 2026-05-20T09:00:00; expected a date and time with its offset from UTC, such as 2026-05-20T09:00:00Z"),
-]  # fmt: skip
-
-BAD_SETTINGS = [
-    ("sensor.rpm=250", "--set sensor.rpm=250: found 250; expected a whole number from 300 to 1200 in steps of 60"),
-    ("sensor.rpm", "--set sensor.rpm: no assignment; expected key.path=value"),
-    ("sensor.rpm=", "--set sensor.rpm=: no assignment; expected key.path=value"),
-    ("=3", "--set =3: no assignment; expected key.path=value"),
-    ("title.short=x", "--set title.short=x: title is no table; expected table names before the last dot"),
-    ("duration_s=-1", "--set duration_s=-1: found -1; expected a number above 0 and at most 604800"),
-    ('motion.kind=["walk"]', '--set motion.kind=["walk"]: found a list of 1; expected "live", "recorded", "static" or "walk"'),
-    *((f"start_utc={t}", f"--set start_utc={t}: found {t}; expected a time from 1970 to 2105, as captures can be stamped with") for t in ("1970-01-01T00:00:00+00:01", "2105-12-31T23:59:59-01:00")),
-    ("gps.wander_s=0.9", "--set gps.wander_s=0.9: found 0.9; expected a number from 1 to 1000000"),
-    ("motion.way_points_m=[[0, 0], [nan, 1]]", "--set motion.way_points_m=[[0, 0], [nan, 1]]: motion.way_points_m[1][0]: found nan; expected a finite number"),
-    ("motion.way_points_m=[[0, 0], [1, 2, 3]]", "--set motion.way_points_m=[[0, 0], [1, 2, 3]]: motion.way_points_m[1]: found a list of 3; expected a list of 2 numbers"),
-    *((f"world.near_m={found}", f"--set world.near_m={found}: found {found}; expected a number at least 5") for found in ("4.9", '"far"')),
-    ("motion=3", '--set motion=3: found 3; expected a table with kind = "live", "recorded", "static" or "walk"'),
-    ("world.species=[]", "--set world.species=[]: found a list of 0; expected a list of at least 1"),
-    ("rpm=1200", "--set rpm=1200: unknown key; expected sensor.rpm"),
-    ("gait=strong", "--set gait=strong: unknown key; expected motion.gait"),
-    ("sensor.beams=64", ('--set sensor.beams=64: unknown key; expected sensor.model = "free" beside it, with elevations_deg, beams, ' "vertical_fov_deg, azimuth_resolution_deg, lens_radius_m")),
-    ("motion.yaw_deg=3", '--set motion.yaw_deg=3: unknown key; expected motion.kind = "recorded" or "static" beside it'),
-    ("motion.gait=fast", '--set motion.gait=fast: motion.gait.preset: found "fast"; expected "none", "paper", "natural" or "strong"'),
-    ("world=old_growth", '--set world=old_growth: found "old_growth"; expected a table, as by world.preset = "old_growth"'),
-    ("beam=fixed", '--set beam=fixed: found "fixed"; expected a table, as by beam.model = "fixed"'),
-    ("sensor.data_port=8308", "--set sensor.data_port=8308: sensor: found a table; expected a data_port and a position_port that differ"),
-    ("sensor.min_range_m=120", "--set sensor.min_range_m=120: sensor.max_range_m: found 100.0; expected more than min_range_m = 120.0"),
-    ("world={kind='hall'}", "--set world={kind='hall'}: world.length_m, world.width_m, world.height_m: missing; expected world.length_m = a number from 0.001 to 10000, world.width_m = a number from 0.001 to 10000, world.height_m = a number from 0.001 to 10000"),
-    ("seed=1\ntitle='x'", "--set seed=1\\ntitle='x': found \"1\\ntitle='x'\"; expected a whole number at least 0 and below 9223372036854775808"),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("old", "new", "line"), BAD_FILES, ids=[row[2][:50] for row in BAD_FILES])
-def test_a_bad_file_is_reported_in_one_line(tmp_path, old, new, line):
-    """A bad scene file gives the file, the key path, what was found and what was expected, in these words."""
-    assert SCENE.count(old) == 1
-    path = written(tmp_path, SCENE.replace(old, new))
-    with pytest.raises(ScenarioError) as caught:
-        load(str(path))
-    assert str(caught.value) == f"{path}: {line}"
-
-
-@pytest.mark.parametrize(("setting", "line"), BAD_SETTINGS, ids=[row[0] for row in BAD_SETTINGS])
-def test_a_bad_setting_is_reported_in_one_line(tmp_path, setting, line):
-    """A bad setting is named as it was given, not blamed on the file."""
-    with pytest.raises(ScenarioError) as caught:
-        load(str(written(tmp_path, WALK)), [setting])
-    assert str(caught.value) == line
 
 
 @pytest.mark.parametrize(

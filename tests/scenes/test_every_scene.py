@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from kit import data_payloads
 
 from vlp16emu import Emulator
-from vlp16emu.packets import DATA_BYTES, data_fields, decode_data
+from vlp16emu.packets import data_fields, decode_data
 from vlp16emu.scenario import load, scene_files
-from vlp16emu.types import PacketKind
 from vlp16emu.units import S_NS
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
@@ -46,10 +46,7 @@ def test_a_scene_gives_valid_packets(path):
         settings += [f"world.{one}" for one in FEW] if kind == "forest" else []
     scenario = load(str(path), settings)
     # A whole revolution: a single packet may look at the sky, or between stems.
-    sent = [
-        packet.payload for packet in Emulator(scenario).packets(0.0, 0.1) if packet.kind is PacketKind.DATA
-    ]
-    payload = np.frombuffer(b"".join(sent), np.uint8).reshape(-1, DATA_BYTES)
+    payload = data_payloads(Emulator(scenario).packets(0.0, 0.1))
     modes = {"strongest": 0x37, "last": 0x38, "dual": 0x39}
     assert set(data_fields(payload)["return_mode"].tolist()) == {modes[scenario.sensor.return_mode]}
     points = decode_data(payload, keep_no_returns=False)

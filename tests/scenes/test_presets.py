@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from vlp16emu.engine import assemble
-from vlp16emu.errors import ScenarioError
 from vlp16emu.forest.settings import presets
 from vlp16emu.forest.stand.stand import REGENERATION
 from vlp16emu.scenario import load
@@ -117,22 +116,3 @@ def test_another_pattern_beside_a_preset_replaces_it_whole(tmp_path):
     assert scene(tmp_path, "preset = 'plantation'\npattern = { kind = 'random' }").pattern.kind == "random"
     rows = scene(tmp_path, "preset = 'plantation'\npattern = { azimuth_deg = 90.0 }").pattern
     assert (rows.kind, rows.azimuth_deg, rows.tree_spacing_m) == ("plantation", 90.0, 1.6)
-
-
-SPECIES = "species = [{ species = 'silver_birch', share = 1, dbh_cm = 18, height_m = 19 }]"
-
-
-@pytest.mark.parametrize(
-    ("world", "message"),
-    [
-        ("preset = 'jungle'\nstems_per_ha = 9\n" + SPECIES, r'world.preset: found "jungle"; expected "none", "plantation"'),
-        (SPECIES, "exactly one of basal_area_m2_per_ha and stems_per_ha"),
-        (SPECIES + "\nstems_per_ha = 9\nbasal_area_m2_per_ha = 9", "exactly one of basal_area_m2_per_ha and stems_per_ha"),
-        ("preset = 'old_growth'\nlogs.length_m = [9.0, 3.0]", "world.logs.length_m: .*expected the smaller number first"),
-        ("preset = 'plantation'\nshrubs.per_hectare = 3", "world.shrubs.per_hectare: unknown key; expected per_ha"),
-    ],
-)  # fmt: skip
-def test_a_forest_that_makes_no_sense_is_reported_in_one_line(tmp_path, world, message):
-    """Unknown presets, densities given twice or never, and ranges that run backwards are named with their key."""
-    with pytest.raises(ScenarioError, match=message):
-        scene(tmp_path, world)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from vlp16emu.errors import GeometryError
 from vlp16emu.types import Semantic
 from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.settings import Hall, HallBox, HallPole, HallSphere
@@ -83,22 +82,3 @@ def test_sphere_is_round_to_a_tenth_of_a_millimetre(diameter_m):
     )
     assert np.abs(np.linalg.norm(places, axis=1) - diameter_m / 2).max() < 1e-4
     assert solid.volume == pytest.approx(np.pi / 6 * diameter_m**3, rel=1e-3)
-
-
-SHELF = HallBox(name="shelf", centre_m=(14.5, 0.0, 1.0), size_m=(2.0, 1.0, 1.0))
-MAST = HallPole(name="mast", foot_m=(0.0, 0.0, 0.0), diameter_m=0.2, height_m=7.0)
-MOON = HallSphere(name="moon", centre_m=(0.0, 9.0, 3.0), diameter_m=1.0)
-
-
-@pytest.mark.parametrize(
-    ("things", "message"),
-    [
-        ({"boxes": [SHELF]}, "hall: shelf: spans 13.5 to 15.5 m in x"),
-        ({"poles": [MAST]}, "hall: mast: spans 0 to 7 m in z; expected inside 0"),
-        ({"spheres": [MOON]}, "hall: moon: spans 8.5 to 9.5 m in y"),
-    ],
-)
-def test_things_that_poke_out_are_refused(things, message):
-    """A thing that is not wholly in the hall is named, with where it is and where it may be."""
-    with pytest.raises(GeometryError, match=message):
-        make_hall(**things)

@@ -119,17 +119,22 @@ class HallWorld:
 
     def shape(self, key: ShapeKey) -> tuple[Mesh, ...]:
         """Meshes of the room (floor, then walls with ceiling) or of a thing, about its centre or foot."""
-        match key:
-            case _Room(size):
-                box = _box_quads(size)
-                return Mesh(box.vertices_m, box.faces[:1, ::-1]), Mesh(box.vertices_m, box.faces[1:, ::-1])
-            case HallBox(size_m=size):
-                return (_box_quads(size),)
-            case HallPole():
-                return (_pole(key),)
-            case HallSphere():
-                return (_sphere(key.diameter_m / 2),)
-        raise KeyError(key)
+        return hall_shape(key)
+
+
+def hall_shape(key: ShapeKey) -> tuple[Mesh, ...]:
+    """Meshes of a room or of a thing, which the key describes whole."""
+    match key:
+        case _Room(size):
+            box = _box_quads(size)
+            return Mesh(box.vertices_m, box.faces[:1, ::-1]), Mesh(box.vertices_m, box.faces[1:, ::-1])
+        case HallBox(size_m=size):
+            return (_box_quads(size),)
+        case HallPole():
+            return (_pole(key),)
+        case HallSphere():
+            return (_sphere(key.diameter_m / 2),)
+    raise KeyError(key)
 
 
 def _check_inside(thing: Thing, room: _Room) -> None:

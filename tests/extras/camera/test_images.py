@@ -8,6 +8,7 @@ from threading import Event
 
 import numpy as np
 import pytest
+from kit import set_words
 from scipy.spatial.transform import Rotation
 from woods import THIN
 
@@ -225,29 +226,6 @@ def test_errors_of_the_extrinsics_are_the_cameras_own(tmp_path):
     assert 0.05 < np.degrees(np.arccos((np.trace(true.T @ given) - 1) / 2)) < 3
 
 
-@pytest.mark.parametrize(
-    ("settings", "options", "line"),
-    [
-        (
-            {"camera.distortion": [-3.0, 0, 0, 0, 0]},
-            {},
-            "camera.distortion: found -3, 0, 0, 0, 0; expected a distortion",
-        ),
-        ({"camera.mount.spin_hz": 1.0}, {}, "camera.mount: found"),
-        ({"camera.width_px": 4}, {}, "camera.width_px = 4: found 4; expected a whole number from 8 to 8192"),
-        ({"camera.hfov_deg": 60.0, "camera.zoom": 2}, {}, "camera.zoom"),
-        ({}, {"every_s": 0.0}, "every_s: found 0"),
-        ({}, {"depth": "inches"}, "depth: found inches; expected mm or float32"),
-    ],
-)
-def test_cameras_that_cannot_be_are_refused(tmp_path, settings, options, line):
-    """Wrong input gives one line, and no folder is made."""
-    with pytest.raises(InputError) as error:
-        write_images(Emulator("static_bench", {**SMALL, **settings}), tmp_path / "images", **options)
-    assert line in str(error.value)
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_folder_with_content_is_left_alone(hall, tmp_path):
     """A folder that has a file is refused and unchanged; an empty one is filled."""
     (tmp_path / "own.txt").write_text("mine")
@@ -325,8 +303,7 @@ def test_the_command_writes_them(tmp_path, capsys):
         "--duration",
         "0.3",
     ]
-    small = [word for key, value in SMALL.items() for word in ("--set", f"{key}={value}")]
-    assert run([*words, *small]) == 0
+    assert run([*words, *set_words(SMALL)]) == 0
     made = json.loads(capsys.readouterr().out)
     assert (made["images"], made["width_px"], made["height_px"], made["interrupted"]) == (2, 160, 120, False)
     assert made["bytes"] == sum(len(content) for content in files_of(tmp_path / "images").values())

@@ -12,7 +12,7 @@ from PIL import Image
 
 from vlp16emu.errors import InputError
 from vlp16emu.extras.plot.page import page_of
-from vlp16emu.extras.plot.sheet import figure_of, picture_of, plotting, read_report
+from vlp16emu.extras.plot.sheet import figure_of, picture_of, plotting
 
 pytest.importorskip("matplotlib", reason="the extra plot is not installed")
 
@@ -320,25 +320,6 @@ def test_every_score_has_a_meaning():
         *measures.box_scores(one, np.ones(1, int), one),
     }
     assert [name for name in names if not _meaning(name)] == []
-
-
-@pytest.mark.parametrize(
-    ("text", "line"),
-    [
-        ("[1]", "found no JSON object"),
-        ("{", "no JSON"),
-        (
-            '{"report": "doctor"}',
-            "report: found doctor; expected a report of accuracy, compare, forest, plan, score",
-        ),
-        ('{"report": "plan"}', "cannot be drawn"),
-    ],
-)
-def test_what_is_no_report_is_refused(tmp_path, text, line):
-    """A file that no command has printed, or another command, is refused with what was expected."""
-    (tmp_path / "a.json").write_text(text)
-    with pytest.raises(InputError, match=re.escape(line)):
-        figure_of(read_report(tmp_path / "a.json"))
 
 
 def test_an_earlier_plot_stays_until_the_new_one_is_complete(tmp_path):

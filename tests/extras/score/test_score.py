@@ -245,29 +245,6 @@ def test_late_stamps_are_found(truth, capsys, late_s):
     assert card["scores"]["drift_100m_percent"] is None
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ([], "found nothing to score"),
-        (["--stems", "trees.csv"], "found no true trees"),
-        (["--points", "points.csv"], "found no true points"),
-        (["--trajectory", "trees.csv"], "expected"),
-        (["--trajectory", "late.tum"], "expected at least three within the truth"),
-        (["--map", "trajectory.tum"], "found suffix '.tum'"),
-        (["--map", "late.csv"], "x, y and z"),
-        (["--map", "none.ply"], "no such file"),
-        (["--trajectory", "trajectory.tum", "--align", "up"], "start, none, yaw or se3"),
-        (["--trajectory", "trajectory.tum", "--require", "ate_m=3"], "found ate_m=3"),
-    ],
-)
-def test_wrong_inputs_are_one_line(truth, refused, monkeypatch, arguments, message):
-    """Each wrong input gives one line and exit code 2."""
-    monkeypatch.chdir(truth)
-    (truth / "late.csv").write_text("a,b\n1,2\n")
-    (truth / "late.tum").write_text("1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n3 0 0 0 0 0 0 1\n")
-    assert message in refused(["score", truth, *arguments])
-
-
 @pytest.mark.parametrize("row", ["1,2,3,32", "1,,3,0.3", "1,x,3,0.3"])
 def test_a_wrong_stem_is_named(tmp_path, row):
     """A DBH in centimetres, a missing place and a word instead of a number are named with their line."""

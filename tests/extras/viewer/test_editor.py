@@ -1,15 +1,12 @@
 """The path editor of the page: requests of its panel, and a way point that a real browser drags."""
 
 import re
-import shutil
-import subprocess
-import sys
 import tomllib
 from threading import Event
 
-import imageio.v3 as imageio
 import numpy as np
 import pytest
+from extras.viewer.kit import places_of
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
 
@@ -36,15 +33,6 @@ length_m = 30.0
 width_m = 18.0
 height_m = 6.0
 """
-CHROMIUM = shutil.which("chromium")
-SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-WAIT_MS = 120_000
-
-
-@pytest.fixture(scope="module")
-def server():
-    with guarded_server("127.0.0.1", 0) as server:
-        yield server
 
 
 @pytest.fixture
@@ -77,7 +65,7 @@ def ask(editor, *requests):
     editor._show()
 
 
-def places_of(editor):
+def way_points_of(editor):
     return [list(one[:2]) for one in editor._versions.draft.way_points]
 
 
@@ -86,12 +74,12 @@ def test_a_drag_is_one_change(editor):
     before = editor._text.content
     ask(editor, *(lambda y_m=y_m: editor._drag(2, 6.0, y_m, is_end=False) for y_m in (-1.0, -4.0)))
     assert editor._text.content != before
-    assert places_of(editor)[2] == [6.0, 4.0]
+    assert way_points_of(editor)[2] == [6.0, 4.0]
     ask(editor, lambda: editor._drag(2, 6.0, -5.0, is_end=True))
-    assert places_of(editor)[2] == [6.0, -5.0]
+    assert way_points_of(editor)[2] == [6.0, -5.0]
     assert editor._gizmos[2].position.tolist() == pytest.approx([6.0, -5.0, 0.3])
     ask(editor, lambda: editor._versions.step(-1))
-    assert places_of(editor)[2] == [6.0, 4.0]
+    assert way_points_of(editor)[2] == [6.0, 4.0]
     assert editor._text.content.split("stand and sweeps")[0] == before.split("stand and sweeps")[0]
 
 
@@ -146,7 +134,7 @@ def test_a_preview_grows_the_new_path(editor, shown):
 
 def test_a_client_may_send_anything(editor):
     """Numbers that no control has, and words, change nothing or give the least."""
-    before = places_of(editor)
+    before = way_points_of(editor)
     editor._speed.value, editor._pause.value, editor._laps.value = float("nan"), -5.0, 1e300
     ask(editor, editor._take_panel)
     draft = editor._versions.draft
@@ -162,7 +150,7 @@ def test_a_client_may_send_anything(editor):
         lambda: editor._choose(10**9),
     )
     ask(editor, *requests)
-    assert places_of(editor) == before
+    assert way_points_of(editor) == before
 
 
 def test_many_way_points_have_few_arrows(editor):
@@ -175,7 +163,7 @@ def test_many_way_points_have_few_arrows(editor):
     ask(editor, lambda: editor._choose(60))
     np.testing.assert_allclose(editor._gizmos[0].position[:2], rows[60][:2])
     ask(editor, lambda: editor._drag(editor._first_gizmo, 3.0, 5.0, is_end=True))
-    assert places_of(editor)[60] == [3.0, 5.0]
+    assert way_points_of(editor)[60] == [3.0, 5.0]
     ask(editor, editor._simplify)
     assert len(editor._gizmos) == len(editor._versions.draft.way_points) < 24
 
@@ -207,59 +195,29 @@ def test_a_scene_without_a_walk_is_only_shown():
         assert not any("way points" in str(text) for text in texts)
 
 
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
-        (["static_bench", "--save", "new.toml"], "motion.kind: found static; expected walk"),
-        (["birch_walk", "--save", "new.txt"], "found the ending '.txt'"),
-        (["walk.pcap", "--save", "new.toml"], "--save: found beside the capture walk.pcap"),
-    ],
-)
-def test_a_wrong_save_is_one_clear_line(words, line, capsys):
-    """`--save` beside what has no path to edit, or with a name of no scene, ends before a page is there."""
-    assert run(["view", *words]) == 2
-    assert line in capsys.readouterr().err
-
-
 def arrow(r, g, b):
     return (r < 130) & (g > 200) & (abs(b - 140) < 30)
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
-def test_a_way_point_is_dragged_saved_and_recorded(tmp_path):
+def test_a_way_point_is_dragged_saved_and_recorded(in_browser, tmp_path):
     """A way point that the mouse drags is in the saved file; the truth of its recording begins there."""
-    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     scene, out = tmp_path / "mine.toml", tmp_path / "new.toml"
     scene.write_text(SCENE)
-    command = [sys.executable, "-m", "vlp16emu", "view", str(scene), "--save", str(out), "--port", "0"]
-    with (
-        subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program,
-        sync_api.sync_playwright() as playwright,
-        playwright.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE) as browser,
-    ):
-        try:
-            page = browser.new_page(viewport={"width": 900, "height": 700})
-            page.goto(re.search(r"http\S+", program.stdout.readline())[0])
-            text = page.locator("b", has_text=re.compile(r"m in .* s$"))
-            text.wait_for(timeout=WAIT_MS)
-            before = text.text_content()
-            for _ in range(30):
-                pixels = imageio.imread(page.screenshot(timeout=WAIT_MS))[..., :3].astype(int)
-                arrows = np.argwhere(arrow(*np.moveaxis(pixels, -1, 0)))
-                if len(arrows) > 100:
-                    break
-            lowest = arrows[arrows[:, 0] > arrows[:, 0].max() - 8]  # of the nearest way point, the first
-            y, x = (lowest[lowest[:, 1].argmin()] + [0, 4]).tolist()
-            page.mouse.move(x, y)
-            page.mouse.down()
-            page.mouse.move(x - 50, y, steps=8)
-            page.get_by_text(before).wait_for(state="detached", timeout=WAIT_MS)  # while it is dragged
-            page.mouse.up()
-            page.get_by_text("not saved").wait_for(timeout=WAIT_MS)
-            page.get_by_role("button", name="save").click(timeout=WAIT_MS)
-            page.get_by_text("Saved as").wait_for(timeout=WAIT_MS)
-        finally:
-            program.terminate()
+    _, page = in_browser("view", scene, "--save", out, "--port", "0")
+    text = page.locator("b", has_text=re.compile(r"m in .* s$"))
+    text.wait_for()
+    before = text.text_content()
+    arrows = places_of(page, arrow, 100)
+    lowest = arrows[arrows[:, 0] > arrows[:, 0].max() - 8]  # of the nearest way point, the first
+    y, x = (lowest[lowest[:, 1].argmin()] + [0, 4]).tolist()
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x - 50, y, steps=8)
+    page.get_by_text(before).wait_for(state="detached")  # while it is dragged
+    page.mouse.up()
+    page.get_by_text("not saved").wait_for()
+    page.get_by_role("button", name="save").click()
+    page.get_by_text("Saved as").wait_for()
     (x_m, y_m), *rest = tomllib.loads(out.read_text())["motion"]["way_points_m"]
     assert rest == [[0, 1], [6, 4]]
     assert abs(x_m + 6.0) < 0.5

@@ -3,11 +3,8 @@
 import os
 import pickle
 import re
-import shutil
 import signal
 import socket
-import subprocess
-import sys
 import threading
 import time
 import urllib.request
@@ -18,6 +15,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from kit import data_payloads
 from listening import Listener
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
@@ -37,7 +35,6 @@ from vlp16emu.extras.viewer.live import (
 )
 from vlp16emu.extras.viewer.live_page import LiveView, gps_text, mode_text
 from vlp16emu.extras.viewer.live_settings import SettingsPanel
-from vlp16emu.extras.viewer.page import guarded_server
 from vlp16emu.packets import DATA_BYTES, pack_position
 from vlp16emu.packets.layout import DATA_PAYLOAD
 from vlp16emu.run.emulator import TRUTH_OF_RECORDS
@@ -48,7 +45,6 @@ from vlp16emu.sinks import Lateness
 from vlp16emu.types import Labels, PacketKind, PpsState
 
 MODE_AT = 1204  # offset of the return mode in a data packet
-FREE = ("--view-port", "0", "--data-port", "0", "--position-port", "0")
 
 
 @pytest.fixture(scope="module")
@@ -175,7 +171,7 @@ def test_a_page_that_hangs_or_is_killed_costs_no_packet(emulator, packets):
 
     Its niceness is 10 above the stream's, and it has a session of its own, which Ctrl-C at the terminal does not reach.
     """
-    expected = [packet.payload for packet in packets if packet.kind is PacketKind.DATA]
+    expected = [payload.tobytes() for payload in data_payloads(packets)]
     gone = threading.Event()
     before = children()
     with live_page(emulator, 0) as page:
@@ -216,12 +212,6 @@ def test_a_page_that_cannot_begin_is_one_error(emulator, monkeypatch):
         live_page(emulator, 0),
     ):
         pass
-
-
-@pytest.fixture(scope="module")
-def server():
-    with guarded_server("127.0.0.1", 0) as server:
-        yield server
 
 
 def batches_of(emulator, packets):
@@ -349,12 +339,6 @@ def test_controls_set_the_sensor_and_show_what_others_set(server):
     panel.end()
 
 
-CHROMIUM = shutil.which("chromium")
-SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-WAIT_MS = 120_000
-
-
-@pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
 def is_dual_at_1200_rpm(payload):
     """Whether a data packet is of dual return, with 0.796 degrees from one pair of blocks to the next."""
     if len(payload) != 1206 or payload[MODE_AT] != 0x39:
@@ -363,42 +347,22 @@ def is_dual_at_1200_rpm(payload):
     return abs(np.median(np.diff(azimuth_cdeg[::2]) % 36_000) - 79.6) < 2
 
 
-def test_a_browser_shows_the_stream_and_sets_the_sensor():
+def test_a_browser_shows_the_stream_and_sets_the_sensor(in_browser):
     """Chromium shows points and state; the return mode and the speed that are chosen there arrive in the packets that leave."""
-    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     listener = Listener()
-    command = [
-        sys.executable,
-        "-m",
-        "vlp16emu",
-        "stream",
-        "static_bench",
-        "--view",
-        *FREE,
-        "--duration",
-        "600",
-    ]
-    command += ["--to", f"127.0.0.1:{listener.port}", "--no-keep-up"]
-    del command[command.index("--data-port") : command.index("--data-port") + 2]
-    with (
-        subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program,
-        sync_api.sync_playwright() as playwright,
-        playwright.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE) as browser,
+    ports = "--view-port", "0", "--position-port", "0", "--to", f"127.0.0.1:{listener.port}"
+    words = "stream", "static_bench", "--view", *ports, "--duration", "600", "--no-keep-up"
+    program, page = in_browser(*words, width=1000, height=900)
+    page.get_by_text("strongest (0x37)").wait_for()
+    page.get_by_text("as any client does").wait_for()
+    for label, choice, shown in (
+        ("return mode", "Dual", "dual (0x39)"),
+        ("rpm", "1200", re.compile("1[12].. rpm|1[12]..[.]. rpm")),
     ):
-        try:
-            page = browser.new_page(viewport={"width": 1000, "height": 900})
-            page.goto(re.search(r"http\S+", program.stdout.readline())[0])
-            page.get_by_text("strongest (0x37)").wait_for(timeout=WAIT_MS)
-            page.get_by_text("as any client does").wait_for(timeout=WAIT_MS)
-            for label, choice, shown in (
-                ("return mode", "Dual", "dual (0x39)"),
-                ("rpm", "1200", re.compile("1[12].. rpm|1[12]..[.]. rpm")),
-            ):
-                page.get_by_label(label, exact=True).click(timeout=WAIT_MS)
-                page.get_by_role("option", name=choice, exact=True).click(timeout=WAIT_MS)
-                page.get_by_text(shown).wait_for(timeout=WAIT_MS)
-            assert listener.wait_for(is_dual_at_1200_rpm)
-        finally:
-            program.send_signal(signal.SIGINT)
-    assert program.returncode == 130
+        page.get_by_label(label, exact=True).click()
+        page.get_by_role("option", name=choice, exact=True).click()
+        page.get_by_text(shown).wait_for()
+    assert listener.wait_for(is_dual_at_1200_rpm)
+    program.send_signal(signal.SIGINT)
+    assert program.wait(100) == 130
     assert listener.end()[0][MODE_AT] == 0x37

@@ -2,15 +2,13 @@
 
 import http.client
 import re
-import shutil
 import socket
-import subprocess
-import sys
 from contextlib import closing, suppress
 
-import imageio.v3 as imageio
 import numpy as np
 import pytest
+from extras.viewer.kit import places_of
+from kit import set_words
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
 
@@ -23,12 +21,6 @@ from websockets.sync.client import connect
 from vlp16emu import Emulator
 from vlp16emu.errors import OutputError
 from vlp16emu.extras.viewer.page import LOOPBACK, capture_page, guarded_server, is_ours
-
-
-@pytest.fixture(scope="module")
-def server():
-    with guarded_server("127.0.0.1", 0) as server:
-        yield server
 
 
 @pytest.fixture(scope="module")
@@ -126,9 +118,6 @@ def test_a_port_in_use_is_one_clear_line():
         pass
 
 
-CHROMIUM = shutil.which("chromium")
-SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-WAIT_MS = 120_000
 BIRCH = '{ species = "silver_birch", share = 1.0, dbh_cm = 18.0, height_m = 9.0 }'
 BIRCHES = (
     f'world={{ kind = "forest", stems_per_ha = 150, species = [{BIRCH}] }}',
@@ -141,15 +130,6 @@ BIRCHES = (
 )
 
 
-def seen_by(page, is_there, least):
-    """Wait until so many pixels are there."""
-    for _ in range(10):
-        pixels = imageio.imread(page.screenshot(timeout=WAIT_MS))[..., :3].astype(int)
-        if (count := is_there(*np.moveaxis(pixels, -1, 0)).sum()) >= least:
-            return
-    raise AssertionError(f"{count} pixels, not {least}")
-
-
 def leaf(r, g, b):
     return (r > b + 60) & (g > b + 60) & (g > 120)
 
@@ -158,36 +138,12 @@ def stem(r, g, b):
     return (abs(r - b) < 12) & (abs(g - r) < 12) & (r > 90) & (r < 190)
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
 @pytest.mark.usefixtures("kept_woods")
-def test_a_browser_shows_the_stand_and_plays_the_sweeps():
+def test_a_browser_shows_the_stand_and_plays_the_sweeps(in_browser):
     """The page has stems and leaves, and the points of the sweep at the cursor, which goes on as it plays."""
-    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    settings = [word for setting in BIRCHES for word in ("--set", setting)]
-    command = [
-        sys.executable,
-        "-m",
-        "vlp16emu",
-        "view",
-        "birch_walk",
-        *settings,
-        "--radius",
-        "8",
-        "--port",
-        "0",
-    ]
-    with (
-        subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program,
-        sync_api.sync_playwright() as playwright,
-        playwright.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE) as browser,
-    ):
-        try:
-            page = browser.new_page(viewport={"width": 900, "height": 700})
-            page.goto(re.search(r"http\S+", program.stdout.readline())[0])
-            page.get_by_text("points by natural, sweep at 0.0 s").wait_for(timeout=WAIT_MS)
-            seen_by(page, stem, 1000)
-            seen_by(page, leaf, 200)
-            page.get_by_label("play").click(timeout=WAIT_MS)
-            page.get_by_text(re.compile("points by natural, sweep at 0.[1-9] s")).wait_for(timeout=WAIT_MS)
-        finally:
-            program.terminate()
+    _, page = in_browser("view", "birch_walk", *set_words(BIRCHES), "--radius", "8", "--port", "0")
+    page.get_by_text("points by natural, sweep at 0.0 s").wait_for()
+    places_of(page, stem, 1000)
+    places_of(page, leaf, 200)
+    page.get_by_label("play").click()
+    page.get_by_text(re.compile("points by natural, sweep at 0.[1-9] s")).wait_for()

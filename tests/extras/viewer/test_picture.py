@@ -196,28 +196,3 @@ def test_a_capture_is_drawn_by_its_trajectory(tmp_path, capsys):
         drawn.append(json.loads(capsys.readouterr().out)["revolutions"])
     assert drawn == [len(list(decode(tmp_path / "a.pcap", 1))), 1]
     assert drawn[0] > 1
-
-
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
-        (["static_bench", "{out}.jpg"], "found the ending .jpg; expected .png"),
-        (["static_bench", "{out}.png", "--colour", "blue", *SMALL], "--colour: found blue; expected natural"),
-        (["static_bench", "{out}.png", "--size", "63x64"], "--size: found 63x64"),
-        (["static_bench", "{out}.png", "--from", "400"], "--from: found 400"),
-        (
-            ["static_bench", "{out}.png", "--from", "40", "--view", "sweep"],
-            "--from: found beside --view sweep",
-        ),
-        (["static_bench", "{out}.png", "--view", "top"], "--view: found top; expected slant, sweep or image"),
-        (["static_bench", "{out}.png", "--duration", "0.05"], "no whole revolution"),
-        (["static_bench", "{out}.png", "--trajectory", "x.tum"], "--trajectory: found beside a scene"),
-    ],
-)
-def test_what_cannot_be_drawn_is_refused_in_one_line(tmp_path, capsys, words, line):
-    """What is wrong is named, and no file is left."""
-    assert run(["picture", *(word.format(out=tmp_path / "a") for word in words)]) == 2
-    error = capsys.readouterr().err
-    assert line in error
-    assert error.count("\n") == 1
-    assert not list(tmp_path.iterdir())
