@@ -1,5 +1,7 @@
-"""What tests of several rooms need: words of a command line, packets as arrays, and captures of real sensors."""
+"""What tests of several rooms need: words of command lines, the table of bad input, packets and captures of real sensors."""
 
+import tomllib
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -32,3 +34,9 @@ def real_capture(name):
     if not (CAPTURES / name).exists():
         pytest.skip(f"the real capture {name} is not beside the repository")
     return CAPTURES / name
+
+
+@cache
+def refusals():
+    """Tables of bad input, and the files that its command lines name."""
+    return tomllib.loads((Path(__file__).parent / "refusals.toml").read_text(encoding="utf-8"))

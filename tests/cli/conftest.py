@@ -3,6 +3,7 @@
 import gc
 import json
 import logging
+import os
 import signal
 import subprocess
 import sys
@@ -10,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from kit import set_words
+from kit import refusals, set_words
 
 from vlp16emu.cli.app import main, run
 from vlp16emu.cli.terminal import ENDINGS, Progress, was_stopped
@@ -142,3 +143,29 @@ def dual(tmp_path_factory):
         run(["record", "static_bench", str(path), "--duration", "0.3", "--json", *set_words(settings)]) == 0
     )
     return path
+
+
+RIG = "rig=[{}, {return_mode='dual', address='10.0.0.7', data_port=2368, position_port=8308}]"
+MADE = (
+    ("record", "static_bench", "bench.pcap"),
+    ("record", "static_bench", "rig.pcap", "--set", RIG),
+    ("truth", "static_bench", "truth"),
+)
+
+
+@pytest.fixture(scope="session")
+def inputs(tmp_path_factory):
+    """A folder with captures, ground truth and files of `refusals.toml`, which no test changes."""
+    folder = tmp_path_factory.mktemp("inputs")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        for words in MADE:
+            assert run([*words, "--duration", "0.2", "--json"]) == 0
+        for name, text in refusals()["files"].items():
+            Path(name).parent.mkdir(exist_ok=True)
+            Path(name).write_text(text, encoding="utf-8")
+    (folder / "empty.pcap").write_bytes((folder / "bench.pcap").read_bytes()[:24])
+    os.mkfifo(folder / "pipe")
+    for ending in ("csv", "laz", "npz", "ply"):
+        (folder / f"full.{ending}").symlink_to("/dev/full")
+    return folder

@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from vlp16emu import Emulator
 from vlp16emu.cli.app import run
@@ -196,3 +197,12 @@ def test_a_capture_is_drawn_by_its_trajectory(tmp_path, capsys):
         drawn.append(json.loads(capsys.readouterr().out)["revolutions"])
     assert drawn == [len(list(decode(tmp_path / "a.pcap", 1))), 1]
     assert drawn[0] > 1
+
+
+def test_captions_without_room_are_left_out(tmp_path):
+    """The smallest picture, which has no room for a letter beside its legend, is drawn."""
+    path = tmp_path / "small.png"
+    words = ["--duration", "0.2", "--size", "64x64", "--view", "sweep", "--colour", "class"]
+    assert run(["picture", "static_bench", str(path), *words]) == 0
+    with Image.open(path) as image:
+        assert image.size == (64, 64)

@@ -441,10 +441,17 @@ def _annotate(
     elif isinstance(entries, tuple):
         _draw_scale(image, entries, em, write)
     for line, words in enumerate(captions):
-        while draw.textlength(words, font) > room:
-            words = f"{words.removesuffix('...')[:-1]}..."  # noqa: PLW2901
-        write(edge, edge + 1.6 * em * line, words, "ls")
+        if shown := _shortened(words, room, lambda text: draw.textlength(text, font)):
+            write(edge, edge + 1.6 * em * line, shown, "ls")
     return image
+
+
+def _shortened(words: str, room: float, length: Callable[[str], float]) -> str:
+    """Return words, with dots in place of their end if they are too long; empty if there is no room for the dots."""
+    if length(words) <= room:
+        return words
+    cuts = (f"{words[:count]}..." for count in range(len(words) - 1, -1, -1))
+    return next((cut for cut in cuts if length(cut) <= room), "")
 
 
 def _small(image: "Image") -> "Image":
