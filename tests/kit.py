@@ -23,8 +23,7 @@ def set_words(settings):
 def data_payloads(packets):
     """Bytes (n, 1206) of the data packets among packets, or in a capture."""
     if isinstance(packets, Path):
-        with Capture(packets) as capture:
-            return data_payloads(list(capture))
+        return data_payloads(list(Capture(packets)))
     found = [packet.payload for packet in packets if len(packet.payload) == DATA_BYTES]
     return np.frombuffer(b"".join(found), np.uint8).reshape(-1, DATA_BYTES)
 

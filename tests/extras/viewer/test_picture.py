@@ -5,7 +5,6 @@ import sys
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from vlp16emu import Emulator
 from vlp16emu.cli.app import run
