@@ -34,7 +34,8 @@ def shortened(line):
 
 COMMANDS = {page: commands_of(page) for page in PAGES}
 LINES = [line for lines in COMMANDS.values() for line in lines]
-TOOLS = sorted({line.split()[0] for line in LINES if line.startswith("tools/")})
+DESIGN = [str(path.relative_to(ROOT)) for path in (ROOT / "tools/design").iterdir() if not path.suffix]
+TOOLS = sorted({*DESIGN, *(line.split()[0] for line in LINES if line.startswith("tools/"))})
 TOOLS = [
     name for name in TOOLS if (ROOT / name).is_file() and (ROOT / name).read_text("utf-8").startswith(PYTHON)
 ]
