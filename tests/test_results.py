@@ -59,7 +59,7 @@ def test_the_tool_of_a_page_runs(name, tool_named, monkeypatch, capsys, tmp_path
         if shutil.which("chromium") is None:
             pytest.skip("chromium is not installed")
     monkeypatch.chdir(tmp_path)
-    stem = Path(name).name
+    stem = name.removeprefix("tools/")
     monkeypatch.setitem(sys.modules, stem, sys.modules.get(stem))  # tests have a package `forest` too
     monkeypatch.setattr(sys, "argv", [str(ROOT / name), "--shortest"])
     tool_named(stem).main()
