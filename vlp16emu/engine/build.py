@@ -165,7 +165,7 @@ class Parts:
 
 
 def in_one_world(one: Scenario, other: Scenario) -> bool:
-    """Return whether two runs follow the same path through the same world, so that only their sensors may differ."""
+    """Return whether two runs follow the same path through the same world; their sensors may differ."""
 
     def way(scenario: Scenario) -> tuple[object, ...]:
         world = (scenario.world, scenario.world_seed, scenario.wind)
@@ -177,7 +177,7 @@ def in_one_world(one: Scenario, other: Scenario) -> bool:
 
 
 def assemble(scenario: Scenario, like: "Engine | None" = None) -> Parts:
-    """Make the parts that a scenario describes; carrier and world are shared with `like` if both are in one world.
+    """Make the parts of a scenario; carrier and world come from `like` if both are in one world.
 
     Raises InputError if a part cannot be made from its section.
     """

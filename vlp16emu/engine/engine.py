@@ -119,7 +119,7 @@ class Engine:
         return cls(scenario, parts, batching, windows, receiver, threads, tuple(taps))
 
     def packets(self, start_s: float = 0.0, stop_s: float | None = None) -> Iterator[Packet]:
-        """Return the packets sent from `start_s` until before `stop_s` after the first pulse, in order of sending.
+        """Return the packets sent from `start_s` until before `stop_s`, in order of sending.
 
         Raises ScenarioError if the sensor has no packets; TrajectoryError if the span begins before the first
         pulse, or if the walk ends before the span.
@@ -202,7 +202,7 @@ class Engine:
                 yield from packets
 
     def _returns_of(self, unit: Unit, stretch: Stretch, blocks: range, *, truth: bool) -> Iterator[Returns]:
-        """Yield the returns of the blocks in which a stretch sends, with the firing sequences that it sends."""
+        """Yield returns of the blocks in which a stretch sends, with the firing sequences that are sent."""
         own = stretch.blocks_among(blocks, self.batching.block)
         for returns in self._scans(
             unit, unit.detector.for_mode(stretch.mode), own, self.threads, truth=truth
@@ -245,7 +245,7 @@ def make_receiver(scenario: Scenario, parts: Parts, windows: Windows[Geometry]) 
 
 
 def number_at(scenario: Scenario, unit: Unit, kind: PacketKind, since_ns: int) -> int:
-    """Find the number of the first packet of a kind that a unit sends at or after a time since the first pulse."""
+    """Return the number of the first packet of a kind sent at or after a time since the first pulse."""
     if kind is PacketKind.DATA:
         return unit.timeline.count(0, since_ns)
     rate = require_packets(unit.section).position_rate
@@ -253,7 +253,7 @@ def number_at(scenario: Scenario, unit: Unit, kind: PacketKind, since_ns: int) -
 
 
 def sent_before(scenario: Scenario, unit: Unit, kind: PacketKind, since_ns: int) -> int:
-    """Count the packets of a kind that leave a unit from the first pulse until before a time since the first pulse.
+    """Count the packets of a kind that a unit sends from the first pulse until before a time since it.
 
     Position packets have numbers also while the sensor is without power, but do not leave.
     """

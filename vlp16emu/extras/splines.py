@@ -39,7 +39,7 @@ class Spline:
 
 
 def polynomial(powers: F8, x: F8, derivative: int = 0) -> F8:
-    """Return values at x (k,) of polynomials with coefficients (degree + 1, m, k), lowest power first, or of a derivative."""
+    """Evaluate polynomials (degree + 1, m, k), lowest power first, or a derivative, at x (k,)."""
     value = np.zeros(powers.shape[1:])
     for power in range(len(powers) - 1, derivative - 1, -1):
         value = value * x + powers[power] * math.perm(power, derivative)
@@ -73,7 +73,7 @@ def interpolant(
 
 
 def _cells(knots: F8, x: F8, degree: int) -> I8:
-    """Return the index of the knot at which the interval of each parameter (n,) begins; the end belongs to the last interval."""
+    """Return the first knot of the interval of each parameter (n,); the end is in the last interval."""
     return np.clip(np.searchsorted(knots, x, side="right") - 1, degree, len(knots) - degree - 2)
 
 
@@ -140,7 +140,7 @@ def _solve(bands: F8, values: F8) -> None:
 
 
 def powers(at: F8, knots: F8, control: F8, degree: int) -> F8:
-    """Return the pieces (degree + 1, n - 1, m) of a B-spline: coefficients of powers of the distance from each break but the last.
+    """Return pieces (degree + 1, n - 1, m) of a B-spline: powers of the distance from each break.
 
     Parameters
     ----------

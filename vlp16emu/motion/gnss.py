@@ -1,4 +1,4 @@
-"""A GNSS receiver on the walk: wandering errors, and fixes lost under trees; and the world's position on the globe.
+"""A GNSS receiver with wandering errors and fixes lost under trees; the world's place on the globe.
 
 The world is the tangent plane of the WGS 84 ellipsoid under its origin.
 """
@@ -76,7 +76,7 @@ class Receiver:
         return self._known(t_ns)
 
     def fix(self, t_ns: int) -> GnssFix:
-        """Return the reported fix for the whole UTC second `t_ns`; its course is from north at the world's origin.
+        """Return the fix for the UTC second `t_ns`; its course is from north at the world's origin.
 
         Without a fix in this second, the numbers of the last fix are repeated. After 10 s without a fix they
         are the receiver's estimate of 10 s ago, as if it had continued its track.

@@ -79,7 +79,7 @@ class MountedMotion:
         )
 
     def _mounted(self, of: Poses, t_ns: I8) -> tuple[Poses, F8]:
-        """Poses of the device on a carrier with poses `of`, and its rotations (n, 3, 3), or (1, 3, 3) on a fixed stage."""
+        """Poses of the device on a carrier with poses `of`, and rotations (n, 3, 3); (1, 3, 3) if fixed."""
         turns = self._tilts[:1]
         poses = Poses(t_ns, np.empty((len(t_ns), 3, 3)), np.empty((len(t_ns), 3)))
         if self._spin_hz != 0.0:

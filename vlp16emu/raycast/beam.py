@@ -142,7 +142,9 @@ def turn(seed: int, firing: int, laser: int) -> tuple[np.uint32, np.uint32]:
 
 @kernel
 def lay(rays: F4, axes: F4, sigmas: F4, u: np.uint32, v: np.uint32, first: int, support: bool) -> None:
-    """Fill eight sub-rays of a pulse from number `first`: origins in rows 0 to 2 of eight, unit directions in rows 4 to 6.
+    """Fill eight sub-rays of a pulse, from number `first` on.
+
+    Rows of eight: origins in rows 0 to 2, unit directions in rows 4 to 6.
 
     Parameters
     ----------
@@ -194,7 +196,7 @@ def lay(rays: F4, axes: F4, sigmas: F4, u: np.uint32, v: np.uint32, first: int, 
 
 @inline_kernel
 def reach_of(first: int, support: bool) -> np.float32:
-    """Return the greatest distance of the round of sub-rays `first` from the centre, in standard deviations."""
+    """Return the greatest distance from the centre, in sigmas, of the round that begins at `first`."""
     return _REACH[first // ROUND] if support and first < len(_SUPPORT) else _REACH[-1]
 
 

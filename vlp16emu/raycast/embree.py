@@ -138,7 +138,7 @@ def give_memory_back() -> None:
 
 
 def check(doing: str) -> None:
-    """Raise `RunError` if Embree failed on this thread, for instance because memory ran out; it reports per thread."""
+    """Raise `RunError` if Embree, which reports errors per thread, has failed on this thread."""
     if error := library().rtcGetDeviceError(device()):
         raise RunError(f"Embree could not {doing}: {_meaning(error)}")
 

@@ -24,7 +24,7 @@ from vlp16emu.raycast.packet import (
     RayPacket,
     Target,
     cast_packet,
-    ray_met,
+    hit_of,
     set_filter,
 )
 from vlp16emu.trig import ZERO
@@ -53,7 +53,7 @@ class PulseBatch(NamedTuple):
     first: int  # number of the first firing sequence
 
 
-class MetRays(NamedTuple):
+class RayHits(NamedTuple):
     """Hits of rays: three arrays of one length."""
 
     range_m: F4
@@ -73,7 +73,7 @@ class Batch(NamedTuple):
     missed: NDArray[np.bool_]  # (n,) mask of pulses with rays that meet nothing near
     todo: I8  # (n,) numbers of the pulses to cast
     have: I8  # (n,) number of sub-rays of each
-    hits: MetRays  # (n m,) hits of these, pulse by pulse; m is a multiple of eight
+    hits: RayHits  # (n m,) hits of these, pulse by pulse; m is a multiple of eight
     scratch: F8  # (2, m) for sorting
 
 
@@ -90,7 +90,7 @@ def batch_of(pulses: int, most: int) -> Batch:
         np.zeros(pulses, np.bool_),
         np.arange(pulses),
         np.zeros(pulses, np.int64),
-        MetRays(np.empty(n, np.float32), np.empty(n, np.uint32), np.empty(n, np.float32)),
+        RayHits(np.empty(n, np.float32), np.empty(n, np.uint32), np.empty(n, np.float32)),
         np.empty((2, most)),
     )
 
@@ -128,7 +128,7 @@ def cast_pulses(cast: Cast, budget: RayBudget, count: U2, first_round: U4) -> U4
     (3, n) the same for all further sub-rays, in order of pulses
     """
     set_filter(cast.packet)
-    groups = no_groups(count)
+    groups = empty_groups(count)
     for first in cast.light.order:
         todo = all_pulses(cast.batch)
         have = ZERO
@@ -138,11 +138,11 @@ def cast_pulses(cast: Cast, budget: RayBudget, count: U2, first_round: U4) -> U4
             todo = settle(cast, budget, first_round, first, todo, have, rays)
             have = have + rays
         groups[first // PACKET] = further(cast.batch, min(ROUND, budget.most), first, count)
-    return joined(groups)
+    return concatenate(groups)
 
 
 @array_kernel
-def no_groups(count: U2) -> list[U4]:
+def empty_groups(count: U2) -> list[U4]:
     """Return empty hits for each eight sequences of pulses (k, L)."""
     return [np.empty((3, 0), np.uint32) for _ in range(count.shape[0] // PACKET)]
 
@@ -157,7 +157,7 @@ def all_pulses(batch: Batch) -> int:
 
 
 @array_kernel
-def joined(groups: list[U4]) -> U4:
+def concatenate(groups: list[U4]) -> U4:
     """Concatenate hits (3, n)."""
     n = ZERO
     for group in groups:
@@ -233,7 +233,7 @@ def cast_middles(cast: Cast, beyond: Target | None, first: int) -> None:
             rays[TIME + r] = light.time[i, j]
         packet.valid[:] = -1
         cast_packet(near, packet, light.near_m[j], reach_m)
-        _put_down(cast, beyond, PACKET * j, ZERO + 1, ZERO + PACKET)
+        _store_hits(cast, beyond, PACKET * j, ZERO + 1, ZERO + PACKET)
 
 
 @kernel
@@ -257,12 +257,12 @@ def cast_near(
             packet.rays[TIME + r] = light.time[i, j]
             valid[r] = -1 if r < count else 0
         cast_packet(near, packet, light.near_m[j], reach_m)
-        _put_down(cast, beyond, q, ZERO, count)
+        _store_hits(cast, beyond, q, ZERO, count)
 
 
 @inline_kernel
-def _put_down(cast: Cast, beyond: Target | None, q: int, step: int, count: int) -> None:
-    """Store hits of all rays of pulse q (step 0), or of one ray of each pulse from q on (step 1); pass on the misses."""
+def _store_hits(cast: Cast, beyond: Target | None, q: int, step: int, count: int) -> None:
+    """Store hits of all rays of pulse q (step 0), or of one ray per pulse from q on (step 1)."""
     near, light, packet, batch = cast
     instance = packet.instance
     valid = packet.valid
@@ -279,15 +279,15 @@ def _put_down(cast: Cast, beyond: Target | None, q: int, step: int, count: int) 
             row[to, COSINE + lane] = 0.0
             missed += 1
         else:
-            row[to, RANGE + lane], surface[to, lane], row[to, COSINE + lane] = ray_met(near, packet, r)
+            row[to, RANGE + lane], surface[to, lane], row[to, COSINE + lane] = hit_of(near, packet, r)
         valid[r] = -1 if instance[r] == NONE else 0
         batch.missed[to] = missed > 0 if step == 0 else instance[r] == NONE
     if beyond is not None and missed:
-        _send_on(cast, beyond, q, step, count)
+        _store_misses(cast, beyond, q, step, count)
 
 
 @inline_kernel
-def _send_on(cast: Cast, beyond: Target, q: int, step: int, count: int) -> None:
+def _store_misses(cast: Cast, beyond: Target, q: int, step: int, count: int) -> None:
     """Store the rays that go on for the medium, and cast them against faces at any range."""
     _, light, packet, batch = cast
     own = packet.own
@@ -312,7 +312,7 @@ def _send_on(cast: Cast, beyond: Target, q: int, step: int, count: int) -> None:
         if valid[r] and instance[r] != NONE:
             to = q + step * r
             lane = (1 - step) * r
-            row[to, RANGE + lane], surface[to, lane], row[to, COSINE + lane] = ray_met(beyond, packet, r)
+            row[to, RANGE + lane], surface[to, lane], row[to, COSINE + lane] = hit_of(beyond, packet, r)
 
 
 @kernel
@@ -370,7 +370,7 @@ def settle(
 
 @array_kernel
 def further(batch: Batch, each: int, first: int, count: U2) -> U4:
-    """Count the hits of eight sequences; return the ones after the first `each`, (3, n) as in `cast_pulses`."""
+    """Count the hits of eight sequences; return those after the first `each`, as `cast_pulses` does."""
     most = batch.scratch.shape[1]
     n = ZERO
     for q in range(PACKET * count.shape[1]):

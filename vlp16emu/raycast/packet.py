@@ -147,7 +147,7 @@ def _corners(desk: U8, instance: np.int64, face: np.uint64) -> _Corners:
 
 
 @inline_kernel
-def _in_shape(desk: U8, own: F8, r: np.int64, instance: np.int64) -> tuple[_Vector, _Vector]:
+def _ray_in_shape(desk: U8, own: F8, r: np.int64, instance: np.int64) -> tuple[_Vector, _Vector]:
     """Return origin and direction of ray r in the coordinates of an instance's shape."""
     (x, y, z) = _vector(own, r, PACKET)
     (dx, dy, dz) = _vector(own, DIR + r, PACKET)
@@ -178,7 +178,7 @@ def _in_shape(desk: U8, own: F8, r: np.int64, instance: np.int64) -> tuple[_Vect
 
 @inline_kernel
 def _cut(corners: _Corners, normal: _Vector, ray: tuple[_Vector, _Vector]) -> tuple[float, float, bool]:
-    """Intersect a ray with a triangle: return range, product of normal and direction, and whether it passes inside.
+    """Intersect a ray with a triangle; return range, normal times direction, and True for a hit.
 
     The three determinants of the direction and two corners then have the same sign. For two triangles with a
     common edge the edge's determinants differ only in sign, so no ray passes between them.
@@ -193,7 +193,7 @@ def _cut(corners: _Corners, normal: _Vector, ray: tuple[_Vector, _Vector]) -> tu
 
 @kernel
 def _decide(arguments: int) -> None:
-    """Accept or reject a candidate for some rays: Embree's filter, with the address of RTCFilterFunctionNArguments."""
+    """Accept or reject a candidate hit: Embree's filter, given its RTCFilterFunctionNArguments."""
     words = _as_uint64(arguments)
     valid = _as_int32(words[0])
     desk = _as_uint64(_as_uint64(words[2])[1])
@@ -220,7 +220,7 @@ def _decide(arguments: int) -> None:
             last_face = face
             corners = _corners(desk, np.int64(instance), face)
             normal = _cross(_minus(corners[1], corners[0]), _minus(corners[2], corners[0]))
-        range_m, facing, is_inside = _cut(corners, normal, _in_shape(desk, own, r, np.int64(instance)))
+        range_m, facing, is_inside = _cut(corners, normal, _ray_in_shape(desk, own, r, np.int64(instance)))
         limit_m = state[_LIMIT + r]
         is_first = instance < instances[r] or (instance == instances[r] and face < faces[r])
         is_nearer = range_m < limit_m or (range_m == limit_m and is_first)
@@ -325,7 +325,7 @@ def cast_packet(target: Target, packet: RayPacket, near_m: float, far_m: float) 
 
 
 @inline_kernel
-def ray_met(target: Target, packet: RayPacket, r: int) -> tuple[np.float32, np.uint32, np.float32]:
+def hit_of(target: Target, packet: RayPacket, r: int) -> tuple[np.float32, np.uint32, np.float32]:
     """Return range, surface and cosine of incidence of the hit of ray r.
 
     The normal in the window is the shape's normal times the transpose of `shape_T_window`; a horizontal shear

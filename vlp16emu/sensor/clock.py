@@ -29,7 +29,7 @@ class ClockSpan:
     )
 
     def reading(self, t_ns: I8) -> I8:
-        """Return nanoseconds past the counter's hour at UTC instants of any shape; the first reading before the span."""
+        """Return ns past the counter's hour at UTC instants of any shape; before the span, its first reading."""
         if self.reading_ns is None:
             if not self.error_ppm:
                 return np.asarray(t_ns % HOUR_NS)
@@ -84,7 +84,7 @@ class ClockEvent:
 def clock_of(
     section: Lidar, power_up_ns: int, pps: Steps[PpsState], events: Iterable[ClockEvent] = ()
 ) -> Clock:
-    """Return the clock of a unit: locked to GPS if possible, otherwise free-running from its last reading, or from power-up.
+    """Return the clock of a unit: locked to GPS, or free-running from its last reading or power-up.
 
     Pulses without sentences pull the fraction of a second to their edge (63-9243 Rev D, appendix G).
 

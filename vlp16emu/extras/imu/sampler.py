@@ -104,7 +104,7 @@ class ImuSampler:
         return matmul(matmul(rotations(drift_rad, 0.0, 0.0), turn), world_R_imu)
 
     def _turned(self, chunk: int) -> F8:
-        """Return the integral (n + 1,) of the gyroscopes' bias over a chunk, about the vertical of the first sample of all."""
+        """Integrate the gyroscopes' bias (n + 1,) over a chunk, about the vertical of the first sample."""
         up = self._motion.kinematics_at(np.array([self._start_ns])).world_R_body[0, 2]
         _, bias = self._sample_errors(self._gyro, chunk * _CHUNK, _CHUNK, 0)
         return np.append(0.0, np.cumsum((bias * up).sum(axis=1))) / self._imu.rate_hz
@@ -112,7 +112,7 @@ class ImuSampler:
     def _sample_errors(
         self, sizes: tuple[float, float, float, float], first: int, count: int, first_axis: int
     ) -> tuple[F8, F8]:
-        """Return the errors (count, 3) of three axes, white noise and bias, and the bias alone. Errors of size zero are not drawn."""
+        """Return errors (count, 3) of three axes, noise plus bias, and the bias; none of size 0 is drawn."""
         bias, noise, walk, warm_up = sizes
         warmed = (
             1.0 - exp(-np.arange(first, first + count) / (self._imu.rate_hz * _WARM_UP_S)) if warm_up else 0.0
@@ -139,7 +139,7 @@ class ImuSampler:
 
 
 def _random_walk(seed: int, first: int, count: int, lane: int) -> F8:
-    """Return the cumulative sum (count,) of standard normal numbers at samples first .. first + count - 1, 0 at sample 0.
+    """Return the cumulative sum (count,) of normal numbers from sample `first` on; 0 at sample 0.
 
     Ends of chunks come from halving intervals (Levy's construction of Brownian motion), the samples between
     from a Brownian bridge: the sum costs the same after any time.

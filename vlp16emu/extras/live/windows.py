@@ -108,19 +108,19 @@ class CubeWindows(Windows[Geometry]):
         cube = Cube.around(before_m)
         if not cube.serves(place_m, float(norm(known.world_v_body_m_s[1]))):
             cube = Cube.around(place_m)
-        return self._named(cube, block)
+        return self._window_name(cube, block)
 
     def open_ahead(self, block: int, stop: int) -> None:  # noqa: ARG002  # the body goes on
         """Begin to open the window of the cube that the body has entered."""
         known_ns = self._begin_ns(block) - _KNOWN_NS
         place_m = self._motion.poses_at(np.array([known_ns])).world_p_body_m[0]
-        self._opened(self._named(Cube.around(place_m), block + self._ahead))
+        self._opened(self._window_name(Cube.around(place_m), block + self._ahead))
 
     def _begin_ns(self, block: int) -> int:
         """UTC at which the ordinary block begins that a block is part of."""
         return self._start_ns + block // self._parts * self._parts * self._block_ns
 
-    def _named(self, cube: Cube, block: int) -> tuple[Cube, int]:
+    def _window_name(self, cube: Cube, block: int) -> tuple[Cube, int]:
         return cube, block // self._segment if self._segment else 0
 
 
