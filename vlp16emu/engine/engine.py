@@ -142,7 +142,7 @@ class Engine:
     def returns(
         self, start_s: float = 0.0, stop_s: float | None = None, unit: int = 0, *, truth: bool = False
     ) -> Iterator[Returns]:
-        """Return a unit's returns before packing, in whole blocks that cover the span; with their surfaces if `truth`.
+        """Return a unit's returns before packing, in whole blocks that cover the span; surfaces if `truth`.
 
         A block in which settings change is returned once for the settings before and once for those after,
         each time with the firing sequences that are sent; blocks without any are left out.
@@ -167,7 +167,7 @@ class Engine:
         return replace(self, scenario=scenario, parts=with_events(self.parts, scenario))
 
     def span_ns(self, start_s: float, stop_s: float | None) -> tuple[int, int]:
-        """Check a span of the run and convert it to nanoseconds since the first pulse; the default end is the scene's.
+        """Check a span of the run and convert it to ns since the first pulse; the default end is the scene's.
 
         Raises TrajectoryError if it begins before the first pulse, ends after the motion or after two weeks,
         or if no poses arrive in a live scene.
@@ -203,9 +203,9 @@ class Engine:
 
     def _returns_of(self, unit: Unit, stretch: Stretch, blocks: range, *, truth: bool) -> Iterator[Returns]:
         """Yield returns of the blocks in which a stretch sends, with the firing sequences that are sent."""
-        own = stretch.blocks_among(blocks, self.batching.block)
+        sending = stretch.blocks_among(blocks, self.batching.block)
         for returns in self._scans(
-            unit, unit.detector.for_mode(stretch.mode), own, self.threads, truth=truth
+            unit, unit.detector.for_mode(stretch.mode), sending, self.threads, truth=truth
         ):
             first = returns.firings.index
             sent = unit.timeline.is_sent(stretch, first, first + len(returns.distance_m))

@@ -135,10 +135,10 @@ class Timeline:
             chosen = self.chosen(span, first, min(first + _AT_ONCE, stop))
             rows = np.concatenate([left, chosen[skipped:]])
             skipped = max(skipped - len(chosen), 0)
-            whole = len(rows) // span.per_packet * span.per_packet
-            left = rows[whole:]
-            if whole:
-                yield rows[:whole].reshape(-1, span.per_packet)
+            complete = len(rows) // span.per_packet * span.per_packet
+            left = rows[complete:]
+            if complete:
+                yield rows[:complete].reshape(-1, span.per_packet)
 
     def stretches(self, start_ns: int, stop_ns: int) -> Iterator[Stretch]:
         """Cut a span since the first pulse where settings change; stretches without packets are dropped.
@@ -237,11 +237,11 @@ class Packer:
             self._lost += skipped
             rows = _rows(rows, slice(skipped, None))
         rows = _concatenate(self._left, rows) if self._left else rows
-        whole = _count(rows) // per_packet * per_packet
-        self._left = _rows(rows, slice(whole, None)) if whole < _count(rows) else None
-        if not whole:
+        complete = _count(rows) // per_packet * per_packet
+        self._left = _rows(rows, slice(complete, None)) if complete < _count(rows) else None
+        if not complete:
             return
-        rows = _rows(rows, slice(whole))
+        rows = _rows(rows, slice(complete))
         unit = self._unit
         packets = pack_data(rows, stretch.mode, SensorModel(unit.section.model), unit.number)
         if self._truth_of is None:
@@ -269,20 +269,20 @@ def _rows(returns: Returns, rows: slice | NDArray[np.int64]) -> Returns:
     return Returns(firings, surfaces=returns.surfaces, mode=returns.mode, **taken)
 
 
-def _concatenate(one: Returns, other: Returns) -> Returns:
+def _concatenate(earlier: Returns, later: Returns) -> Returns:
     """Concatenate the rows of two returns and their tables of surfaces."""
 
     def both(first: object, second: object, names: tuple[str, ...]) -> dict[str, Any]:
-        there = [name for name in names if getattr(first, name) is not None]
-        return {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in there}
+        present = [name for name in names if getattr(first, name) is not None]
+        return {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in present}
 
-    if one.surfaces is not None and other.surface is not None:
-        moved = other.surface + np.uint32(len(one.surfaces))
-        other = replace(other, surface=np.where(other.surface == NO_SURFACE, NO_SURFACE, moved))
+    if earlier.surfaces is not None and later.surface is not None:
+        moved = later.surface + np.uint32(len(earlier.surfaces))
+        later = replace(later, surface=np.where(later.surface == NO_SURFACE, NO_SURFACE, moved))
     firings = Firings(
-        index=one.firings.index, beam_axis=None, **both(one.firings, other.firings, _BY_SEQUENCE)
+        index=earlier.firings.index, beam_axis=None, **both(earlier.firings, later.firings, _BY_SEQUENCE)
     )
-    return Returns(firings, mode=one.mode, **both(one, other, (*_BY_RETURN, "surfaces")))
+    return Returns(firings, mode=earlier.mode, **both(earlier, later, (*_BY_RETURN, "surfaces")))
 
 
 def _count(returns: Returns) -> int:

@@ -82,7 +82,7 @@ class Batching:
         return range(start_ns // self.block_ns, -(-stop_ns // self.block_ns))
 
     def edges_ns(self, segment: int) -> NDArray[np.int64]:
-        """Edges (n,) of the whole blocks of a segment, since the first pulse: begin times, and the last end."""
+        """Edges (n,) of the whole blocks of a segment since the first pulse: begins, and the last end."""
         first, stop = segment * self.segment, (segment + 1) * self.segment
         return np.arange(first, stop + 1, self.parts, dtype=np.int64) * self.block_ns
 
@@ -110,7 +110,7 @@ class Windows(Generic[S]):
         self._per_segment = batching.segment if moves else None
         self._free = int((1 - _LEAD - _LAG) * batching.segment)
         self._parts = batching.parts
-        opener = ThreadPoolExecutor(1, "open", self.yielding)
+        opener = ThreadPoolExecutor(1, "open", self.prepare_thread)
         too_far = max(0, threads + 1 - self._free)
 
         @lru_cache(self.kept + math.ceil(too_far / batching.segment))
@@ -136,8 +136,8 @@ class Windows(Generic[S]):
         return future.result()
 
     @staticmethod
-    def yielding() -> None:
-        """Start a thread that opens windows, with the priority of the others."""
+    def prepare_thread() -> None:
+        """Prepare a thread that opens windows; its priority is that of the others."""
 
     def name_of(self, block: int) -> Hashable:
         """Name of the window of a block: its segment."""

@@ -29,7 +29,7 @@ class Spline:
         return np.clip(np.searchsorted(self.breaks, x, side="right") - 1, 0, len(self.breaks) - 2)
 
     def within(self, x: F8) -> tuple[F8, F8]:
-        """Return the coefficients (degree + 1, m, k) at parameters (k,), and the distances (k,) from the breaks."""
+        """Return coefficients (degree + 1, m, k) at parameters (k,), and distances (k,) from the breaks."""
         piece = self.piece(x)
         return np.take(np.moveaxis(self.powers, 1, -1), piece, axis=-1), x - self.breaks[piece]
 
@@ -78,7 +78,10 @@ def _cells(knots: F8, x: F8, degree: int) -> I8:
 
 
 def _basis(knots: F8, x: F8, cell: I8, degree: int) -> F8:
-    """Return the nonzero B-splines (n, degree + 1) (de Boor, A Practical Guide to Splines, chapter X, algorithm BSPLVB)."""
+    """Return the nonzero B-splines (n, degree + 1).
+
+    Source: de Boor, A Practical Guide to Splines, chapter X, algorithm BSPLVB.
+    """
     value = np.ones((len(x), 1))
     for j in range(1, degree + 1):
         before = value

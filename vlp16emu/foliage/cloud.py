@@ -69,10 +69,10 @@ def cloud_of(meshes: Sequence[Mesh], parts: U1) -> Cloud:
     first = np.cumsum([0, *(len(mesh.faces) for mesh in meshes)])
     corners_m = np.empty((first[-1], 4, 3))
     for mesh, begin, stop in zip(meshes, first, first[1:], strict=False):
-        own = corners_m[begin:stop]
-        own[:, : mesh.faces.shape[1]] = mesh.vertices_m.take(mesh.faces, axis=0)
+        faces_m = corners_m[begin:stop]
+        faces_m[:, : mesh.faces.shape[1]] = mesh.vertices_m.take(mesh.faces, axis=0)
         if mesh.faces.shape[1] == 3:
-            own[:, 3] = own[:, 2]
+            faces_m[:, 3] = faces_m[:, 2]
     mesh_of = np.repeat(np.arange(len(meshes)), np.diff(first))
     area_m2, weight = _face_areas(corners_m, mesh_of, len(meshes))
     projection = np.zeros((len(meshes), len(KNOTS)))
@@ -136,9 +136,11 @@ def _cells(corners_m: F8, mesh_of: I8, area_m2: F8) -> tuple[F4, F4, U1]:
     at -= at.min(axis=0)
     _, ny, nz = (at.max(axis=0) + 1).tolist()
     column = mesh_of * (at[:, 0].max() + 1) + at[:, 0]
-    _, some, own = np.unique((column * ny + at[:, 1]) * nz + at[:, 2], return_index=True, return_inverse=True)
-    total = np.bincount(own, area_m2)  # in the order of faces
-    weighted = np.column_stack([np.bincount(own, area_m2 * along_m) for along_m in middle_m.T])
+    _, some, cell = np.unique(
+        (column * ny + at[:, 1]) * nz + at[:, 2], return_index=True, return_inverse=True
+    )
+    total = np.bincount(cell, area_m2)  # in the order of faces
+    weighted = np.column_stack([np.bincount(cell, area_m2 * along_m) for along_m in middle_m.T])
     place_m = weighted / np.maximum(total, 1e-12)[:, None]
     return place_m.astype(np.float32), total.astype(np.float32), mesh_of[some].astype(np.uint8)
 

@@ -280,14 +280,14 @@ class FarCaster(EmbreeCaster):
         if not new:
             return
 
-        def measured(of: tuple[ShapeKey, U1]) -> Cloud:
-            (key, parts) = of
-            name = self._tiled.shape_name(of[0])
+        def measure(shape: tuple[ShapeKey, U1]) -> Cloud:
+            key, parts = shape
+            name = self._tiled.shape_name(key)
             return recall(
                 name and f"cloud {name} {parts.tolist()}", lambda: cloud_of(self._tiled.shape(key), parts)
             )
 
-        self._clouds |= dict(zip(new, self._workers.map(measured, new.items()), strict=True))
+        self._clouds |= dict(zip(new, self._workers.map(measure, new.items()), strict=True))
         self._place = {key: number for number, key in enumerate(self._clouds)}
         self._names = [self._tiled.shape_name(key) for key in self._clouds]
         clouds = list(self._clouds.values())

@@ -373,7 +373,7 @@ def _fill_lines(
 
 @kernel
 def _march_misses(passage: Passage, cast: Cast, todo: int, count: int, reach: np.float32) -> None:
-    """Continue rays without a near hit through the medium; `reach` is their distance from the centre, in sigmas."""
+    """Continue rays without a near hit through the medium; `reach` is how far from the centre, in sigmas."""
     (medium, _, L, ahead) = passage
     light = cast.light
     if light.reach_m >= light.far_m:

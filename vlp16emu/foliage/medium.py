@@ -80,7 +80,7 @@ def block_of(
 def _placements_near(
     library: Library, shape_of: dict[object, int], tile: FarTile, number: int, corner_m: F8
 ) -> tuple[I8, F8, I8, I8]:
-    """Select the placements of a tile that may reach into the tile at `corner_m`; return the arrays of `fill_block`."""
+    """Select the placements of a tile that may reach into the tile at `corner_m`, for `fill_block`."""
     places = np.array([shape_of[key] for key in tile.keys], np.int64)
     which = places[tile.shape] if len(tile.shape) else np.zeros(0, np.int64)
     world_T = tile.world_T_shape

@@ -27,7 +27,7 @@ class Piecewise:
         return Poses(t_ns, turn, position_m)
 
     def kinematics_at(self, t_ns: I8) -> Kinematics:
-        """Return poses at UTC instants (n,) with their derivatives, which are zero while the body is at rest."""
+        """Return poses at UTC instants (n,) with their derivatives, zero while the body is at rest."""
         poses = self.poses_at(t_ns)
         rates = np.empty((4, len(t_ns), 3))
         fill_rates(*self._arrays, t_ns - self._start_ns, rates)

@@ -89,7 +89,7 @@ class Footprint:
 
     @property
     def sigmas(self) -> F8:
-        """Standard deviations (4,): spot horizontal and vertical in metres, divergence likewise in radians."""
+        """Standard deviations (4,): spot horizontal and vertical in m, divergence likewise in radians."""
         section = self.section
         return np.array([1e-3 * width for width in (*section.spot_mm, *section.divergence_mrad)]) / 4
 
@@ -164,9 +164,9 @@ def lay(rays: F4, axes: F4, sigmas: F4, u: np.uint32, v: np.uint32, first: int, 
     else:
         for lane in range(ROUND):
             ring = np.uint32(u + np.uint32(first + lane) * _STEP_U) >> _SHIFT
-            way = np.uint32(v + np.uint32(first + lane) * _STEP_V) >> _SHIFT
-            rays[lane] = _RADIUS[ring] * _COS[way]
-            rays[_Y + lane] = _RADIUS[ring] * _SIN[way]
+            turned = np.uint32(v + np.uint32(first + lane) * _STEP_V) >> _SHIFT
+            rays[lane] = _RADIUS[ring] * _COS[turned]
+            rays[_Y + lane] = _RADIUS[ring] * _SIN[turned]
     spot_x_m = sigmas[0]
     spot_y_m = sigmas[1]
     spread_x = sigmas[2]

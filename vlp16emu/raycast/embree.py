@@ -120,8 +120,8 @@ def device() -> int:
 def _new_device() -> int:
     """Make a device; tests extend its configuration with `VLP16EMU_EMBREE`: `isa=sse4.2`, `verbose=1`."""
     # One thread per build: our own workers build shapes in parallel.
-    own = ("threads=1", "set_affinity=0", os.environ.get("VLP16EMU_EMBREE", ""))
-    handle: int | None = library().rtcNewDevice(",".join(filter(None, own)).encode())
+    settings = ("threads=1", "set_affinity=0", os.environ.get("VLP16EMU_EMBREE", ""))
+    handle: int | None = library().rtcNewDevice(",".join(filter(None, settings)).encode())
     if handle is None:
         raise RunError(f"Embree gave no device: {_meaning(library().rtcGetDeviceError(None))}")
     return handle

@@ -162,12 +162,12 @@ def concatenate(groups: list[U4]) -> U4:
     n = ZERO
     for group in groups:
         n += group.shape[1]
-    whole = np.empty((3, n), np.uint32)
+    joined = np.empty((3, n), np.uint32)
     n = ZERO
     for group in groups:
-        whole[:, n : n + group.shape[1]] = group
+        joined[:, n : n + group.shape[1]] = group
         n += group.shape[1]
-    return whole
+    return joined
 
 
 @kernel
@@ -290,21 +290,21 @@ def _store_hits(cast: Cast, beyond: Target | None, q: int, step: int, count: int
 def _store_misses(cast: Cast, beyond: Target, q: int, step: int, count: int) -> None:
     """Store the rays that go on for the medium, and cast them against faces at any range."""
     _, light, packet, batch = cast
-    own = packet.own
+    world_rays = packet.world_rays
     instance = packet.instance
     valid = packet.valid
     row = batch.row
     surface = batch.surface
     if step == 0:
         for at in range(3 * LANES):
-            row[q, ORIGIN + at] = own[ORG + at]
-            row[q, DIRECTION + at] = own[DIR + at]
+            row[q, ORIGIN + at] = world_rays[ORG + at]
+            row[q, DIRECTION + at] = world_rays[DIR + at]
     else:
         for r in range(count):
             if valid[r]:
                 for a in range(3):
-                    row[q + r, ORIGIN + LANES * a] = own[ORG + PACKET * a + r]
-                    row[q + r, DIRECTION + LANES * a] = own[DIR + PACKET * a + r]
+                    row[q + r, ORIGIN + LANES * a] = world_rays[ORG + PACKET * a + r]
+                    row[q + r, DIRECTION + LANES * a] = world_rays[DIR + PACKET * a + r]
     if not beyond.scene:
         return
     cast_packet(beyond, packet, light.reach_m, light.far_m)
@@ -335,15 +335,15 @@ def settle(
     range_m = hits.range_m
     surface = hits.surface
     cosine = hits.cos_incidence
-    most = batch.scratch.shape[1]
-    own = have + count
+    room = batch.scratch.shape[1]
+    total = have + count
     lasers = met.shape[0] // PACKET
     first_m = first_round[0].view(np.float32)
     first_cosine = first_round[2].view(np.float32)
     for t in range(todo):
         q = batch.todo[t]
-        begin = q * most
-        at = q * most + have
+        begin = q * room
+        at = q * room + have
         for lane in range(LANES):
             range_m[at + lane] = np.float32(np.inf) if met[q, lane] == NONE else row[q, RANGE + lane]
             surface[at + lane] = met[q, lane]
@@ -354,10 +354,10 @@ def settle(
                 first_m[to + lane] = range_m[at + lane]
                 first_cosine[to + lane] = cosine[at + lane]
                 first_round[1, to + lane] = surface[at + lane]
-        batch.have[q] = own
-        needs_more = own < budget.most
+        batch.have[q] = total
+        needs_more = total < budget.most
         if needs_more and budget.adaptive:
-            stop = begin + own
+            stop = begin + total
             ranges = range_m[begin:stop]
             surfaces = surface[begin:stop]
             cosines = cosine[begin:stop]
@@ -371,7 +371,7 @@ def settle(
 @array_kernel
 def further(batch: Batch, each: int, first: int, count: U2) -> U4:
     """Count the hits of eight sequences; return those after the first `each`, as `cast_pulses` does."""
-    most = batch.scratch.shape[1]
+    room = batch.scratch.shape[1]
     n = ZERO
     for q in range(PACKET * count.shape[1]):
         count[first + q % PACKET, q // PACKET] = batch.have[q]
@@ -382,7 +382,7 @@ def further(batch: Batch, each: int, first: int, count: U2) -> U4:
     cosine = further[2].view(np.float32)
     for i in range(PACKET):
         for j in range(count.shape[1]):
-            begin = (PACKET * j + i) * most
+            begin = (PACKET * j + i) * room
             for s in range(each, batch.have[PACKET * j + i]):
                 range_m[n] = batch.hits.range_m[begin + s]
                 further[1, n] = batch.hits.surface[begin + s]

@@ -131,7 +131,7 @@ def target_of(placed: Placed, kept: NDArray[np.bool_] | None = None) -> Target:
 
 
 def _by_sectors(azimuth_deg: F8) -> I8:
-    """Order packets (k / 8,) by sector, so that all revolutions pass one before the next; return their starts."""
+    """Return starts of packets (k / 8,) by sector: all revolutions pass one sector before the next."""
     sector = (azimuth_deg[::PACKET, 0] / _SECTOR_DEG).astype(np.int64)
     return np.argsort(sector, kind="stable") * PACKET
 

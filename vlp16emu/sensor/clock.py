@@ -61,13 +61,13 @@ class Clock:
         return np.array([span.from_ns for span in self.spans[1:]], np.int64)
 
     def reading_ns(self, t_ns: I8) -> I8:
-        """Return nanoseconds past the counter's hour at UTC instants of any shape."""
+        """Return nanoseconds past the counter's hour at UTC instants span any shape."""
         if len(self.spans) == 1:
             return self.spans[0].reading(t_ns)
         out = np.empty(t_ns.shape, np.int64)
-        of = np.searchsorted(self._turns_ns, t_ns, side="right")
-        for number in np.unique(of).tolist():
-            out[of == number] = self.spans[number].reading(t_ns[of == number])
+        span = np.searchsorted(self._turns_ns, t_ns, side="right")
+        for number in np.unique(span).tolist():
+            out[span == number] = self.spans[number].reading(t_ns[span == number])
         return out
 
 

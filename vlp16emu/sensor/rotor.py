@@ -305,7 +305,7 @@ class Rotor:
 
     @cached_property
     def _pulls(self) -> tuple[I8, I8, I8, I8]:
-        """Begin and end of each lock, the lead of the motor at its begin, and the lead removed until its end."""
+        """Begin and end of each lock, the motor's lead at its begin, and the lead removed until its end."""
         assert self.drift is not None
         bounds_ns = np.array(self.locks_ns.spans)
         ahead_ns = swung_ns((self.drift,), bounds_ns.reshape(-1)) - bounds_ns.reshape(-1)

@@ -126,8 +126,8 @@ class Pack:
     def _push(self, second: int) -> F8:
         state = np.zeros((AXES, 2))
         out = np.zeros((KNOTS_PER_S + 1, AXES, 3))
-        whole = np.ascontiguousarray(self._steps[:, -1:])  # from knot to knot
-        _swing(self._pieces(second), whole, state, self._stiffness, self._drag, out)
+        per_knot = np.ascontiguousarray(self._steps[:, -1:])  # from knot to knot
+        _swing(self._pieces(second), per_knot, state, self._stiffness, self._drag, out)
         return state
 
 

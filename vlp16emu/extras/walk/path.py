@@ -131,7 +131,7 @@ def path_over(way_points_m: F8, height_m: HeightField, ground: str) -> Path:
 
 @array_kernel
 def limit_slope(values: F8, step: F8) -> None:
-    """Lower values (n,) in place as little as possible, until values i and i + 1 differ by at most step[i]."""
+    """Lower values (n,) in place as little as possible, until neighbours differ by at most step[i] >= 0."""
     for i in range(values.size - 1):
         values[i + 1] = min(values[i + 1], values[i] + step[i])
     for i in range(values.size - 2, -1, -1):

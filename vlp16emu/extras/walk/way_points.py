@@ -163,7 +163,7 @@ def _there_and_back(points: WayPoints) -> WayPoints:
 
 
 def _turning_loop(before_m: F8, end_m: F8) -> F8:
-    """Waypoints (n, 2) of a loop that leads back to the end of a way in the opposite direction.
+    """Waypoints (n, 2) of a loop that leads back to the end of a path in the opposite direction.
 
     It is a sixth of a circle to the right, five sixths to the left round a centre straight ahead, and a sixth
     to the right, all with one radius, and has a waypoint at each sixth.
