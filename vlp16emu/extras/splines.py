@@ -1,4 +1,4 @@
-"""Interpolating splines by additions, products and quotients in a fixed order: the same bits on every processor.
+"""Interpolating splines, computed in a fixed order for the same bits on every processor.
 
 Libraries solve for splines with LAPACK, which selects its code by processor.
 """

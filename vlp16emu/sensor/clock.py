@@ -29,7 +29,7 @@ class ClockSpan:
     )
 
     def reading(self, t_ns: I8) -> I8:
-        """Return ns past the counter's hour at UTC instants of any shape; before the span, its first reading."""
+        """Return ns past the counter's hour at UTC instants of any shape; before the span, the first."""
         if self.reading_ns is None:
             if not self.error_ppm:
                 return np.asarray(t_ns % HOUR_NS)

@@ -74,7 +74,7 @@ class PoseReceiver:
         self._socket.close()
 
     def _run(self) -> None:
-        """Pass on poses until closed; of several waiting poses only the last, so that a flood costs little."""
+        """Pass on poses until closed; of several waiting poses only the last, so a flood costs little."""
         while not self._over.is_set():
             if not select.select([self._socket], [], [], _LISTEN_S)[0]:
                 continue

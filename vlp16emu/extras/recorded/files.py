@@ -115,7 +115,7 @@ def _timed(table: Table) -> RecordedPoses:
 
 
 def _valid_poses(table: Table, t_ns: Sequence[int], poses: F8) -> RecordedPoses:
-    """Return poses (n, 7) with times; TrajectoryError for a bad quaternion or a time that does not increase."""
+    """Return poses (n, 7) with times; TrajectoryError for a bad quaternion or times that do not increase."""
     if len(table) < 2:
         raise TrajectoryError(str(table.path), f"found {len(table)} poses", "at least 2")
     for i, (before, after) in enumerate(pairwise(t_ns), start=1):

@@ -97,13 +97,15 @@ def check_places(position_m: F8, site: Site, reach_m: float) -> None:
         norm(plan_m - site.origin_m[:2]) < norm(plan_m)
     ).all():  # the origin in map coordinates is nearer than (0, 0)
         _log.warning(
-            "motion: recorded poses begin at (%.1f, %.1f, %.1f) m, as if in map coordinates; origin_m is not taken off"
+            "motion: recorded poses begin at (%.1f, %.1f, %.1f) m, as if in map coordinates; "
+            "origin_m is not taken off"
             " them: expected motion.x_m = %.10g, y_m = %.10g, z_m = %.10g",
             *(*position_m[0], *(-value for value in site.origin_m)),
         )
     elif above_m.min() < 0 or above_m.min() > reach_m:
         _log.warning(
-            "motion: recorded poses lie from %.1f to %.1f m above the ground; expected above it and in sight of it"
+            "motion: recorded poses lie from %.1f to %.1f m above the ground; "
+            "expected above it and in sight of it"
             " (motion.z_m moves them)",
             *(above_m.min(), above_m.max()),
         )

@@ -132,7 +132,8 @@ def check_gait(gait: Gait, sensor_height_m: float) -> None:
     dip_m = (1.0 + gait.variation) * (gait.vertical_m + gait.second_harmonic_m + gait.heel_strike_m)
     if dip_m >= sensor_height_m:
         _log.warning(
-            "motion.gait: lowers the sensor by %.2f m, into the ground; expected less than sensor_height_m = %g m",
+            "motion.gait: lowers the sensor by %.2f m, into the ground; "
+            "expected less than sensor_height_m = %g m",
             *(dip_m, sensor_height_m),
         )
 

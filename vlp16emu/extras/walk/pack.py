@@ -86,7 +86,7 @@ class Pack:
         self._pushed = lru_cache(self._memory_s + 8)(self._push)
 
     def nodes(self, second: int) -> F8:
-        """Return displacement, velocity and acceleration (1001, 6, 3) at the nodes of a second, ends included.
+        """Return displacement, velocity and acceleration (1001, 6, 3) at a second's nodes, ends included.
 
         The second of the first step is 0. The result does not depend on earlier calls.
         """

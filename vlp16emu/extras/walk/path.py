@@ -37,7 +37,8 @@ _GAUSS = (
     (0.0, 0.5688888888888889),
     (0.5384693101056831, 0.47862867049936647),
     (0.906179845938664, 0.23692688505618908),
-)  # places between -1 and 1, and weights, of Gauss and Legendre's quadrature (Abramowitz and Stegun, table 25.4)
+)
+"""Places between -1 and 1, and weights, of Gauss-Legendre quadrature (Abramowitz and Stegun, table 25.4)."""
 
 
 class Path:
