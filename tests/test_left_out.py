@@ -114,7 +114,7 @@ BARE, STRAPS = "motion.gait={ preset = 'none' }", "motion.harness={}"
 @pytest.mark.parametrize(
     ("places", "without", "beside"),
     [
-        ([(gait.Trunk, "at"), (pack.Pack, "nodes"), (motion, "_sit")], [BARE, STRAPS], []),
+        ([(gait.Trunk, "at"), (pack.Pack, "nodes"), (motion, "_add_pack")], [BARE, STRAPS], []),
         ([(pack, "_swing")], [], [STRAPS]),
     ],
 )

@@ -11,7 +11,7 @@ from raycast import lab
 
 from vlp16emu.foliage.far import FarCaster
 from vlp16emu.foliage.lanes import lanes
-from vlp16emu.foliage.stems import seen
+from vlp16emu.foliage.stems import no_stems_ahead
 from vlp16emu.foliage.voxel import QUANTILES, VOXEL_M
 from vlp16emu.types import NO_SURFACE, PlantPart
 
@@ -30,7 +30,10 @@ def one_voxel(empty, code, cell=(2, 1, 3), corner=(40, -7, 11)):
     )
 
 
-LANES, NO_STEMS = lanes(), seen(lab.no_medium().stems)  # made once: thousands of rays go through them
+LANES, NO_STEMS = (
+    lanes(),
+    no_stems_ahead(lab.no_medium().stems),
+)  # made once: thousands of rays go through them
 
 
 def met_m(medium, origin_m, direction, far_m=60.0):

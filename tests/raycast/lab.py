@@ -9,7 +9,7 @@ import trimesh
 
 from vlp16emu.foliage.lanes import Ground, Medium, Pulse
 from vlp16emu.foliage.march import march
-from vlp16emu.foliage.stems import see_stems, seen, stems_of
+from vlp16emu.foliage.stems import find_stems_ahead, no_stems_ahead, stems_of
 from vlp16emu.foliage.tiles import STEM, FarTile, TiledWindow
 from vlp16emu.foliage.voxel import KNOTS, QUANTILES
 from vlp16emu.forest.tiles import TileKey, ground_mesh
@@ -353,8 +353,8 @@ def no_medium():
 
 def sight_of(medium, axes, far_m, aside_m=0.0, spread=0.0):
     """List the stems of a medium that pulses, origins and directions (n, 6), may meet."""
-    ahead = seen(medium.stems)
-    see_stems(medium.stems, ahead, axes, medium.near_m, far_m, aside_m, spread)
+    ahead = no_stems_ahead(medium.stems)
+    find_stems_ahead(medium.stems, ahead, axes, medium.near_m, far_m, aside_m, spread)
     return ahead
 
 

@@ -9,7 +9,7 @@ from vlp16emu.elementary import matvec
 from vlp16emu.extras.displace import displace
 from vlp16emu.raycast.adaptive import enough
 from vlp16emu.raycast.beam import LINE, ROUND, beam_axis_of, lay, pulse_axes, turn
-from vlp16emu.raycast.build import relative_to_window, sheared
+from vlp16emu.raycast.build import relative_to_window, shear_placements
 from vlp16emu.raycast.pieces import faces_of
 from vlp16emu.types import NO_SURFACE, Hits
 
@@ -23,7 +23,7 @@ def frozen(window, t_ns):
     knot = min(int(at), steps - 1)
     shear = sway.shear[knot] + (at - knot) * (sway.shear[knot + 1] - sway.shear[knot])
     transforms = window.world_T_shape.copy()
-    transforms[sway.placement] = sheared(transforms[sway.placement], sway.foot_z_m, shear)
+    transforms[sway.placement] = shear_placements(transforms[sway.placement], sway.foot_z_m, shear)
     return replace(window, world_T_shape=transforms, sway=None)
 
 

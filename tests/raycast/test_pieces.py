@@ -13,7 +13,7 @@ from vlp16emu.foliage import far
 from vlp16emu.foliage.far import STRAY_M, FarCaster, within_reach
 from vlp16emu.raycast.build import _SHARPEST, _WIDER_M, widened
 from vlp16emu.raycast.packet import LEVEL
-from vlp16emu.raycast.pieces import faces_of, in_pieces
+from vlp16emu.raycast.pieces import faces_of, split_into_pieces
 from vlp16emu.types import SURFACE, Mesh, Sway, Window
 
 
@@ -86,7 +86,7 @@ STEMS = [drum([0.2] * 7, at_m=(x, 3.0)) for x in (-6.0, 0.0, 6.0)]
 def test_pieces_hold_each_face_once():
     """Faces of each mesh are those of before, in another order, and those of a piece are of one slab."""
     faces = faces_of(CONE)
-    ((vertices_m, triangles),), begin, _ = in_pieces([faces])
+    ((vertices_m, triangles),), begin, _ = split_into_pieces([faces])
     assert vertices_m is faces[0]
     assert sorted(triangles.tolist()) == sorted(faces[1].tolist())
     heights = [set(vertices_m[triangles[a:b], 2].min(axis=1) // 1.5) for (a,), (b,) in pairwise(begin)]
@@ -117,7 +117,7 @@ def test_light_meets_pieces_as_it_meets_the_whole(workers):
 def test_boxes_hold_the_faces_of_their_pieces():
     """Each piece has the least box around the corners of its faces, whatever else the mesh has."""
     faces = [faces_of(mesh) for mesh in (ground(), CONE)]
-    ordered, begin, boxes_m = in_pieces(faces)
+    ordered, begin, boxes_m = split_into_pieces(faces)
     assert len(boxes_m) == len(begin) - 1
     for (first, stop), box_m in zip(pairwise(begin), boxes_m, strict=True):
         parts = zip(ordered, first, stop, strict=True)

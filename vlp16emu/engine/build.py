@@ -164,20 +164,20 @@ class Parts:
         )
 
 
-def in_one_world(one: Scenario, other: Scenario) -> bool:
-    """Return whether two runs follow the same path through the same world, so that only their sensors may differ."""
+def in_one_world(first: Scenario, second: Scenario) -> bool:
+    """Return whether two runs follow the same path through the same world; their sensors may differ."""
 
-    def way(scenario: Scenario) -> tuple[object, ...]:
+    def course(scenario: Scenario) -> tuple[object, ...]:
         world = (scenario.world, scenario.world_seed, scenario.wind)
         motion = (scenario.motion, scenario.motion_seed)
         reach = [(sensor.max_range_m, mount) for sensor, mount in _sensors(scenario)]
         return *world, *motion, scenario.gps, scenario.start_ns, reach
 
-    return not one.motion.takes_poses and way(one) == way(other)
+    return not first.motion.takes_poses and course(first) == course(second)
 
 
 def assemble(scenario: Scenario, like: "Engine | None" = None) -> Parts:
-    """Make the parts that a scenario describes; carrier and world are shared with `like` if both are in one world.
+    """Make the parts of a scenario; carrier and world come from `like` if both are in one world.
 
     Raises InputError if a part cannot be made from its section.
     """

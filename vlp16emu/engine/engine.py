@@ -119,7 +119,7 @@ class Engine:
         return cls(scenario, parts, batching, windows, receiver, threads, tuple(taps))
 
     def packets(self, start_s: float = 0.0, stop_s: float | None = None) -> Iterator[Packet]:
-        """Return the packets sent from `start_s` until before `stop_s` after the first pulse, in order of sending.
+        """Return the packets sent from `start_s` until before `stop_s`, in order of sending.
 
         Raises ScenarioError if the sensor has no packets; TrajectoryError if the span begins before the first
         pulse, or if the walk ends before the span.
@@ -142,7 +142,7 @@ class Engine:
     def returns(
         self, start_s: float = 0.0, stop_s: float | None = None, unit: int = 0, *, truth: bool = False
     ) -> Iterator[Returns]:
-        """Return a unit's returns before packing, in whole blocks that cover the span; with their surfaces if `truth`.
+        """Return a unit's returns before packing, in whole blocks that cover the span; surfaces if `truth`.
 
         A block in which settings change is returned once for the settings before and once for those after,
         each time with the firing sequences that are sent; blocks without any are left out.
@@ -167,7 +167,7 @@ class Engine:
         return replace(self, scenario=scenario, parts=with_events(self.parts, scenario))
 
     def span_ns(self, start_s: float, stop_s: float | None) -> tuple[int, int]:
-        """Check a span of the run and convert it to nanoseconds since the first pulse; the default end is the scene's.
+        """Check a span of the run and convert it to ns since the first pulse; the default end is the scene's.
 
         Raises TrajectoryError if it begins before the first pulse, ends after the motion or after two weeks,
         or if no poses arrive in a live scene.
@@ -202,10 +202,10 @@ class Engine:
                 yield from packets
 
     def _returns_of(self, unit: Unit, stretch: Stretch, blocks: range, *, truth: bool) -> Iterator[Returns]:
-        """Yield the returns of the blocks in which a stretch sends, with the firing sequences that it sends."""
-        own = stretch.blocks_among(blocks, self.batching.block)
+        """Yield returns of the blocks in which a stretch sends, with the firing sequences that are sent."""
+        sending = stretch.blocks_among(blocks, self.batching.block)
         for returns in self._scans(
-            unit, unit.detector.for_mode(stretch.mode), own, self.threads, truth=truth
+            unit, unit.detector.for_mode(stretch.mode), sending, self.threads, truth=truth
         ):
             first = returns.firings.index
             sent = unit.timeline.is_sent(stretch, first, first + len(returns.distance_m))
@@ -245,7 +245,7 @@ def make_receiver(scenario: Scenario, parts: Parts, windows: Windows[Geometry]) 
 
 
 def number_at(scenario: Scenario, unit: Unit, kind: PacketKind, since_ns: int) -> int:
-    """Find the number of the first packet of a kind that a unit sends at or after a time since the first pulse."""
+    """Return the number of the first packet of a kind sent at or after a time since the first pulse."""
     if kind is PacketKind.DATA:
         return unit.timeline.count(0, since_ns)
     rate = require_packets(unit.section).position_rate
@@ -253,7 +253,7 @@ def number_at(scenario: Scenario, unit: Unit, kind: PacketKind, since_ns: int) -
 
 
 def sent_before(scenario: Scenario, unit: Unit, kind: PacketKind, since_ns: int) -> int:
-    """Count the packets of a kind that leave a unit from the first pulse until before a time since the first pulse.
+    """Count the packets of a kind that a unit sends from the first pulse until before a time since it.
 
     Position packets have numbers also while the sensor is without power, but do not leave.
     """

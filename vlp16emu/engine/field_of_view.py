@@ -59,7 +59,7 @@ class FieldOfView:
     def _far_from_borders(
         self, angle_deg: F8, turned_deg: F8 | float
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return whether readings are inside, and outside, while a rotor turns from angles (n,); both False if a border may be read."""
+        """Return masks of readings surely inside, and surely outside, as a rotor turns from angles (n,)."""
         rotor = self.head.rotor
         width_deg = (self.last_deg - self.first_deg) % 360 + 1
         margin_deg = _CODE_DEG + rotor.encoder.limit_deg + _BACK_DEG * len(rotor.wobbles)

@@ -1,4 +1,4 @@
-"""What a sensor gets from its GPS receiver, and the state of the pulse that follows."""
+"""Input of a sensor from its GPS receiver, and the pulse state that the sensor derives from it."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -37,7 +37,7 @@ def pps_state(*, is_pulsed: bool, is_wrong: bool, is_steady: bool, is_set: bool)
 
 @dataclass(frozen=True)
 class GpsInput:
-    """Pulses and sentences of a receiver, to which the sensor has been locked since before the run; times are UTC in ns.
+    """Pulses and sentences of a receiver; the sensor is locked before the run. Times are UTC in ns.
 
     A sentence is identified by its second and is due `sentence_delay_ns` later. Without a receiver, or
     without disturbances, the state is constant: that receivers keep their pulse under trees is an assumption.
@@ -68,7 +68,7 @@ class GpsInput:
         return Steps(tuple(kept))
 
     def second_ns(self, t_ns: int) -> int | None:
-        """Return the whole UTC second that the sentence in the sensor's buffer names at `t_ns`; None without a sentence.
+        """Return the UTC second named by the sentence in the sensor's buffer; None without a sentence.
 
         The sentence names the last edge before it, so its age is up to a second plus the delay
         (63-9243 Rev D, figure 7-4).
@@ -79,12 +79,12 @@ class GpsInput:
         while True:
             due_ns = second_ns + self.sentence_delay_ns
             missing = self.missing.at(due_ns)
-            if not missing and self._comes_ns(second_ns) <= t_ns:
+            if not missing and self._arrival_ns(second_ns) <= t_ns:
                 break
             before_ns = missing[0] if missing else due_ns
             second_ns = (before_ns - 1 - self.sentence_delay_ns) // S_NS * S_NS
         off = self.off.before(t_ns)
-        if off and self._comes_ns(second_ns) < off[1]:
+        if off and self._arrival_ns(second_ns) < off[1]:
             return None
         return second_ns
 
@@ -95,7 +95,7 @@ class GpsInput:
         if self._wrong.at(due_ns):
             for begin_ns, end_ns, characters in self.garbled:
                 if begin_ns <= due_ns < end_ns:
-                    text = _garbled(text, characters, generator(seed, Purpose.SENTENCE, fix.t_ns // S_NS))
+                    text = _garble(text, characters, generator(seed, Purpose.SENTENCE, fix.t_ns // S_NS))
         return text
 
     @cached_property
@@ -114,10 +114,10 @@ class GpsInput:
         since_ns = [span[1] for spans in (self.lost, self.off) if (span := spans.before(t_ns))]
         is_steady = not since_ns or t_ns >= max(since_ns) + self.pps_window_ns
         second_ns = self.second_ns(t_ns)
-        if second_ns is None or t_ns - self._comes_ns(second_ns) >= STALE_NS:
+        if second_ns is None or t_ns - self._arrival_ns(second_ns) >= STALE_NS:
             return pps_state(is_pulsed=is_pulsed, is_wrong=False, is_steady=is_steady, is_set=False)
         due_ns = second_ns + self.sentence_delay_ns
-        is_wrong = self._wrong.at(due_ns) is not None or self._comes_ns(second_ns) >= second_ns + S_NS
+        is_wrong = self._wrong.at(due_ns) is not None or self._arrival_ns(second_ns) >= second_ns + S_NS
         return pps_state(
             is_pulsed=is_pulsed,
             is_wrong=is_steady and is_wrong,
@@ -125,12 +125,12 @@ class GpsInput:
             is_set=not (self.requires_valid and self.void.at(due_ns)),
         )
 
-    def _comes_ns(self, second_ns: int) -> int:
+    def _arrival_ns(self, second_ns: int) -> int:
         due_ns = second_ns + self.sentence_delay_ns
         return due_ns + self.late.at(due_ns)
 
     def _turns_ns(self) -> set[int]:
-        """Return the instants at which the state may change: pulses and sentences near the bounds of disturbances."""
+        """Return instants at which the state may change: pulses and sentences near ends of disturbances."""
         turns_ns = {bound_ns for span in self.off for bound_ns in span}
         turns_ns |= {end_ns + self.pps_window_ns for _, end_ns in (*self.off, *self.lost)}
         longest_ns = max(delay_ns for _, delay_ns in self.late.steps)
@@ -146,12 +146,12 @@ class GpsInput:
                 before_ns = bound_ns - 2 * S_NS - self.sentence_delay_ns - more_ns
                 seconds.update(range(before_ns // S_NS, (bound_ns + STALE_NS) // S_NS + 3))
         for second in seconds:
-            comes_ns = self._comes_ns(second * S_NS)
+            comes_ns = self._arrival_ns(second * S_NS)
             turns_ns |= {second * S_NS, comes_ns, comes_ns + STALE_NS}
         return turns_ns
 
 
-def _garbled(sentence: bytes, characters: int, random: np.random.Generator) -> bytes:
+def _garble(sentence: bytes, characters: int, random: np.random.Generator) -> bytes:
     """Return a sentence in which so many characters are replaced, so that its checksum is wrong."""
     text = bytearray(sentence)
     body = range(len(b"$GPRMC,"), text.index(b"*"))

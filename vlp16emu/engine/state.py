@@ -1,4 +1,4 @@
-"""State of one sensor over a run, to which the scene and its events write, and from which its parts are made."""
+"""State of one sensor over a run: set by the scene and its events, read by the sensor's parts."""
 
 from dataclasses import dataclass
 from functools import cached_property

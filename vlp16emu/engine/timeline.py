@@ -52,7 +52,7 @@ class Stretch:
         return range(self.first // block, -(-self.stop // block))
 
     def blocks_among(self, blocks: range, block: int) -> range:
-        """Return the part of `blocks`, of `block` firing sequences each, that covers the stretch; it may be empty."""
+        """Return the part of `blocks`, of `block` firing sequences each, in the stretch; it may be empty."""
         stop = blocks.stop if self.stop is None else min(blocks.stop, -(-self.stop // block))
         return range(max(blocks.start, self.first // block), stop)
 
@@ -75,7 +75,7 @@ class Timeline:
         return last if span.stop is None else min(span.stop, last)
 
     def chosen(self, span: Stretch, first: int, stop: int) -> NDArray[np.int64]:
-        """Find the firing sequences from `first` until before `stop`, both even, in the field of view of a span.
+        """Find firing sequences from `first` to before `stop`, both even, in a span's field of view.
 
         A data block is sent as a whole or not at all, by its azimuth; the field of view includes its last
         degree.
@@ -87,7 +87,7 @@ class Timeline:
         return every[np.repeat(inside, 2)]
 
     def _chosen_before(self, span: Stretch, stop: int) -> int:
-        """Count the chosen firing sequences of a span before an even one; each part of the run is counted once."""
+        """Count a span's chosen firing sequences before an even one; the counts are kept."""
         if span.fov_deg is None or stop <= span.first:
             return max(stop - span.first, 0)
         field_of_view = FieldOfView(self.head, *span.fov_deg)
@@ -123,7 +123,7 @@ class Timeline:
                 yield span
 
     def sequences(self, start_ns: int, stop_ns: int) -> Iterator[NDArray[np.int64]]:
-        """Yield the firing sequences (n, 24) or (n, 12) of packets due in a span of time since the first pulse."""
+        """Yield firing sequences (n, 24) or (n, 12) of packets due in a span since the first pulse."""
         for span in self._spans_in(start_ns, stop_ns):
             yield from self._sequences_of(span, start_ns, stop_ns)
 
@@ -135,13 +135,13 @@ class Timeline:
             chosen = self.chosen(span, first, min(first + _AT_ONCE, stop))
             rows = np.concatenate([left, chosen[skipped:]])
             skipped = max(skipped - len(chosen), 0)
-            whole = len(rows) // span.per_packet * span.per_packet
-            left = rows[whole:]
-            if whole:
-                yield rows[:whole].reshape(-1, span.per_packet)
+            complete = len(rows) // span.per_packet * span.per_packet
+            left = rows[complete:]
+            if complete:
+                yield rows[:complete].reshape(-1, span.per_packet)
 
     def stretches(self, start_ns: int, stop_ns: int) -> Iterator[Stretch]:
-        """Cut a span of time since the first pulse where settings change; stretches without packets are left out.
+        """Cut a span since the first pulse where settings change; stretches without packets are dropped.
 
         Each stretch begins with its first packet that is due in the span.
         """
@@ -182,7 +182,7 @@ class Timeline:
 
 
 def stretches_of(operation: Steps[Operation]) -> tuple[Stretch, ...]:
-    """Cut a run at changes of return mode, field of view, laser and power; spans without packets are left out.
+    """Cut a run at changes of mode, field of view, laser and power; drop spans without packets.
 
     A change takes effect with the next packet of single return, and begins a packet.
     """
@@ -208,7 +208,7 @@ def _sequence(since_ns: int) -> int:
 
 
 class Packer:
-    """Packs the returns of a stretch into data packets, with ground truth if asked; keeps the returns of an open packet."""
+    """Packs returns of a stretch into data packets, with ground truth if asked; keeps an open packet."""
 
     def __init__(self, unit: "Unit", stretch: Stretch, truth_of: TruthOf | None = None) -> None:
         self._unit = unit
@@ -236,12 +236,12 @@ class Packer:
         if skipped := min(-self._lost % per_packet, _count(rows)):
             self._lost += skipped
             rows = _rows(rows, slice(skipped, None))
-        rows = _joined(self._left, rows) if self._left else rows
-        whole = _count(rows) // per_packet * per_packet
-        self._left = _rows(rows, slice(whole, None)) if whole < _count(rows) else None
-        if not whole:
+        rows = _concatenate(self._left, rows) if self._left else rows
+        complete = _count(rows) // per_packet * per_packet
+        self._left = _rows(rows, slice(complete, None)) if complete < _count(rows) else None
+        if not complete:
             return
-        rows = _rows(rows, slice(whole))
+        rows = _rows(rows, slice(complete))
         unit = self._unit
         packets = pack_data(rows, stretch.mode, SensorModel(unit.section.model), unit.number)
         if self._truth_of is None:
@@ -269,20 +269,20 @@ def _rows(returns: Returns, rows: slice | NDArray[np.int64]) -> Returns:
     return Returns(firings, surfaces=returns.surfaces, mode=returns.mode, **taken)
 
 
-def _joined(one: Returns, other: Returns) -> Returns:
+def _concatenate(earlier: Returns, later: Returns) -> Returns:
     """Concatenate the rows of two returns and their tables of surfaces."""
 
     def both(first: object, second: object, names: tuple[str, ...]) -> dict[str, Any]:
-        there = [name for name in names if getattr(first, name) is not None]
-        return {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in there}
+        present = [name for name in names if getattr(first, name) is not None]
+        return {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in present}
 
-    if one.surfaces is not None and other.surface is not None:
-        moved = other.surface + np.uint32(len(one.surfaces))
-        other = replace(other, surface=np.where(other.surface == NO_SURFACE, NO_SURFACE, moved))
+    if earlier.surfaces is not None and later.surface is not None:
+        moved = later.surface + np.uint32(len(earlier.surfaces))
+        later = replace(later, surface=np.where(later.surface == NO_SURFACE, NO_SURFACE, moved))
     firings = Firings(
-        index=one.firings.index, beam_axis=None, **both(one.firings, other.firings, _BY_SEQUENCE)
+        index=earlier.firings.index, beam_axis=None, **both(earlier.firings, later.firings, _BY_SEQUENCE)
     )
-    return Returns(firings, mode=one.mode, **both(one, other, (*_BY_RETURN, "surfaces")))
+    return Returns(firings, mode=earlier.mode, **both(earlier, later, (*_BY_RETURN, "surfaces")))
 
 
 def _count(returns: Returns) -> int:

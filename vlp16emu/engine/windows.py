@@ -1,4 +1,4 @@
-"""Computation ahead of time: windows of the world and blocks of a run on several threads, yielded in order."""
+"""Windows of the world and blocks of a run, computed ahead on several threads and yielded in order."""
 
 import math
 from collections import deque
@@ -82,7 +82,7 @@ class Batching:
         return range(start_ns // self.block_ns, -(-stop_ns // self.block_ns))
 
     def edges_ns(self, segment: int) -> NDArray[np.int64]:
-        """Begin times (n,) of the whole blocks of a segment since the first pulse, and the end of the last one."""
+        """Edges (n,) of the whole blocks of a segment since the first pulse: begins, and the last end."""
         first, stop = segment * self.segment, (segment + 1) * self.segment
         return np.arange(first, stop + 1, self.parts, dtype=np.int64) * self.block_ns
 
@@ -110,7 +110,7 @@ class Windows(Generic[S]):
         self._per_segment = batching.segment if moves else None
         self._free = int((1 - _LEAD - _LAG) * batching.segment)
         self._parts = batching.parts
-        opener = ThreadPoolExecutor(1, "open", self.yielding)
+        opener = ThreadPoolExecutor(1, "open", self.prepare_thread)
         too_far = max(0, threads + 1 - self._free)
 
         @lru_cache(self.kept + math.ceil(too_far / batching.segment))
@@ -121,7 +121,7 @@ class Windows(Generic[S]):
         self.stop = Event()  # never set; see `stopped_by`
 
     def stopped_by(self, stop: Event) -> Self:
-        """Return the same windows for a run that stops waiting for windows and blocks as soon as an event is set."""
+        """Return the same windows for a run that stops waiting for results once `stop` is set."""
         other = copy(self)
         other.stop = stop
         return other
@@ -136,8 +136,8 @@ class Windows(Generic[S]):
         return future.result()
 
     @staticmethod
-    def yielding() -> None:
-        """Start a thread that opens windows, with the priority of the others."""
+    def prepare_thread() -> None:
+        """Prepare a thread that opens windows; its priority is that of the others."""
 
     def name_of(self, block: int) -> Hashable:
         """Name of the window of a block: its segment."""

@@ -1,4 +1,4 @@
-"""Interpolating splines by additions, products and quotients in a fixed order: the same bits on every processor.
+"""Interpolating splines, computed in a fixed order for the same bits on every processor.
 
 Libraries solve for splines with LAPACK, which selects its code by processor.
 """
@@ -29,7 +29,7 @@ class Spline:
         return np.clip(np.searchsorted(self.breaks, x, side="right") - 1, 0, len(self.breaks) - 2)
 
     def within(self, x: F8) -> tuple[F8, F8]:
-        """Return the coefficients (degree + 1, m, k) at parameters (k,), and the distances (k,) from the breaks."""
+        """Return coefficients (degree + 1, m, k) at parameters (k,), and distances (k,) from the breaks."""
         piece = self.piece(x)
         return np.take(np.moveaxis(self.powers, 1, -1), piece, axis=-1), x - self.breaks[piece]
 
@@ -39,7 +39,7 @@ class Spline:
 
 
 def polynomial(powers: F8, x: F8, derivative: int = 0) -> F8:
-    """Return values at x (k,) of polynomials with coefficients (degree + 1, m, k), lowest power first, or of a derivative."""
+    """Evaluate polynomials (degree + 1, m, k), lowest power first, or a derivative, at x (k,)."""
     value = np.zeros(powers.shape[1:])
     for power in range(len(powers) - 1, derivative - 1, -1):
         value = value * x + powers[power] * math.perm(power, derivative)
@@ -73,12 +73,15 @@ def interpolant(
 
 
 def _cells(knots: F8, x: F8, degree: int) -> I8:
-    """Return the index of the knot at which the interval of each parameter (n,) begins; the end belongs to the last interval."""
+    """Return the first knot of the interval of each parameter (n,); the end is in the last interval."""
     return np.clip(np.searchsorted(knots, x, side="right") - 1, degree, len(knots) - degree - 2)
 
 
 def _basis(knots: F8, x: F8, cell: I8, degree: int) -> F8:
-    """Return the nonzero B-splines (n, degree + 1) (de Boor, A Practical Guide to Splines, chapter X, algorithm BSPLVB)."""
+    """Return the nonzero B-splines (n, degree + 1).
+
+    Source: de Boor, A Practical Guide to Splines, chapter X, algorithm BSPLVB.
+    """
     value = np.ones((len(x), 1))
     for j in range(1, degree + 1):
         before = value
@@ -140,7 +143,7 @@ def _solve(bands: F8, values: F8) -> None:
 
 
 def powers(at: F8, knots: F8, control: F8, degree: int) -> F8:
-    """Return the pieces (degree + 1, n - 1, m) of a B-spline: coefficients of powers of the distance from each break but the last.
+    """Return pieces (degree + 1, n - 1, m) of a B-spline: powers of the distance from each break.
 
     Parameters
     ----------

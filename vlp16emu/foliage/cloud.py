@@ -69,16 +69,16 @@ def cloud_of(meshes: Sequence[Mesh], parts: U1) -> Cloud:
     first = np.cumsum([0, *(len(mesh.faces) for mesh in meshes)])
     corners_m = np.empty((first[-1], 4, 3))
     for mesh, begin, stop in zip(meshes, first, first[1:], strict=False):
-        own = corners_m[begin:stop]
-        own[:, : mesh.faces.shape[1]] = mesh.vertices_m.take(mesh.faces, axis=0)
+        faces_m = corners_m[begin:stop]
+        faces_m[:, : mesh.faces.shape[1]] = mesh.vertices_m.take(mesh.faces, axis=0)
         if mesh.faces.shape[1] == 3:
-            own[:, 3] = own[:, 2]
+            faces_m[:, 3] = faces_m[:, 2]
     mesh_of = np.repeat(np.arange(len(meshes)), np.diff(first))
-    area_m2, weight = _measured(corners_m, mesh_of, len(meshes))
+    area_m2, weight = _face_areas(corners_m, mesh_of, len(meshes))
     projection = np.zeros((len(meshes), len(KNOTS)))
     cosine = np.ones((len(meshes), len(KNOTS), QUANTILES))
     for number in np.flatnonzero(weight.any(axis=1)).tolist():
-        projection[number], cosine[number] = _law(weight[number])
+        projection[number], cosine[number] = _angular_law(weight[number])
     if len(corners_m) <= _FEW_FACES:
         cells = np.zeros((0, 3), np.float32), np.zeros(0, np.float32), np.zeros(0, np.uint8)
         kept = corners_m.astype(np.float32), mesh_of.astype(np.uint8)
@@ -89,8 +89,8 @@ def cloud_of(meshes: Sequence[Mesh], parts: U1) -> Cloud:
     return Cloud(*cells, *kept, share, projection.astype(np.float32), cosine.astype(np.float32), radius_m)
 
 
-def _measured(corners_m: F8, mesh_of: I8, meshes: int) -> tuple[F8, F8]:
-    """Return areas (f,) of faces (f, 4, 3), and areas (meshes, `TILTS`) by the sine of the normals' elevation."""
+def _face_areas(corners_m: F8, mesh_of: I8, meshes: int) -> tuple[F8, F8]:
+    """Return areas (f,) of faces (f, 4, 3), and their sums (meshes, `TILTS`) by tilt of the normal."""
     ax, ay, az = (corners_m[:, 2] - corners_m[:, 0]).T
     bx, by, bz = (corners_m[:, 3] - corners_m[:, 1]).T
     nx, ny, nz = 0.5 * (ay * bz - az * by), 0.5 * (az * bx - ax * bz), 0.5 * (ax * by - ay * bx)
@@ -101,8 +101,8 @@ def _measured(corners_m: F8, mesh_of: I8, meshes: int) -> tuple[F8, F8]:
 
 
 @cache
-def _met() -> list[tuple[NDArray[np.intp], F8]]:
-    """Return for each knot the sorting order of the incidence cosines (`TILTS` x 64 azimuths), and the sorted cosines."""
+def _incidence() -> list[tuple[NDArray[np.intp], F8]]:
+    """Return, for each knot, the order that sorts the incidence cosines (`TILTS` x 64), and them sorted."""
     at = (np.arange(TILTS) + 0.5) / TILTS
     azimuth = (np.arange(64) + 0.5) * (np.pi / 64)
     found = []
@@ -114,15 +114,15 @@ def _met() -> list[tuple[NDArray[np.intp], F8]]:
     return found
 
 
-def _law(weight: F8) -> tuple[F8, F8]:
-    """Return the mean projected share of faces (knots,), and quantiles (knots, QUANTILES) of the cosine of incidence.
+def _angular_law(weight: F8) -> tuple[F8, F8]:
+    """Return mean projected shares (knots,), and quantiles (knots, QUANTILES) of the incidence cosine.
 
     Parameters
     ----------
     weight : (`TILTS`,) area of the faces by tilt
     """
     cosine = np.empty((len(KNOTS), QUANTILES))
-    for knot, (order, met) in enumerate(_met()):
+    for knot, (order, met) in enumerate(_incidence()):
         so_far = np.cumsum(weight[order // 64] * met)
         wanted = (np.arange(QUANTILES) + 0.5) / QUANTILES * so_far[-1]
         cosine[knot] = met[np.searchsorted(so_far, wanted)]
@@ -136,15 +136,17 @@ def _cells(corners_m: F8, mesh_of: I8, area_m2: F8) -> tuple[F4, F4, U1]:
     at -= at.min(axis=0)
     _, ny, nz = (at.max(axis=0) + 1).tolist()
     column = mesh_of * (at[:, 0].max() + 1) + at[:, 0]
-    _, some, own = np.unique((column * ny + at[:, 1]) * nz + at[:, 2], return_index=True, return_inverse=True)
-    total = np.bincount(own, area_m2)  # in the order of faces
-    weighted = np.column_stack([np.bincount(own, area_m2 * along_m) for along_m in middle_m.T])
+    _, some, cell = np.unique(
+        (column * ny + at[:, 1]) * nz + at[:, 2], return_index=True, return_inverse=True
+    )
+    total = np.bincount(cell, area_m2)  # in the order of faces
+    weighted = np.column_stack([np.bincount(cell, area_m2 * along_m) for along_m in middle_m.T])
     place_m = weighted / np.maximum(total, 1e-12)[:, None]
     return place_m.astype(np.float32), total.astype(np.float32), mesh_of[some].astype(np.uint8)
 
 
 def kept_share(corners_m: F8, first: I8, share: F4) -> F8:
-    """Return the share of each face's area (f,) that randomly placed leaves would need for the same occlusion.
+    """Return the share (f,) of each face's area that hides as much if it is placed at random.
 
     The faces of each mesh are rasterized along x and along y, voxel by voxel. Randomly placed leaves that
     hide the same part of a voxel's side have an area of -log(1 - hidden) times that side (Beer's law);
@@ -214,7 +216,7 @@ def _voxel(corners_m: F8, low: F8, axis: int) -> int:
 
 @kernel
 def _draw(corners_m: F8, begin: int, stop: int, low: F8, axis: int, edges: F8, drawn: U4, total: I8) -> None:
-    """Rasterize faces along an axis into the voxels of their own depth; count their pixels, drawn before or not.
+    """Rasterize faces along an axis into the voxels at their depth; count all pixels, overlaps too.
 
     Parameters
     ----------

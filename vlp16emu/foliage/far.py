@@ -19,9 +19,9 @@ from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.cloud import Cloud, Library, cloud_of
 from vlp16emu.foliage.lanes import Ground, Medium, Stems, lanes
 from vlp16emu.foliage.march import Passage, march_lines, march_pulses
-from vlp16emu.foliage.medium import Block, Name, Shelf, block_of, packed_block, stretch_of, unpacked_block
+from vlp16emu.foliage.medium import Block, Name, Shelf, block_of, pack_block, stretch_of, unpack_block
 from vlp16emu.foliage.polyline import distance_m
-from vlp16emu.foliage.stems import seen, stem_lines, stems_of
+from vlp16emu.foliage.stems import no_stems_ahead, stem_lines, stems_of
 from vlp16emu.foliage.tiles import STEM, FarTile, TiledWindow, TiledWorld
 from vlp16emu.foliage.voxel import BRICK, COLUMNS, FINER, KNOTS, QUANTILES, VOXEL_M
 from vlp16emu.raycast.build import Placed
@@ -91,12 +91,12 @@ class FarGeometry(EmbreeGeometry):
     pulses = staticmethod(march_pulses)
 
     def __init__(self, near: Placed, track_m: F8, beyond: Placed | None, medium: Medium) -> None:
-        self._met, level = within_reach(near, track_m, medium.near_m)
+        self._within_reach, level = within_reach(near, track_m, medium.near_m)
         super().__init__(near, level)
         self.medium = medium
         self._kept = beyond
         self._building = threading.Lock()
-        if level.sum() < self._met.sum():
+        if level.sum() < self._within_reach.sum():
             self._near = self._near._replace(steep=0)
         self._beyond = target_of(beyond) if beyond else self._near._replace(scene=0, steep=0)
 
@@ -110,23 +110,23 @@ class FarGeometry(EmbreeGeometry):
     def near_faces(self, rise: float, far_m: float) -> tuple[Target, float]:
         """Return near faces as `EmbreeGeometry` does, none if the medium begins at the sensor."""
         reach_m = min(far_m, self.medium.near_m)
-        return (self._reached(rise) if reach_m > 0.0 else self._beyond), reach_m
+        return (self._target_for(rise) if reach_m > 0.0 else self._beyond), reach_m
 
     def passage(self) -> tuple[object, ...]:
         """Return the medium, the faces at any range, and scratch."""
-        return (Passage(self.medium, self._beyond, lanes(), seen(self.medium.stems)),)
+        return (Passage(self.medium, self._beyond, lanes(), no_stems_ahead(self.medium.stems)),)
 
-    def _reached(self, rise: float) -> Target:
+    def _target_for(self, rise: float) -> Target:
         """Return the near faces; pieces that only steep rays can meet are built for the first steep ray."""
         if rise > _LEVEL:
             with self._building:
                 if not self._near.steep:
-                    self._near = self._near._replace(steep=self._placed.scene(self._met))
+                    self._near = self._near._replace(steep=self._placed.scene(self._within_reach))
         return self._near
 
 
 def within_reach(placed: Placed, track_m: F8, reach_m: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return masks (n,), (n,) of the pieces within a range of positions (t, 3): for any ray, and for level rays."""
+    """Return masks (n,), (n,) of the pieces in reach of positions (t, 3): by any ray, and by level rays."""
     window = placed.window
     placement = placed.placement
     world_T_shape = window.world_T_shape[placement]
@@ -165,18 +165,18 @@ class FarCaster(EmbreeCaster):
         self._cosine = np.zeros((0, len(KNOTS), QUANTILES), np.float32)
         self._shelf = Shelf()
 
-    def _opened(self, window: Window) -> EmbreeGeometry:
+    def _geometry_of(self, window: Window) -> EmbreeGeometry:
         if not isinstance(window, TiledWindow) or math.isinf(self._tiled.near_m):
-            return super()._opened(window)
+            return super()._geometry_of(window)
         tiles = self.tiles(window)
         exact = ~window.far
         is_near = np.empty(len(window.shape), np.bool_)
         is_near[window.far] = self._is_near(window)
         is_near[exact] = self._is_reached(window, exact)
         everywhere = _part(window, exact & ~window.low)
-        beyond = self._placed(everywhere, self._begun(everywhere))
+        beyond = self._placed(everywhere, self._start_shapes(everywhere))
         part = _part(window, is_near)
-        begun = self._begun(part)  # runs while the medium is put together
+        begun = self._start_shapes(part)  # runs while the medium is put together
         medium = self.medium(window, tiles)
         near = self._placed(part, begun)
         return FarGeometry(near, window.track_m, beyond if beyond.meshes else None, medium)
@@ -223,11 +223,13 @@ class FarCaster(EmbreeCaster):
         made = self._workers.map(lambda name: self._block(tiles, *name), missing)
         for name, block in zip(missing, made, strict=True):
             self._shelf.lay(name, block, len(rows))
-        medium = self._joined(window, tiles, rows)
+        medium = self._assemble(window, tiles, rows)
         self._shelf.keep(medium.brick, rows)
         return medium
 
-    def _joined(self, window: TiledWindow, tiles: Mapping[Name, FarTile], rows: Mapping[Name, int]) -> Medium:
+    def _assemble(
+        self, window: TiledWindow, tiles: Mapping[Name, FarTile], rows: Mapping[Name, int]
+    ) -> Medium:
         blocks = {name: self._shelf.blocks[name] for name in rows}
         places = np.array(list(rows))
         low, high = places.min(axis=0), places.max(axis=0) + 1
@@ -265,8 +267,8 @@ class FarCaster(EmbreeCaster):
         return recall(
             world and f"{world} block {ix} {iy}",
             lambda: block_of(library, place, tiles, ix, iy),
-            lambda block: packed_block(block, library, names),
-            lambda kept: unpacked_block(kept, library, dict(zip(names, range(len(names)), strict=True))),
+            lambda block: pack_block(block, library, names),
+            lambda kept: unpack_block(kept, library, dict(zip(names, range(len(names)), strict=True))),
         )
 
     def _measure(self, tiles: Iterable[FarTile]) -> None:
@@ -278,14 +280,14 @@ class FarCaster(EmbreeCaster):
         if not new:
             return
 
-        def measured(of: tuple[ShapeKey, U1]) -> Cloud:
-            (key, parts) = of
-            name = self._tiled.shape_name(of[0])
+        def measure(shape: tuple[ShapeKey, U1]) -> Cloud:
+            key, parts = shape
+            name = self._tiled.shape_name(key)
             return recall(
                 name and f"cloud {name} {parts.tolist()}", lambda: cloud_of(self._tiled.shape(key), parts)
             )
 
-        self._clouds |= dict(zip(new, self._workers.map(measured, new.items()), strict=True))
+        self._clouds |= dict(zip(new, self._workers.map(measure, new.items()), strict=True))
         self._place = {key: number for number, key in enumerate(self._clouds)}
         self._names = [self._tiled.shape_name(key) for key in self._clouds]
         clouds = list(self._clouds.values())
@@ -295,7 +297,7 @@ class FarCaster(EmbreeCaster):
     def _is_reached(self, window: TiledWindow, kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return a mask of the `kept` placements that light may meet before the medium."""
         part = _part(window, kept)
-        radius_m = np.array([mesh.radius_m for mesh in self._grown(part, self._begun(part))])
+        radius_m = np.array([mesh.radius_m for mesh in self._await_shapes(part, self._start_shapes(part))])
         reach_m = self._tiled.near_m + STRAY_M + stretch_of(part.world_T_shape) * radius_m[part.shape]
         return distance_m(part.world_T_shape[:, :2, 3], window.track_m[:, :2]) <= reach_m
 
@@ -318,7 +320,7 @@ def _part(window: Window, keep: NDArray[np.bool_]) -> Window:
 
 
 def far_caster(world: World, workers: Executor) -> FarCaster:
-    """Return the caster of a world with a far medium; raises GeometryError if the world has no far squares."""
+    """Make the caster of a world with a far medium; GeometryError for a world without far squares."""
     if not isinstance(world, TiledWorld):
         found = f"found near_m = {world.near_m:g} in a world of the class {type(world).__name__}"
         raise GeometryError("world", found, "near_m = inf, or a world with `far_tile`")

@@ -43,7 +43,7 @@ _Packed = tuple[U8, U4, U4, U4, U8]  # arrays of a block, in the order of `Block
 
 
 @array_kernel
-def filled(
+def fill_block(
     library: Library, placed: _Placed, ground_m: F4, low_m: float, levels: int, projection: F8
 ) -> _Packed:
     """Fill the arrays of a block, in the order of `Block`.
@@ -65,7 +65,7 @@ def filled(
         for f in range(library.first_face[s], library.first_face[s + 1]):
             pieces = _pieces(T, library.corners_m[f])
             needed += pieces * pieces
-        node, area = _roomy(node, area, used, needed)
+        node, area = _with_capacity(node, area, used, needed)
         voxels = _Voxels(head, node, area, low_m)
         scale = power(abs(_determinant(T)), 2.0 / 3.0)
         for c in range(library.first_cell[s], library.first_cell[s + 1]):
@@ -75,20 +75,20 @@ def filled(
             x, y, z = library.place_m[c, 0], library.place_m[c, 1], library.place_m[c, 2]
             at = (np.float64(x), np.float64(y), np.float64(z))
             whose = (tile_of[p], row[p] + library.mesh[c], law)
-            used = _put(voxels, used, T, at, whose, add)
+            used = _add_area(voxels, used, T, at, whose, add)
         for f in range(library.first_face[s], library.first_face[s + 1]):
             mesh = library.corner_mesh[f]
             law = library.first_law[s] + mesh
             whose = (tile_of[p], row[p] + mesh, law)
             corners_m = library.corners_m[f]
-            used = _put_face(voxels, used, T, corners_m, library.share[law], whose, add, projection)
+            used = _add_face(voxels, used, T, corners_m, library.share[law], whose, add, projection)
     flags = np.zeros(head.shape, np.uint32)
     _mark_ground(flags, ground_m, low_m)
     return _pack(head, flags, node, area, used)
 
 
 @array_kernel
-def _roomy(node: I8, area: F8, used: int, needed: int) -> tuple[I8, F8]:
+def _with_capacity(node: I8, area: F8, used: int, needed: int) -> tuple[I8, F8]:
     room = len(node)
     while needed > room:
         room *= 2
@@ -111,7 +111,7 @@ def _determinant(T: F8) -> float:
 
 
 @array_kernel
-def _put(voxels: _Voxels, used: int, T: F8, at_m: _Place, whose: _Whose, add: F8) -> int:
+def _add_area(voxels: _Voxels, used: int, T: F8, at_m: _Place, whose: _Whose, add: F8) -> int:
     """Add projected areas at a place of a shape to its voxel; return the number of owners."""
     head, node, area, low_m = voxels
     (a, b, c) = at_m
@@ -155,7 +155,7 @@ def _pieces(T: F8, corners_m: F4) -> int:
 
 
 @array_kernel
-def _put_face(
+def _add_face(
     voxels: _Voxels, used: int, T: F8, corners_m: F4, share: float, whose: _Whose, add: F8, projection: F8
 ) -> int:
     """Add a face of a shape, in pieces; return the number of owners."""
@@ -188,7 +188,7 @@ def _put_face(
             a = w0 * corners_m[0, 0] + w1 * corners_m[1, 0] + w2 * corners_m[2, 0] + w3 * corners_m[3, 0]
             b = w0 * corners_m[0, 1] + w1 * corners_m[1, 1] + w2 * corners_m[2, 1] + w3 * corners_m[3, 1]
             c = w0 * corners_m[0, 2] + w1 * corners_m[1, 2] + w2 * corners_m[2, 2] + w3 * corners_m[3, 2]
-            used = _put(voxels, used, T, (a, b, c), whose, add)
+            used = _add_area(voxels, used, T, (a, b, c), whose, add)
     return used
 
 

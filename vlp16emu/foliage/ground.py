@@ -57,7 +57,7 @@ def meet_ground(ground: Ground, pulse: Pulse, middle_m: np.float32, length: np.f
 
 @inline_kernel
 def _ground_at(ground: Ground, ray: _Ray, first_m: np.float32, last_m: np.float32, below: _Slope) -> _Slope:
-    """Return range and slope where a ray meets the ground in a slab; `below` holds its height at the slab's end."""
+    """Return range and slope where a ray meets the ground in a slab; `below` is taken at its end."""
     (_, _, _, dx, dy, dz) = ray
     at_m = last_m
     slope = below
@@ -85,7 +85,7 @@ def _ground_at(ground: Ground, ray: _Ray, first_m: np.float32, last_m: np.float3
 
 @inline_kernel
 def _over_ground(ground: Ground, ray: _Ray, at_m: np.float32) -> _Slope:
-    """Return the height of a ray over the ground at a range, and the slope there; infinite height without ground."""
+    """Return height over the ground (infinite without ground) and slope of a ray at a range."""
     (x, y, z, dx, dy, dz) = ray
     ground_m = ground.height_m
     u = (x + dx * at_m - f4(ground.corner_x_m)) * f4(FINER / VOXEL_M)

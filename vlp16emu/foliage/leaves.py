@@ -81,7 +81,7 @@ _COVER = (1.0 - exp(-np.arange(_COVER_STEPS * _COVER_MOST + 2) / _COVER_STEPS)).
 
 
 @inline_kernel
-def _mixed(a: int, b: int, c: int, seed: np.uint32) -> np.uint32:
+def _hash(a: int, b: int, c: int, seed: np.uint32) -> np.uint32:
     """Hash the position of a voxel (constants and rounds as in MurmurHash3's finaliser)."""
     h = u4(u4(a) * u4(0x9E3779B1)) ^ u4(u4(b) * u4(0x85EBCA77)) ^ u4(u4(c) * u4(0xC2B2AE3D)) ^ u4(seed)
     h = u4(h ^ u4(h >> u4(16)))
@@ -131,7 +131,7 @@ def lit_lanes(
     a = g if main == 0 else g1
     b = g if main == 1 else (g1 if main == 0 else g2)
     c = g if main == 2 else g2
-    h = _mixed(a, b, c, u4(M.seed))
+    h = _hash(a, b, c, u4(M.seed))
     x = min(
         (TAU_PER_M[low] * weights.low + TAU_PER_M[high] * weights.high) * f4(_COVER_STEPS),
         f4(_COVER_STEPS * _COVER_MOST),
@@ -272,16 +272,16 @@ def _in_columns(
 def _take_leaf(M: Medium, L: Lanes, lane: int, h: np.uint32, leaf: int, whose: _Whose) -> None:
     """Draw the owner of the leaf that a lane meets, and the angle of incidence."""
     number, tile, knot = whose
-    own = u4(u4(h + u4(leaf) * u4(0x9E3779B1)) * u4(0x85EBCA77))
-    own = u4(own ^ u4(own >> u4(15)))
-    own = u4(own * u4(0xC2B2AE3D))
-    own = u4(own ^ u4(own >> u4(16)))
+    mixed = u4(u4(h + u4(leaf) * u4(0x9E3779B1)) * u4(0x85EBCA77))
+    mixed = u4(mixed ^ u4(mixed >> u4(15)))
+    mixed = u4(mixed * u4(0xC2B2AE3D))
+    mixed = u4(mixed ^ u4(mixed >> u4(16)))
     at = M.first_owner[number]
-    drawn = u4(own & u4(0xFF))
+    drawn = u4(mixed & u4(0xFF))
     owner = M.owner[at]
     while owner >> SHARE_BIT < drawn:
         at += u4(1)
         owner = M.owner[at]
     L.surface[lane] = M.surface[tile[0], tile[1], (owner >> TILE_BIT) & np.uint64(15)] + u4(owner)
     law = (owner >> LAW_BIT) & LAW_MASK
-    L.cosine[lane] = M.cosine[law, knot, int(own >> u4(8)) % QUANTILES]
+    L.cosine[lane] = M.cosine[law, knot, int(mixed >> u4(8)) % QUANTILES]

@@ -13,7 +13,7 @@ import numpy as np
 from vlp16emu.foliage.ground import meet_ground
 from vlp16emu.foliage.lanes import AHEAD, Lanes, Medium, Pulse, lowest, ones
 from vlp16emu.foliage.leaves import Weights, lit_lanes, meet_leaves, weights_of
-from vlp16emu.foliage.stems import Seen, meet_stems, see_stems
+from vlp16emu.foliage.stems import StemsAhead, find_stems_ahead, meet_stems
 from vlp16emu.foliage.voxel import BRICK, GROUND, VOXEL_M
 from vlp16emu.kernels.compiler import array_kernel, inline_kernel, kernel
 from vlp16emu.raycast.adaptive import RayBudget
@@ -27,9 +27,9 @@ from vlp16emu.raycast.kernel import (
     all_pulses,
     cast_middles,
     cast_near,
+    concatenate,
+    empty_groups,
     further,
-    joined,
-    no_groups,
     settle,
     write_middles,
 )
@@ -49,10 +49,10 @@ class Passage(NamedTuple):
     medium: Medium
     beyond: Target  # faces that are cast at any range
     lanes: Lanes  # scratch of this cast; `ahead` likewise
-    ahead: Seen
+    ahead: StemsAhead
 
 
-class _Way(NamedTuple):
+class _CentreRay(NamedTuple):
     """Centre ray of a pulse through a grid, slab by slab."""
 
     main: int  # axis across the slabs
@@ -81,41 +81,41 @@ class _Grid(NamedTuple):
 
 @array_kernel
 def march_lines(cast: Cast, passage: Passage, range_m: F4, surface: U4, cos_incidence: F4) -> None:
-    """Cast one ray per pulse; as `cast_lines`, and then through the medium."""
+    """Cast one ray per pulse against near faces, as `cast_lines` does, and through the medium behind them."""
     pulses = cast.batch.missed.shape[0]
     set_filter(cast.packet)
     for first in cast.light.order:
         cast_middles(cast, passage.beyond, first)
-        _pass_through(passage, cast, pulses, ZERO + 1, f4(0.0))
+        _march_misses(passage, cast, pulses, ZERO + 1, f4(0.0))
         write_middles(cast, first, range_m, surface, cos_incidence)
 
 
 @array_kernel
 def march_pulses(cast: Cast, passage: Passage, budget: RayBudget, count: U2, first_round: U4) -> U4:
-    """Cast the sub-rays of every pulse; as `cast_pulses`, each round also through the medium."""
+    """Cast the sub-rays of every pulse as `cast_pulses` does, each round through the medium too."""
     set_filter(cast.packet)
-    groups = no_groups(count)
+    groups = empty_groups(count)
     for first in cast.light.order:
         todo = all_pulses(cast.batch)
         have = ZERO
         while todo:
             rays = min(ROUND, budget.most - have)
             cast_near(cast, passage.beyond, budget, first, todo, have, rays)
-            _pass_through(passage, cast, todo, rays, reach_of(have, budget.adaptive))
+            _march_misses(passage, cast, todo, rays, reach_of(have, budget.adaptive))
             todo = settle(cast, budget, first_round, first, todo, have, rays)
             have = have + rays
         groups[first // PACKET] = further(cast.batch, min(ROUND, budget.most), first, count)
-    return joined(groups)
+    return concatenate(groups)
 
 
 @inline_kernel
-def march(M: Medium, bricks: U8, ahead: Seen, pulse: Pulse) -> None:
+def march(M: Medium, bricks: U8, ahead: StemsAhead, pulse: Pulse) -> None:
     """Follow the lanes of a pulse through the medium.
 
     Parameters
     ----------
     bricks : `M.brick`, flattened
-    ahead : the stems that it may meet, from `see_stems`
+    ahead : the stems that it may meet, from `find_stems_ahead`
     """
     L = pulse.lanes
     n = pulse.n
@@ -123,19 +123,19 @@ def march(M: Medium, bricks: U8, ahead: Seen, pulse: Pulse) -> None:
     axis = pulse.axis
     meet_stems(M.stems, ahead, pulse)
     corner_m = (f4(M.corner_m[0]), f4(M.corner_m[1]), f4(M.corner_m[2]))
-    way = _way(corner_m, axis, near_m)
-    axes = (way.main, way.one, way.two)
-    length = way.length
-    alive, last_m = _lines(corner_m, L, n, near_m, axes)
+    centre = _centre_ray(corner_m, axis, near_m)
+    axes = (centre.main, centre.one, centre.two)
+    length = centre.length
+    alive, last_m = _set_up_lines(corner_m, L, n, near_m, axes)
     weights = weights_of(abs(axis[5]), length)
     grid = _grid(M, axes)
-    first, stop = _crossing(way, grid.size)
+    first, stop = _crossing(centre, grid.size)
     slab = -_floor(-first)
-    slabs = _floor(min(stop, (last_m - way.to_middle) / length + f4(1.5)))
+    slabs = _floor(min(stop, (last_m - centre.to_middle) / length + f4(1.5)))
     while slab <= slabs:
-        left = _look(L, way, grid, bricks, slab, slabs)
+        left = _occupied_voxels(L, centre, grid, bricks, slab, slabs)
         while left:
-            left, voxels = _lit(M, pulse, way, grid, weights, bricks, slab, left, alive)
+            left, voxels = _lit_voxels(M, pulse, centre, grid, weights, bricks, slab, left, alive)
             while voxels:
                 at = int(lowest(voxels))
                 voxels &= voxels - np.uint64(1)
@@ -147,24 +147,26 @@ def march(M: Medium, bricks: U8, ahead: Seen, pulse: Pulse) -> None:
                 met = False
                 if lit:
                     met = meet_leaves(
-                        M, pulse, axes, _voxel(way, here), L.place[at], weights.knot, L.hash[at], lit
+                        M, pulse, axes, _voxel(centre, here), L.place[at], weights.knot, L.hash[at], lit
                     )
                 if L.code[at] & GROUND:
-                    met |= meet_ground(M.ground, pulse, way.to_middle + f4(here) * length, length)
+                    met |= meet_ground(M.ground, pulse, centre.to_middle + f4(here) * length, length)
                 if met:
-                    alive, slabs = _shorter(L, way, n, alive, here + 1, slabs)
+                    alive, slabs = _drop_ended(L, centre, n, alive, here + 1, slabs)
         slab += AHEAD
 
 
 @inline_kernel
 def _floor(x: np.float32) -> int:
     """Round a number below 2**31 down; for float32 `math.floor` would be a function call."""
-    whole = np.int32(x)
-    return int(whole) - int(x < f4(whole))
+    truncated = np.int32(x)
+    return int(truncated) - int(x < f4(truncated))
 
 
 @inline_kernel
-def _way(corner_m: tuple[np.float32, np.float32, np.float32], axis: F4, near_m: np.float32) -> _Way:
+def _centre_ray(
+    corner_m: tuple[np.float32, np.float32, np.float32], axis: F4, near_m: np.float32
+) -> _CentreRay:
     main = 0
     for a in (1, 2):
         if abs(axis[3 + a]) > abs(axis[3 + main]):
@@ -180,7 +182,7 @@ def _way(corner_m: tuple[np.float32, np.float32, np.float32], axis: F4, near_m: 
     p2 = (axis[two] - corner_m[two] + axis[3 + two] * to_middle) * f4(1.0 / VOXEL_M)
     d1 = axis[3 + one] * length * f4(1.0 / VOXEL_M)
     d2 = axis[3 + two] * length * f4(1.0 / VOXEL_M)
-    return _Way(main, one, two, k, step, length, to_middle, p1, p2, d1, d2)
+    return _CentreRay(main, one, two, k, step, length, to_middle, p1, p2, d1, d2)
 
 
 @inline_kernel
@@ -199,13 +201,17 @@ def _grid(M: Medium, axes: tuple[int, int, int]) -> _Grid:
 
 
 @inline_kernel
-def _crossing(way: _Way, size: tuple[int, int, int]) -> tuple[np.float32, np.float32]:
+def _crossing(centre: _CentreRay, size: tuple[int, int, int]) -> tuple[np.float32, np.float32]:
     """Return the slabs at which the pulse enters and leaves the grid."""
     first, stop = f4(0.0), f4(1e6)
     n_main, n_one, n_two = size
-    k = f4(way.k) + f4(0.5)
-    step = f4(way.step)
-    for at, change, voxels in ((k, step, n_main), (way.p1, way.d1, n_one), (way.p2, way.d2, n_two)):
+    k = f4(centre.k) + f4(0.5)
+    step = f4(centre.step)
+    for at, change, voxels in (
+        (k, step, n_main),
+        (centre.p1, centre.d1, n_one),
+        (centre.p2, centre.d2, n_two),
+    ):
         if abs(change) < f4(1e-9):
             if not 0 <= at < voxels:
                 stop = f4(-1.0)
@@ -216,22 +222,28 @@ def _crossing(way: _Way, size: tuple[int, int, int]) -> tuple[np.float32, np.flo
 
 
 @inline_kernel
-def _voxel(way: _Way, slab: int) -> tuple[int, int, int]:
+def _voxel(centre: _CentreRay, slab: int) -> tuple[int, int, int]:
     at = f4(slab)
-    return way.k + slab * way.step, int(np.int32(way.p1 + at * way.d1)), int(np.int32(way.p2 + at * way.d2))
+    return (
+        centre.k + slab * centre.step,
+        int(np.int32(centre.p1 + at * centre.d1)),
+        int(np.int32(centre.p2 + at * centre.d2)),
+    )
 
 
 @inline_kernel
-def _look(L: Lanes, way: _Way, grid: _Grid, bricks: U8, slab: int, slabs: int) -> np.uint64:
+def _occupied_voxels(
+    L: Lanes, centre: _CentreRay, grid: _Grid, bricks: U8, slab: int, slabs: int
+) -> np.uint64:
     """Find the voxels of the next slabs; return bits of those that are not empty."""
     place = L.place
     begin = f4(slab)
-    k = f4(way.k)
-    step = f4(way.step)
-    p1 = way.p1
-    p2 = way.p2
-    d1 = way.d1
-    d2 = way.d2
+    k = f4(centre.k)
+    step = f4(centre.step)
+    p1 = centre.p1
+    p2 = centre.p2
+    d1 = centre.d1
+    d2 = centre.d2
     s_main, s_one, s_two = grid.stride
     b_main, b_one, b_two = grid.shift
     last = u4((bricks.shape[0] >> 1) - 1)
@@ -252,10 +264,10 @@ def _look(L: Lanes, way: _Way, grid: _Grid, bricks: U8, slab: int, slabs: int) -
 
 
 @inline_kernel
-def _lit(
+def _lit_voxels(
     M: Medium,
     pulse: Pulse,
-    way: _Way,
+    centre: _CentreRay,
     grid: _Grid,
     weights: Weights,
     bricks: U8,
@@ -263,14 +275,14 @@ def _lit(
     voxels: np.uint64,
     alive: np.uint64,
 ) -> tuple[np.uint64, np.uint64]:
-    """Return bits of the voxels after the first few, and of the few in which a lane may meet a leaf or the ground.
+    """Return bits of the voxels after the first `_FEW`, and of those among the first that lanes may hit.
 
     The loop has no branch, so that memory latency is paid once and the arithmetic of voxels overlaps; half of
     all rays end within the few.
     """
     L = pulse.lanes
     records = M.record
-    axes = (way.main, way.one, way.two)
+    axes = (centre.main, centre.one, centre.two)
     asked = np.uint64(0)
     for _ in range(_FEW):
         if not voxels:
@@ -282,7 +294,7 @@ def _lit(
         before_it = bricks[pair] & ((np.uint64(1) << bit) - np.uint64(1))
         number = bricks[pair + np.uint64(1)] + ones(before_it)
         code = records[number]
-        h, lit = lit_lanes(M, pulse, axes, grid.corner, _voxel(way, slab + at), code, weights)
+        h, lit = lit_lanes(M, pulse, axes, grid.corner, _voxel(centre, slab + at), code, weights)
         lit &= alive
         L.place[at] = u4(number)
         L.code[at] = code
@@ -293,20 +305,22 @@ def _lit(
 
 
 @inline_kernel
-def _shorter(L: Lanes, way: _Way, n: int, alive: np.uint64, slab: int, slabs: int) -> tuple[np.uint64, int]:
+def _drop_ended(
+    L: Lanes, centre: _CentreRay, n: int, alive: np.uint64, slab: int, slabs: int
+) -> tuple[np.uint64, int]:
     """Return the lanes that do not end before a slab, and the slab in which the last one ends."""
-    passed_m = way.to_middle + (f4(slab) - f4(0.5)) * way.length
+    passed_m = centre.to_middle + (f4(slab) - f4(0.5)) * centre.length
     range_m = L.range_m
     last_m = range_m[0]
     for lane in range(n):
         last_m = max(last_m, range_m[lane])
         if range_m[lane] < passed_m:
             alive &= ~(np.uint64(1) << np.uint64(lane))
-    return alive, min(slabs, int((last_m - way.to_middle) / way.length + f4(1.5)))
+    return alive, min(slabs, int((last_m - centre.to_middle) / centre.length + f4(1.5)))
 
 
 @inline_kernel
-def _lines(
+def _set_up_lines(
     corner_m: tuple[np.float32, np.float32, np.float32],
     L: Lanes,
     n: int,
@@ -316,9 +330,9 @@ def _lines(
     """Set up the lanes' lines; return the lanes that go on from `near_m`, and the farthest range."""
     row = L.row
     if n == 1:
-        _lay_lines(corner_m, row, L.line, 1, axes)
+        _fill_lines(corner_m, row, L.line, 1, axes)
     else:
-        _lay_lines(corner_m, row, L.line, LANES, axes)
+        _fill_lines(corner_m, row, L.line, LANES, axes)
     alive = np.uint64(0)
     last_m = f4(0.0)
     for lane in range(n):
@@ -329,7 +343,7 @@ def _lines(
 
 
 @inline_kernel
-def _lay_lines(
+def _fill_lines(
     corner_m: tuple[np.float32, np.float32, np.float32],
     row: F4,
     line: F4,
@@ -358,8 +372,8 @@ def _lay_lines(
 
 
 @kernel
-def _pass_through(passage: Passage, cast: Cast, todo: int, count: int, reach: np.float32) -> None:
-    """Continue rays that have met nothing near; `reach` is their distance from the centre, in sigmas."""
+def _march_misses(passage: Passage, cast: Cast, todo: int, count: int, reach: np.float32) -> None:
+    """Continue rays without a near hit through the medium; `reach` is how far from the centre, in sigmas."""
     (medium, _, L, ahead) = passage
     light = cast.light
     if light.reach_m >= light.far_m:
@@ -376,7 +390,7 @@ def _pass_through(passage: Passage, cast: Cast, todo: int, count: int, reach: np
     if todo == batch.missed.shape[0]:  # first round; later ones reuse the list for all pulses
         aside = max(light.sigmas[0], light.sigmas[1])
         wide = max(light.sigmas[2], light.sigmas[3])
-        see_stems(
+        find_stems_ahead(
             medium.stems, ahead, batch.axes_row, medium.near_m, light.far_m, FARTHEST * aside, FARTHEST * wide
         )
     for t in range(todo):

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.foliage.cloud import PROJECTION, Library
-from vlp16emu.foliage.filling import filled
+from vlp16emu.foliage.filling import fill_block
 from vlp16emu.foliage.stems import stem_lines
 from vlp16emu.foliage.tiles import FarTile
 from vlp16emu.foliage.voxel import BRICK, COLUMNS, LAW_BIT, LAW_MASK, VOXEL_M
@@ -56,7 +56,9 @@ def block_of(
     here = near[ix, iy]
     corner_m = near[ix, iy].corner_m
     around = [(3 * (dx + 1) + dy + 1, near[ix + dx, iy + dy]) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
-    parts = zip(*(_placed(library, shape_of, tile, number, corner_m) for number, tile in around), strict=True)
+    parts = zip(
+        *(_placements_near(library, shape_of, tile, number, corner_m) for number, tile in around), strict=True
+    )
     shape, world_T_shape, first_surface, number = (np.concatenate(part) for part in parts)
     placed = shape, world_T_shape, first_surface, number
     stems = np.concatenate([tile.stems for _, tile in around])
@@ -72,23 +74,23 @@ def block_of(
     bottom = math.floor(low_m / brick_m)
     levels = math.ceil(high_m / brick_m) - math.floor(low_m / brick_m)
     own = ground_m.astype(np.float32), bottom * brick_m, max(levels, 1), PROJECTION
-    return Block(bottom + round(corner_m[2] / brick_m), *filled(library, placed, *own))
+    return Block(bottom + round(corner_m[2] / brick_m), *fill_block(library, placed, *own))
 
 
-def _placed(
+def _placements_near(
     library: Library, shape_of: dict[object, int], tile: FarTile, number: int, corner_m: F8
 ) -> tuple[I8, F8, I8, I8]:
-    """Return a tile's placements that may reach into the tile at `corner_m`: shapes, transforms, first surfaces, tile."""
+    """Select the placements of a tile that may reach into the tile at `corner_m`, for `fill_block`."""
     places = np.array([shape_of[key] for key in tile.keys], np.int64)
     which = places[tile.shape] if len(tile.shape) else np.zeros(0, np.int64)
     world_T = tile.world_T_shape
     at_m = world_T[:, :, 3] - corner_m
     reach_m = library.radius_m[which] * stretch_of(world_T)
     gap_m = np.maximum(np.maximum(-at_m[:, :2], at_m[:, :2] - COLUMNS * VOXEL_M), 0.0)
-    own = np.flatnonzero((np.square(gap_m)).sum(axis=1) <= np.square(reach_m))
-    relative = world_T[own].copy()
-    relative[:, :, 3] = at_m[own]
-    return which[own], relative, tile.first_surface[own], np.full(len(own), number)
+    near = np.flatnonzero((np.square(gap_m)).sum(axis=1) <= np.square(reach_m))
+    relative = world_T[near].copy()
+    relative[:, :, 3] = at_m[near]
+    return which[near], relative, tile.first_surface[near], np.full(len(near), number)
 
 
 def stretch_of(world_T_shape: F8) -> F8:
@@ -97,7 +99,7 @@ def stretch_of(world_T_shape: F8) -> F8:
     return stretch
 
 
-def packed_block(block: Block, library: Library, names: Sequence[str]) -> dict[str, Any]:
+def pack_block(block: Block, library: Library, names: Sequence[str]) -> dict[str, Any]:
     """Return the fields of a block, with laws by the names of shapes, as each library has its own order."""
     laws, law = np.unique((block.owner >> LAW_BIT) & LAW_MASK, return_inverse=True)
     shape = np.searchsorted(library.first_law, laws.astype(np.int64), side="right") - 1
@@ -111,7 +113,7 @@ def packed_block(block: Block, library: Library, names: Sequence[str]) -> dict[s
     }
 
 
-def unpacked_block(kept: dict[str, Any], library: Library, place: Mapping[str, int]) -> Block:
+def unpack_block(kept: dict[str, Any], library: Library, place: Mapping[str, int]) -> Block:
     """Return the block from packed fields, for a library whose shapes have these indices by name."""
     which = np.array([place[name] for name in kept.pop("shapes")], np.int64)
     law = library.first_law[which[kept.pop("law_shape")]] + kept.pop("law_mesh")
@@ -123,7 +125,7 @@ def _with_law(owner: U8, law: I8) -> U8:
     return (owner & ~(LAW_MASK << LAW_BIT)) | (law.astype(np.uint64) << LAW_BIT)
 
 
-class Laid(NamedTuple):
+class ShelfEntry(NamedTuple):
     """A block on a shelf, with parts as in `Block`."""
 
     bottom: int
@@ -137,7 +139,7 @@ class Shelf:
     """Blocks of all open windows."""
 
     def __init__(self) -> None:
-        self.blocks = dict[Name, Laid]()
+        self.blocks = dict[Name, ShelfEntry]()
         self._record = np.empty(0, np.uint32)
         self._first_owner = np.empty(0, np.uint32)
         self._owner = np.empty(0, np.uint64)
@@ -157,7 +159,7 @@ class Shelf:
         self.blocks = {name: laid for name, laid in self.blocks.items() if name in kept}
 
     def lay(self, name: Name, block: Block, most: int) -> None:
-        """Put a block on the shelf; arrays that are too small are replaced, and open windows keep the old ones.
+        """Put a block on the shelf; arrays that are too small are replaced, but open windows keep theirs.
 
         Parameters
         ----------
@@ -168,14 +170,14 @@ class Shelf:
         owners = _gap([each.owners for each in laid], len(block.owner))
         share = max(most / (len(laid) + 1), 1.0)
         self._record, self._first_owner = (
-            _with_room(array, records.stop, share) for array in (self._record, self._first_owner)
+            _with_capacity(array, records.stop, share) for array in (self._record, self._first_owner)
         )
-        self._owner = _with_room(self._owner, owners.stop, share)
+        self._owner = _with_capacity(self._owner, owners.stop, share)
         self._record[records] = block.record
         self._owner[owners] = block.owner
         np.add(block.first_owner, np.uint32(owners.start), out=self._first_owner[records])
         first = block.first + np.uint32(records.start)
-        self.blocks[name] = Laid(block.bottom, block.mask.copy(), first, records, owners)
+        self.blocks[name] = ShelfEntry(block.bottom, block.mask.copy(), first, records, owners)
 
     def keep(self, user: object, names: Iterable[Name]) -> None:
         """Keep blocks in place as long as `user` exists."""
@@ -192,8 +194,8 @@ def _gap(taken: Iterable[slice], size: int) -> slice:
     return slice(begin, begin + size)
 
 
-def _with_room(array: NDArray[T], size: int, share: float) -> NDArray[T]:
-    """Return an array of at least `size`: the same, or one half as large again as all blocks may need."""
+def _with_capacity(array: NDArray[T], size: int, share: float) -> NDArray[T]:
+    """Return `array` if it has `size` elements, or else one half larger than all blocks may need."""
     if len(array) >= size:
         return array
     larger = np.empty(int(1.5 * share * size), array.dtype)

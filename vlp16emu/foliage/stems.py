@@ -27,7 +27,7 @@ _ROUNDING_M = f4(0.01)  # more than the rounding of float32 within 200 m
 _WIDE = 0.7  # sine and cosine of the half-width beyond which a sector lists all stems of the window
 
 
-class Seen(NamedTuple):
+class StemsAhead(NamedTuple):
     """Stems that a group of pulses may meet, nearest first; with room for all stems of a window."""
 
     row: F4  # (blocks * 72,) `_ROWS` rows for each block of eight
@@ -51,7 +51,7 @@ class _Sector(NamedTuple):
 
 
 def stem_lines(stems: NDArray[np.void], origin_m: F8) -> F8:
-    """Axes of stems (n, 7): lower end relative to an origin, slope in x and y per metre of height, height, widest reach."""
+    """Return axes (n, 7): lower end relative to an origin, slope in x and y, height, widest reach."""
     axis = stems["axis"]
     low_m, high_m = stems["along_m"][:, 0] * axis[:, 2], stems["along_m"][:, -1] * axis[:, 2]
     slope = axis[:, :2] / axis[:, 2:]
@@ -74,10 +74,10 @@ def stems_of(line: F8, profile: F4, surface: U4, flare_m: F4) -> Stems:
     return Stems(line, profile, plan, bounds, surface, flare_m)
 
 
-def seen(stems: Stems) -> Seen:
-    """Return an empty `Seen` with room for all `stems`."""
+def no_stems_ahead(stems: Stems) -> StemsAhead:
+    """Return an empty `StemsAhead` with room for all `stems`."""
     blocks = -(-len(stems.line) // _BLOCK)
-    return Seen(
+    return StemsAhead(
         np.zeros(blocks * _ROWS * _BLOCK, np.float32),
         np.zeros(blocks * _BLOCK, np.int32),
         np.zeros(blocks * _BLOCK, np.float32),
@@ -87,8 +87,8 @@ def seen(stems: Stems) -> Seen:
 
 
 @kernel
-def see_stems(
-    stems: Stems, out: Seen, axes: F4, near_m: float, far_m: float, aside_m: float, spread: float
+def find_stems_ahead(
+    stems: Stems, out: StemsAhead, axes: F4, near_m: float, far_m: float, aside_m: float, spread: float
 ) -> None:
     """List the stems that pulses may meet, nearest first.
 
@@ -185,7 +185,7 @@ def _sector(axes: F4, spread: float) -> _Sector:
 
 
 @inline_kernel
-def meet_stems(stems: Stems, ahead: Seen, pulse: Pulse) -> None:
+def meet_stems(stems: Stems, ahead: StemsAhead, pulse: Pulse) -> None:
     """Intersect the lanes with the stems ahead until all lanes have ended."""
     row = pulse.lanes.row
     from_m = ahead.from_m
@@ -319,7 +319,7 @@ def _nearest(
     up: float,
     square: float,
 ) -> tuple[float, float, float]:
-    """Return range, height along the axis and squared distance where a ray from `q` is nearest to an axis along `s`.
+    """Return range, height along the axis and squared distance where ray and axis are nearest.
 
     The ray's direction is `up` along the axis and `w` across it; `square` is the squared length of `w`.
     """
@@ -362,7 +362,7 @@ def _cut_cone(
     radius_m: np.float32,
     taper: np.float32,
 ) -> None:
-    """Intersect lanes with a cone, relative to the centre of its circle at a height; `from_m` is the range there."""
+    """Intersect lanes with a cone, relative to its circle's centre; `from_m` is the range there."""
     sx, sy, sz = axis
     for lane in range(lanes):
         dx, dy, dz = (row[DIRECTION + lane], row[DIRECTION + LANES + lane], row[DIRECTION + 2 * LANES + lane])

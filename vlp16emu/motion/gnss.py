@@ -1,4 +1,4 @@
-"""A GNSS receiver on the walk: wandering errors, and fixes lost under trees; and the world's position on the globe.
+"""A GNSS receiver with wandering errors and fixes lost under trees; the world's place on the globe.
 
 The world is the tangent plane of the WGS 84 ellipsoid under its origin.
 """
@@ -76,7 +76,7 @@ class Receiver:
         return self._known(t_ns)
 
     def fix(self, t_ns: int) -> GnssFix:
-        """Return the reported fix for the whole UTC second `t_ns`; its course is from north at the world's origin.
+        """Return the fix for the UTC second `t_ns`; its course is from north at the world's origin.
 
         Without a fix in this second, the numbers of the last fix are repeated. After 10 s without a fix they
         are the receiver's estimate of 10 s ago, as if it had continued its track.
@@ -115,7 +115,7 @@ def _measure(motion: Motion, gps: Gps, seed: int, sky: Sky | None, t_ns: int) ->
 
 
 def _exceeded(z: float) -> float:
-    """Probability that a standard normal number exceeds z, within 1e-15, by the power series of the distribution.
+    """Probability that a standard normal number exceeds z, within 1e-15, by a power series.
 
     Source: Marsaglia, "Evaluating the normal distribution", J. Statistical Software 11(4), 2004.
     """
@@ -157,7 +157,7 @@ def wander(seed: int, lane: int, second: int, correlation_s: float) -> float:
 
 
 def to_local(geodetic: F8, gps: Gps) -> F8:
-    """East, north and up in metres (n, 3) of points (n, 3): latitude and longitude in degrees, height in metres.
+    """East, north and up in m (n, 3) of points (n, 3): latitude and longitude in degrees, height in m.
 
     The world is a plane, and the earth's surface is 0.8 m below it at 3.2 km.
     """

@@ -52,16 +52,16 @@ class MountedMotion:
         self.moves = carrier.moves or mount.spin_hz != 0.0
 
     def poses_at(self, t_ns: I8) -> Poses:
-        """Poses of the device at UTC instants (n,); a single pose if nothing moves."""
-        of = self._carrier.poses_at(t_ns)
-        return self._mounted(of, t_ns if self.moves else of.t_ns)[0]
+        """Poses carrier the device at UTC instants (n,); a single pose if nothing moves."""
+        carrier = self._carrier.poses_at(t_ns)
+        return self._mount_on(carrier, t_ns if self.moves else carrier.t_ns)[0]
 
     def kinematics_at(self, t_ns: I8) -> Kinematics:
         """Poses of the device at UTC instants (n,) with the derivatives of the same function."""
-        of = self._carrier.kinematics_at(t_ns)
-        poses, turns = self._mounted(of, t_ns)
-        w = of.body_w_rad_s
-        alpha = of.body_alpha_rad_s2
+        body = self._carrier.kinematics_at(t_ns)
+        poses, turns = self._mount_on(body, t_ns)
+        w = body.body_w_rad_s
+        alpha = body.body_alpha_rad_s2
         arm = self._arm_m
         spin = self._spin_rad_s
         swing = np.cross(w, arm)
@@ -70,16 +70,16 @@ class MountedMotion:
             t_ns,
             poses.world_R_body,
             poses.world_p_body_m,
-            world_v_body_m_s=of.world_v_body_m_s + matvec(of.world_R_body, swing),
-            world_a_body_m_s2=of.world_a_body_m_s2
-            + matvec(of.world_R_body, np.cross(alpha, arm) + np.cross(w, swing)),
+            world_v_body_m_s=body.world_v_body_m_s + matvec(body.world_R_body, swing),
+            world_a_body_m_s2=body.world_a_body_m_s2
+            + matvec(body.world_R_body, np.cross(alpha, arm) + np.cross(w, swing)),
             body_w_rad_s=matvec(device_R_body, w + spin),
             # The stage's axis is fixed in the carrier, so the carrier's rate turns it.
             body_alpha_rad_s2=matvec(device_R_body, alpha + np.cross(w, spin)),
         )
 
-    def _mounted(self, of: Poses, t_ns: I8) -> tuple[Poses, F8]:
-        """Poses of the device on a carrier with poses `of`, and its rotations (n, 3, 3), or (1, 3, 3) on a fixed stage."""
+    def _mount_on(self, body: Poses, t_ns: I8) -> tuple[Poses, F8]:
+        """Poses of the device on a carrier with poses `body`, and rotations (n, 3, 3); (1, 3, 3) if fixed."""
         turns = self._tilts[:1]
         poses = Poses(t_ns, np.empty((len(t_ns), 3, 3)), np.empty((len(t_ns), 3)))
         if self._spin_hz != 0.0:
@@ -87,7 +87,12 @@ class MountedMotion:
             turns = np.empty((len(t_ns), 3, 3))
             _spin(elapsed_ns // S_NS, elapsed_ns % S_NS, self._spin_hz, self._tilts, turns)
         _mount(
-            of.world_R_body, of.world_p_body_m, turns, self._arm_m, poses.world_R_body, poses.world_p_body_m
+            body.world_R_body,
+            body.world_p_body_m,
+            turns,
+            self._arm_m,
+            poses.world_R_body,
+            poses.world_p_body_m,
         )
         return poses, turns
 

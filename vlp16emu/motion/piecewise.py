@@ -8,7 +8,7 @@ from vlp16emu.types import F8, I8, Poses
 
 
 class Piecewise:
-    """Piecewise cubic motion: coefficients (4, n - 1, 7) of position and quaternion between knots, highest power first.
+    """Piecewise cubic motion: coefficients (4, n - 1, 7) between knots, highest power first.
 
     Before its first knot and after its last one the body is at rest.
     """
@@ -27,7 +27,7 @@ class Piecewise:
         return Poses(t_ns, turn, position_m)
 
     def kinematics_at(self, t_ns: I8) -> Kinematics:
-        """Return poses at UTC instants (n,) with their derivatives, which are zero while the body is at rest."""
+        """Return poses at UTC instants (n,) with their derivatives, zero while the body is at rest."""
         poses = self.poses_at(t_ns)
         rates = np.empty((4, len(t_ns), 3))
         fill_rates(*self._arrays, t_ns - self._start_ns, rates)
@@ -36,7 +36,7 @@ class Piecewise:
 
 @array_kernel
 def _piece_at(knots_ns: I8, elapsed_ns: int) -> tuple[int, float]:
-    """Return the piece that contains an instant, and the seconds since its start; instants beyond an end count as the end."""
+    """Return the piece that contains an instant, clipped to the ends, and the seconds since its start."""
     t = min(max(elapsed_ns, 0), knots_ns[-1])
     piece = min(np.searchsorted(knots_ns, t, side="right") - 1, knots_ns.size - 2)
     return piece, (t - knots_ns[piece]) * 1e-9

@@ -78,7 +78,7 @@ def rotation(yaw_deg: float, pitch_deg: float, roll_deg: float) -> F8:
 
 
 class StaticMotion:
-    """A sensor on a tripod at a position (3,) in the world, rotated as by `rotate`: one pose, computed once."""
+    """A sensor on a tripod at a position (3,) in the world, rotated as by `rotate`: a single pose."""
 
     run_time_s = math.inf
     moves = False

@@ -1,1 +1,1 @@
-"""Ray casting: the sub-rays of each pulse against near faces and the far medium. The only border to float32."""
+"""Ray casting of pulses against near faces and the far medium; the only border to float32."""

@@ -89,7 +89,7 @@ class Footprint:
 
     @property
     def sigmas(self) -> F8:
-        """Standard deviations (4,): spot horizontal and vertical in metres, divergence likewise in radians."""
+        """Standard deviations (4,): spot horizontal and vertical in m, divergence likewise in radians."""
         section = self.section
         return np.array([1e-3 * width for width in (*section.spot_mm, *section.divergence_mrad)]) / 4
 
@@ -142,7 +142,9 @@ def turn(seed: int, firing: int, laser: int) -> tuple[np.uint32, np.uint32]:
 
 @kernel
 def lay(rays: F4, axes: F4, sigmas: F4, u: np.uint32, v: np.uint32, first: int, support: bool) -> None:
-    """Fill eight sub-rays of a pulse from number `first`: origins in rows 0 to 2 of eight, unit directions in rows 4 to 6.
+    """Fill eight sub-rays of a pulse, from number `first` on.
+
+    Rows of eight: origins in rows 0 to 2, unit directions in rows 4 to 6.
 
     Parameters
     ----------
@@ -162,9 +164,9 @@ def lay(rays: F4, axes: F4, sigmas: F4, u: np.uint32, v: np.uint32, first: int, 
     else:
         for lane in range(ROUND):
             ring = np.uint32(u + np.uint32(first + lane) * _STEP_U) >> _SHIFT
-            way = np.uint32(v + np.uint32(first + lane) * _STEP_V) >> _SHIFT
-            rays[lane] = _RADIUS[ring] * _COS[way]
-            rays[_Y + lane] = _RADIUS[ring] * _SIN[way]
+            turned = np.uint32(v + np.uint32(first + lane) * _STEP_V) >> _SHIFT
+            rays[lane] = _RADIUS[ring] * _COS[turned]
+            rays[_Y + lane] = _RADIUS[ring] * _SIN[turned]
     spot_x_m = sigmas[0]
     spot_y_m = sigmas[1]
     spread_x = sigmas[2]
@@ -194,7 +196,7 @@ def lay(rays: F4, axes: F4, sigmas: F4, u: np.uint32, v: np.uint32, first: int, 
 
 @inline_kernel
 def reach_of(first: int, support: bool) -> np.float32:
-    """Return the greatest distance of the round of sub-rays `first` from the centre, in standard deviations."""
+    """Return the greatest distance from the centre, in sigmas, of the round that begins at `first`."""
     return _REACH[first // ROUND] if support and first < len(_SUPPORT) else _REACH[-1]
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from vlp16emu.errors import RunError
 from vlp16emu.kernels.compiler import array_kernel, inline_kernel
 from vlp16emu.raycast import embree as rtc
-from vlp16emu.raycast.pieces import Faces, faces_of, in_pieces
+from vlp16emu.raycast.pieces import Faces, faces_of, split_into_pieces
 from vlp16emu.types import F4, F8, I8, U4, U8, Mesh, Window
 
 
@@ -33,7 +33,7 @@ def shape_of(meshes: Sequence[Mesh]) -> Shape:
     square_m2 = 0.0
     for x_m, y_m, z_m in (mesh.vertices_m.T for mesh in meshes):
         square_m2 = max(square_m2, float((x_m * x_m + y_m * y_m + z_m * z_m).max(initial=0.0)))
-    return Shape(*in_pieces([faces_of(mesh) for mesh in meshes]), math.sqrt(square_m2))
+    return Shape(*split_into_pieces([faces_of(mesh) for mesh in meshes]), math.sqrt(square_m2))
 
 
 _WIDER_M = 2.0**-10
@@ -70,12 +70,12 @@ class EmbreeMesh:
         """
         with self._building:
             if piece not in self._scenes:
-                scene = self._built(self._begin[piece], self._begin[piece + 1])
+                scene = self._build(self._begin[piece], self._begin[piece + 1])
                 rtc.check("build a shape")
                 self._scenes[piece] = scene
             return self._scenes[piece]
 
-    def _built(self, begin: I8, stop: I8) -> int:
+    def _build(self, begin: I8, stop: I8) -> int:
         lib = rtc.library()
         device = rtc.device()
         scene, _ = _new_scene(self)
@@ -85,7 +85,7 @@ class EmbreeMesh:
         for number in np.flatnonzero(stop > begin).tolist():
             vertices_m, triangles = self.faces[number]
             wider_m = widened(vertices_m, triangles[begin[number] : stop[number]])
-            corners = _counting(len(wider_m) - 1)
+            corners = _corner_numbers(len(wider_m) - 1)
             read += [wider_m, corners]
             geometry = lib.rtcNewGeometry(device, rtc.GEOMETRY_TRIANGLE)
             for kind, layout, data, rows in (
@@ -103,8 +103,8 @@ class EmbreeMesh:
 _COUNTED = [np.arange(3 << 16, dtype=np.uint32)]
 
 
-def _counting(n: int) -> U4:
-    """Return 0, 1, 2 ... up to n or more, one array for all meshes: the corners of triangles without shared corners."""
+def _corner_numbers(n: int) -> U4:
+    """Return 0, 1, 2 ... up to n or more, as corners of separate triangles; one array for all meshes."""
     counted = _COUNTED[0]
     if len(counted) < n:
         counted = _COUNTED[0] = np.arange(max(n, 2 * len(counted)), dtype=np.uint32)
@@ -113,7 +113,7 @@ def _counting(n: int) -> U4:
 
 @array_kernel
 def widened(vertices_m: F4, triangles: U4) -> F4:
-    """Move the corners of triangles (t, 3) outwards in their planes, so that their edges are `_WIDER_M` farther out.
+    """Widen triangles (t, 3) in their planes, so that their edges are `_WIDER_M` farther out.
 
     Returns
     -------
@@ -153,7 +153,7 @@ def relative_to_window(window: Window) -> F8:
 
 
 def inverses(transforms: F8) -> F8:
-    """Invert affine transforms (n, 3, 4) by cofactors in a fixed order, so that no library's rounding matters."""
+    """Invert affine transforms (n, 3, 4) by cofactors, in a fixed order for the same bits everywhere."""
     (a, b, c, x), (d, e, f, y), (g, h, i, z) = transforms.transpose(1, 2, 0)
     rows = (
         (e * i - f * h, c * h - b * i, b * f - c * e),
@@ -170,8 +170,8 @@ def inverses(transforms: F8) -> F8:
     return out
 
 
-def sheared(world_T_shape: F8, foot_z_m: F8, shear: F8) -> F8:
-    """Shear placements (m, 3, 4) horizontally by `shear` (..., m, 2) per metre over a foot (m,): (..., m, 3, 4)."""
+def shear_placements(world_T_shape: F8, foot_z_m: F8, shear: F8) -> F8:
+    """Shear placements (m, 3, 4) by `shear` (..., m, 2) per metre over a foot (m,): (..., m, 3, 4)."""
     over_foot = world_T_shape[:, 2].copy()
     over_foot[:, 3] -= foot_z_m
     moved = np.broadcast_to(world_T_shape, (*shear.shape[:-1], 3, 4)).copy()
@@ -180,7 +180,7 @@ def sheared(world_T_shape: F8, foot_z_m: F8, shear: F8) -> F8:
 
 
 def _new_scene(owner: object) -> tuple[int, Callable[[], object]]:
-    """Return the address of an empty scene, released with its owner, and a function that releases it earlier."""
+    """Return the address of an empty scene, and a function that releases it before its owner does."""
     lib = rtc.library()
     scene: int = lib.rtcNewScene(rtc.device())
     release = weakref.finalize(owner, lib.rtcReleaseScene, scene)
@@ -253,7 +253,7 @@ class Placed:
 
 
 def _buffers(meshes: Sequence[EmbreeMesh], counts: I8) -> tuple[U8, I8]:
-    """Concatenate the buffers of the distinct meshes of placements; return them and the first row of each piece."""
+    """Concatenate buffers of the distinct meshes; return them and the first row of each piece."""
     first = dict[int, int]()
     tables = [np.zeros((0, 2), np.uint64)]
     stop = 0
@@ -307,7 +307,7 @@ def motion_of(window: Window) -> tuple[InstanceMotion, dict[int, F4]]:
         raise RunError(f"wind: found {len(sway.shear)} knots in a window, Embree takes {_MOST_KNOTS}")
     shear = np.zeros((len(sway.shear), len(window.shape), 2), np.float32)
     shear[:, sway.placement] = sway.shear
-    transforms = sheared(window.world_T_shape[sway.placement], sway.foot_z_m, sway.shear)
+    transforms = shear_placements(window.world_T_shape[sway.placement], sway.foot_z_m, sway.shear)
     transforms[..., 3] -= window.origin_m
     by_instance = np.ascontiguousarray(transforms.swapaxes(0, 1), np.float32)
     span_ns = sway.step_ns * (len(sway.shear) - 1)

@@ -120,8 +120,8 @@ def device() -> int:
 def _new_device() -> int:
     """Make a device; tests extend its configuration with `VLP16EMU_EMBREE`: `isa=sse4.2`, `verbose=1`."""
     # One thread per build: our own workers build shapes in parallel.
-    own = ("threads=1", "set_affinity=0", os.environ.get("VLP16EMU_EMBREE", ""))
-    handle: int | None = library().rtcNewDevice(",".join(filter(None, own)).encode())
+    settings = ("threads=1", "set_affinity=0", os.environ.get("VLP16EMU_EMBREE", ""))
+    handle: int | None = library().rtcNewDevice(",".join(filter(None, settings)).encode())
     if handle is None:
         raise RunError(f"Embree gave no device: {_meaning(library().rtcGetDeviceError(None))}")
     return handle
@@ -138,7 +138,7 @@ def give_memory_back() -> None:
 
 
 def check(doing: str) -> None:
-    """Raise `RunError` if Embree failed on this thread, for instance because memory ran out; it reports per thread."""
+    """Raise `RunError` if Embree, which reports errors per thread, has failed on this thread."""
     if error := library().rtcGetDeviceError(device()):
         raise RunError(f"Embree could not {doing}: {_meaning(error)}")
 

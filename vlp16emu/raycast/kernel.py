@@ -24,7 +24,7 @@ from vlp16emu.raycast.packet import (
     RayPacket,
     Target,
     cast_packet,
-    ray_met,
+    hit_of,
     set_filter,
 )
 from vlp16emu.trig import ZERO
@@ -53,7 +53,7 @@ class PulseBatch(NamedTuple):
     first: int  # number of the first firing sequence
 
 
-class MetRays(NamedTuple):
+class RayHits(NamedTuple):
     """Hits of rays: three arrays of one length."""
 
     range_m: F4
@@ -73,7 +73,7 @@ class Batch(NamedTuple):
     missed: NDArray[np.bool_]  # (n,) mask of pulses with rays that meet nothing near
     todo: I8  # (n,) numbers of the pulses to cast
     have: I8  # (n,) number of sub-rays of each
-    hits: MetRays  # (n m,) hits of these, pulse by pulse; m is a multiple of eight
+    hits: RayHits  # (n m,) hits of these, pulse by pulse; m is a multiple of eight
     scratch: F8  # (2, m) for sorting
 
 
@@ -90,7 +90,7 @@ def batch_of(pulses: int, most: int) -> Batch:
         np.zeros(pulses, np.bool_),
         np.arange(pulses),
         np.zeros(pulses, np.int64),
-        MetRays(np.empty(n, np.float32), np.empty(n, np.uint32), np.empty(n, np.float32)),
+        RayHits(np.empty(n, np.float32), np.empty(n, np.uint32), np.empty(n, np.float32)),
         np.empty((2, most)),
     )
 
@@ -128,7 +128,7 @@ def cast_pulses(cast: Cast, budget: RayBudget, count: U2, first_round: U4) -> U4
     (3, n) the same for all further sub-rays, in order of pulses
     """
     set_filter(cast.packet)
-    groups = no_groups(count)
+    groups = empty_groups(count)
     for first in cast.light.order:
         todo = all_pulses(cast.batch)
         have = ZERO
@@ -138,11 +138,11 @@ def cast_pulses(cast: Cast, budget: RayBudget, count: U2, first_round: U4) -> U4
             todo = settle(cast, budget, first_round, first, todo, have, rays)
             have = have + rays
         groups[first // PACKET] = further(cast.batch, min(ROUND, budget.most), first, count)
-    return joined(groups)
+    return concatenate(groups)
 
 
 @array_kernel
-def no_groups(count: U2) -> list[U4]:
+def empty_groups(count: U2) -> list[U4]:
     """Return empty hits for each eight sequences of pulses (k, L)."""
     return [np.empty((3, 0), np.uint32) for _ in range(count.shape[0] // PACKET)]
 
@@ -157,17 +157,17 @@ def all_pulses(batch: Batch) -> int:
 
 
 @array_kernel
-def joined(groups: list[U4]) -> U4:
+def concatenate(groups: list[U4]) -> U4:
     """Concatenate hits (3, n)."""
     n = ZERO
     for group in groups:
         n += group.shape[1]
-    whole = np.empty((3, n), np.uint32)
+    joined = np.empty((3, n), np.uint32)
     n = ZERO
     for group in groups:
-        whole[:, n : n + group.shape[1]] = group
+        joined[:, n : n + group.shape[1]] = group
         n += group.shape[1]
-    return whole
+    return joined
 
 
 @kernel
@@ -233,7 +233,7 @@ def cast_middles(cast: Cast, beyond: Target | None, first: int) -> None:
             rays[TIME + r] = light.time[i, j]
         packet.valid[:] = -1
         cast_packet(near, packet, light.near_m[j], reach_m)
-        _put_down(cast, beyond, PACKET * j, ZERO + 1, ZERO + PACKET)
+        _store_hits(cast, beyond, PACKET * j, ZERO + 1, ZERO + PACKET)
 
 
 @kernel
@@ -257,12 +257,12 @@ def cast_near(
             packet.rays[TIME + r] = light.time[i, j]
             valid[r] = -1 if r < count else 0
         cast_packet(near, packet, light.near_m[j], reach_m)
-        _put_down(cast, beyond, q, ZERO, count)
+        _store_hits(cast, beyond, q, ZERO, count)
 
 
 @inline_kernel
-def _put_down(cast: Cast, beyond: Target | None, q: int, step: int, count: int) -> None:
-    """Store hits of all rays of pulse q (step 0), or of one ray of each pulse from q on (step 1); pass on the misses."""
+def _store_hits(cast: Cast, beyond: Target | None, q: int, step: int, count: int) -> None:
+    """Store hits of all rays of pulse q (step 0), or of one ray per pulse from q on (step 1)."""
     near, light, packet, batch = cast
     instance = packet.instance
     valid = packet.valid
@@ -279,32 +279,32 @@ def _put_down(cast: Cast, beyond: Target | None, q: int, step: int, count: int) 
             row[to, COSINE + lane] = 0.0
             missed += 1
         else:
-            row[to, RANGE + lane], surface[to, lane], row[to, COSINE + lane] = ray_met(near, packet, r)
+            row[to, RANGE + lane], surface[to, lane], row[to, COSINE + lane] = hit_of(near, packet, r)
         valid[r] = -1 if instance[r] == NONE else 0
         batch.missed[to] = missed > 0 if step == 0 else instance[r] == NONE
     if beyond is not None and missed:
-        _send_on(cast, beyond, q, step, count)
+        _store_misses(cast, beyond, q, step, count)
 
 
 @inline_kernel
-def _send_on(cast: Cast, beyond: Target, q: int, step: int, count: int) -> None:
+def _store_misses(cast: Cast, beyond: Target, q: int, step: int, count: int) -> None:
     """Store the rays that go on for the medium, and cast them against faces at any range."""
     _, light, packet, batch = cast
-    own = packet.own
+    world_rays = packet.world_rays
     instance = packet.instance
     valid = packet.valid
     row = batch.row
     surface = batch.surface
     if step == 0:
         for at in range(3 * LANES):
-            row[q, ORIGIN + at] = own[ORG + at]
-            row[q, DIRECTION + at] = own[DIR + at]
+            row[q, ORIGIN + at] = world_rays[ORG + at]
+            row[q, DIRECTION + at] = world_rays[DIR + at]
     else:
         for r in range(count):
             if valid[r]:
                 for a in range(3):
-                    row[q + r, ORIGIN + LANES * a] = own[ORG + PACKET * a + r]
-                    row[q + r, DIRECTION + LANES * a] = own[DIR + PACKET * a + r]
+                    row[q + r, ORIGIN + LANES * a] = world_rays[ORG + PACKET * a + r]
+                    row[q + r, DIRECTION + LANES * a] = world_rays[DIR + PACKET * a + r]
     if not beyond.scene:
         return
     cast_packet(beyond, packet, light.reach_m, light.far_m)
@@ -312,7 +312,7 @@ def _send_on(cast: Cast, beyond: Target, q: int, step: int, count: int) -> None:
         if valid[r] and instance[r] != NONE:
             to = q + step * r
             lane = (1 - step) * r
-            row[to, RANGE + lane], surface[to, lane], row[to, COSINE + lane] = ray_met(beyond, packet, r)
+            row[to, RANGE + lane], surface[to, lane], row[to, COSINE + lane] = hit_of(beyond, packet, r)
 
 
 @kernel
@@ -335,15 +335,15 @@ def settle(
     range_m = hits.range_m
     surface = hits.surface
     cosine = hits.cos_incidence
-    most = batch.scratch.shape[1]
-    own = have + count
+    room = batch.scratch.shape[1]
+    total = have + count
     lasers = met.shape[0] // PACKET
     first_m = first_round[0].view(np.float32)
     first_cosine = first_round[2].view(np.float32)
     for t in range(todo):
         q = batch.todo[t]
-        begin = q * most
-        at = q * most + have
+        begin = q * room
+        at = q * room + have
         for lane in range(LANES):
             range_m[at + lane] = np.float32(np.inf) if met[q, lane] == NONE else row[q, RANGE + lane]
             surface[at + lane] = met[q, lane]
@@ -354,10 +354,10 @@ def settle(
                 first_m[to + lane] = range_m[at + lane]
                 first_cosine[to + lane] = cosine[at + lane]
                 first_round[1, to + lane] = surface[at + lane]
-        batch.have[q] = own
-        needs_more = own < budget.most
+        batch.have[q] = total
+        needs_more = total < budget.most
         if needs_more and budget.adaptive:
-            stop = begin + own
+            stop = begin + total
             ranges = range_m[begin:stop]
             surfaces = surface[begin:stop]
             cosines = cosine[begin:stop]
@@ -370,8 +370,8 @@ def settle(
 
 @array_kernel
 def further(batch: Batch, each: int, first: int, count: U2) -> U4:
-    """Count the hits of eight sequences; return the ones after the first `each`, (3, n) as in `cast_pulses`."""
-    most = batch.scratch.shape[1]
+    """Count the hits of eight sequences; return those after the first `each`, as `cast_pulses` does."""
+    room = batch.scratch.shape[1]
     n = ZERO
     for q in range(PACKET * count.shape[1]):
         count[first + q % PACKET, q // PACKET] = batch.have[q]
@@ -382,7 +382,7 @@ def further(batch: Batch, each: int, first: int, count: U2) -> U4:
     cosine = further[2].view(np.float32)
     for i in range(PACKET):
         for j in range(count.shape[1]):
-            begin = (PACKET * j + i) * most
+            begin = (PACKET * j + i) * room
             for s in range(each, batch.have[PACKET * j + i]):
                 range_m[n] = batch.hits.range_m[begin + s]
                 further[1, n] = batch.hits.surface[begin + s]

@@ -136,7 +136,7 @@ def target_of(placed: Placed, kept: NDArray[np.bool_] | None = None) -> Target:
 
 
 def _by_sectors(azimuth_deg: F8) -> I8:
-    """Return the first sequence of each packet (k / 8,), so that all revolutions pass a sector before the next one."""
+    """Return starts of packets (k / 8,) by sector: all revolutions pass one sector before the next."""
     sector = (azimuth_deg[::PACKET, 0] / _SECTOR_DEG).astype(np.int64)
     return np.argsort(sector, kind="stable") * PACKET
 
@@ -163,35 +163,39 @@ class EmbreeCaster:
         """
         try:
             with self._lock:
-                return self._opened(window)
+                return self._geometry_of(window)
         finally:
             rtc.give_memory_back()
 
-    def _opened(self, window: Window) -> EmbreeGeometry:
-        return EmbreeGeometry(self._placed(window, self._begun(window)))
+    def _geometry_of(self, window: Window) -> EmbreeGeometry:
+        return EmbreeGeometry(self._placed(window, self._start_shapes(window)))
 
-    def _begun(self, window: Window) -> list[EmbreeMesh | Future[EmbreeMesh]]:
+    def _start_shapes(self, window: Window) -> list[EmbreeMesh | Future[EmbreeMesh]]:
         """Return the shapes of a window in order, or futures of new shapes."""
-        return [self._solids.get(key) or self._workers.submit(self._solid, key) for key in window.shapes]
+        return [
+            self._solids.get(key) or self._workers.submit(self._build_shape, key) for key in window.shapes
+        ]
 
-    def _grown(self, window: Window, begun: Sequence[EmbreeMesh | Future[EmbreeMesh]]) -> list[EmbreeMesh]:
+    def _await_shapes(
+        self, window: Window, begun: Sequence[EmbreeMesh | Future[EmbreeMesh]]
+    ) -> list[EmbreeMesh]:
         meshes = [each.result() if isinstance(each, Future) else each for each in begun]
         self._solids.update(zip(window.shapes, meshes, strict=True))
         return meshes
 
     def _placed(self, window: Window, begun: Sequence[EmbreeMesh | Future[EmbreeMesh]]) -> Placed:
-        meshes = self._grown(window, begun)
+        meshes = self._await_shapes(window, begun)
         return Placed(window, [meshes[which] for which in window.shape.tolist()], self._workers)
 
-    def _solid(self, key: ShapeKey) -> EmbreeMesh:
+    def _build_shape(self, key: ShapeKey) -> EmbreeMesh:
         if isinstance(key, Thing):
-            return _thing(key)
+            return _hall_thing(key)
         name = self._world.shape_name(key)
         world = self._world
         return EmbreeMesh(recall(name and f"faces {name}", lambda: shape_of(world.shape(key))))
 
 
 @lru_cache(maxsize=_THINGS_KEPT)
-def _thing(key: Thing) -> EmbreeMesh:
+def _hall_thing(key: Thing) -> EmbreeMesh:
     """Build a thing of a hall, which its key describes whole."""
     return EmbreeMesh(shape_of(hall_shape(key)))

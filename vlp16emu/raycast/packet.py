@@ -77,7 +77,7 @@ class RayPacket(NamedTuple):
     valid: I4
     context: U8
     arguments: U8
-    own: F4
+    world_rays: F4
     """First rows of `rays` (64,), with the least range: Embree transforms its rays into instances and
     back."""
     state: F8  # (40,) likewise
@@ -147,15 +147,15 @@ def _corners(desk: U8, instance: np.int64, face: np.uint64) -> _Corners:
 
 
 @inline_kernel
-def _in_shape(desk: U8, own: F8, r: np.int64, instance: np.int64) -> tuple[_Vector, _Vector]:
+def _ray_in_shape(desk: U8, world_rays: F8, r: np.int64, instance: np.int64) -> tuple[_Vector, _Vector]:
     """Return origin and direction of ray r in the coordinates of an instance's shape."""
-    (x, y, z) = _vector(own, r, PACKET)
-    (dx, dy, dz) = _vector(own, DIR + r, PACKET)
+    (x, y, z) = _vector(world_rays, r, PACKET)
+    (dx, dy, dz) = _vector(world_rays, DIR + r, PACKET)
     knots = np.int64(desk[9])
     if knots:
         shear = _as_float32(desk[8])
         n = np.int64(desk[10])
-        knot, share = knot_at(knots, own[TIME + r])
+        knot, share = knot_at(knots, world_rays[TIME + r])
         here = 2 * (knot * n + instance)
         after = 2 * ((knot + 1) * n + instance)
         lean_x = shear[here] + share * (shear[after] - shear[here])
@@ -167,18 +167,22 @@ def _in_shape(desk: U8, own: F8, r: np.int64, instance: np.int64) -> tuple[_Vect
         dy = dy - lean_y * dz
     at = 12 * instance
     T = _as_float64(desk[4])
-    one = _vector(T, at, 1)
-    two = _vector(T, at + 4, 1)
-    three = _vector(T, at + 8, 1)
+    row_x = _vector(T, at, 1)
+    row_y = _vector(T, at + 4, 1)
+    row_z = _vector(T, at + 8, 1)
     from_m = (x, y, z)
     along = (dx, dy, dz)
-    origin_m = _dot(one, from_m) + T[at + 3], _dot(two, from_m) + T[at + 7], _dot(three, from_m) + T[at + 11]
-    return origin_m, (_dot(one, along), _dot(two, along), _dot(three, along))
+    origin_m = (
+        _dot(row_x, from_m) + T[at + 3],
+        _dot(row_y, from_m) + T[at + 7],
+        _dot(row_z, from_m) + T[at + 11],
+    )
+    return origin_m, (_dot(row_x, along), _dot(row_y, along), _dot(row_z, along))
 
 
 @inline_kernel
 def _cut(corners: _Corners, normal: _Vector, ray: tuple[_Vector, _Vector]) -> tuple[float, float, bool]:
-    """Intersect a ray with a triangle: return range, product of normal and direction, and whether it passes inside.
+    """Intersect a ray with a triangle; return range, normal times direction, and True for a hit.
 
     The three determinants of the direction and two corners then have the same sign. For two triangles with a
     common edge the edge's determinants differ only in sign, so no ray passes between them.
@@ -193,7 +197,7 @@ def _cut(corners: _Corners, normal: _Vector, ray: tuple[_Vector, _Vector]) -> tu
 
 @kernel
 def _decide(arguments: int) -> None:
-    """Accept or reject a candidate for some rays: Embree's filter, with the address of RTCFilterFunctionNArguments."""
+    """Accept or reject a candidate hit: Embree's filter, given its RTCFilterFunctionNArguments."""
     words = _as_uint64(arguments)
     valid = _as_int32(words[0])
     desk = _as_uint64(_as_uint64(words[2])[1])
@@ -201,7 +205,7 @@ def _decide(arguments: int) -> None:
     far_m = _as_float32(words[3])
     numbers = _as_uint32(words[3])
     hit = _as_uint32(words[4])
-    own = _as_float32(desk[0])
+    world_rays = _as_float32(desk[0])
     state = _as_float64(desk[1])
     instances = _as_uint32(desk[2])
     faces = _as_uint64(desk[3])
@@ -220,11 +224,13 @@ def _decide(arguments: int) -> None:
             last_face = face
             corners = _corners(desk, np.int64(instance), face)
             normal = _cross(_minus(corners[1], corners[0]), _minus(corners[2], corners[0]))
-        range_m, facing, is_inside = _cut(corners, normal, _in_shape(desk, own, r, np.int64(instance)))
+        range_m, facing, is_inside = _cut(
+            corners, normal, _ray_in_shape(desk, world_rays, r, np.int64(instance))
+        )
         limit_m = state[_LIMIT + r]
         is_first = instance < instances[r] or (instance == instances[r] and face < faces[r])
         is_nearer = range_m < limit_m or (range_m == limit_m and is_first)
-        if is_inside and is_nearer and own[_TNEAR + r] <= range_m:
+        if is_inside and is_nearer and world_rays[_TNEAR + r] <= range_m:
             instances[r] = instance
             faces[r] = face
             state[_LIMIT + r] = range_m
@@ -293,7 +299,7 @@ def set_filter(packet: RayPacket) -> None:
 def cast_packet(target: Target, packet: RayPacket, near_m: float, far_m: float) -> None:
     """Cast the valid rays of a packet between two ranges; if one is steep, all are cast as steep."""
     rays = packet.rays
-    own = packet.own
+    world_rays = packet.world_rays
     valid = packet.valid
     desk = packet.desk
     state = packet.state
@@ -302,10 +308,10 @@ def cast_packet(target: Target, packet: RayPacket, near_m: float, far_m: float) 
     for lane in range(PACKET):
         rise = max(rise, abs(rays[DIR + 2 * PACKET + lane]))
     for at in range(8 * PACKET):
-        own[at] = rays[at]
+        world_rays[at] = rays[at]
     first_m, last_m = np.float32(max(near_m - _SLACK_M, 0.0)), np.float32(far_m + _SLACK_M)
     for lane in range(PACKET):
-        own[_TNEAR + lane] = near_m
+        world_rays[_TNEAR + lane] = near_m
         rays[_TNEAR + lane] = first_m
         rays[_TFAR + lane] = last_m
         state[_LIMIT + lane] = far_m if valid[lane] else state[_LIMIT + lane]
@@ -325,7 +331,7 @@ def cast_packet(target: Target, packet: RayPacket, near_m: float, far_m: float) 
 
 
 @inline_kernel
-def ray_met(target: Target, packet: RayPacket, r: int) -> tuple[np.float32, np.uint32, np.float32]:
+def hit_of(target: Target, packet: RayPacket, r: int) -> tuple[np.float32, np.uint32, np.float32]:
     """Return range, surface and cosine of incidence of the hit of ray r.
 
     The normal in the window is the shape's normal times the transpose of `shape_T_window`; a horizontal shear
@@ -340,7 +346,7 @@ def ray_met(target: Target, packet: RayPacket, r: int) -> tuple[np.float32, np.u
     y = T[instance, 0, 1] * nx + T[instance, 1, 1] * ny + T[instance, 2, 1] * nz
     z = T[instance, 0, 2] * nx + T[instance, 1, 2] * ny + T[instance, 2, 2] * nz
     if target.shear.shape[0]:
-        knot, share = knot_at(target.shear.shape[0], packet.own[TIME + r])
+        knot, share = knot_at(target.shear.shape[0], packet.world_rays[TIME + r])
         here = target.shear[knot, instance]
         after = target.shear[knot + 1, instance]
         z -= (here[0] + share * (after[0] - here[0])) * x + (here[1] + share * (after[1] - here[1])) * y

@@ -24,13 +24,13 @@ them; from 0.6 to 0.95 the gain is the same, with more pieces."""
 
 
 def faces_of(mesh: Mesh) -> Faces:
-    """Return the vertices and triangles of a mesh, contiguous; a quad (a, b, c, d) becomes (a, b, d) and (c, d, b)."""
+    """Return vertices and triangles of a mesh, contiguous; quads (a, b, c, d) become (a, b, d), (c, d, b)."""
     quads = mesh.faces.shape[1] == 4
     triangles = mesh.faces[:, [0, 1, 3, 2, 3, 1]].reshape(-1, 3) if quads else mesh.faces
     return np.ascontiguousarray(mesh.vertices_m), np.ascontiguousarray(triangles)  # read by their addresses
 
 
-def in_pieces(faces: Sequence[Faces]) -> tuple[tuple[Faces, ...], I8, F8]:
+def split_into_pieces(faces: Sequence[Faces]) -> tuple[tuple[Faces, ...], I8, F8]:
     """Order the triangles of a shape by pieces.
 
     Parameters
@@ -83,7 +83,7 @@ def _slabs(body: Sequence[Faces]) -> tuple[list[I8], F8]:
     boxes = np.repeat([[[np.inf] * 3, [-np.inf] * 3]], 1 + int((high_m - low_m) / _SLAB_M), axis=0)
     slabs = [np.zeros(len(triangles), np.int64) for _, triangles in body]
     for (vertices_m, triangles), slab in zip(body, slabs, strict=True):
-        _put(vertices_m, triangles, low_m, slab, boxes)
+        _assign_to_slabs(vertices_m, triangles, low_m, slab, boxes)
     boxes = boxes[boxes[:, 1, 2] > -np.inf]
     around = np.array([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
     if _side_m2(boxes).sum() > _WORTH * _side_m2(around):
@@ -92,14 +92,14 @@ def _slabs(body: Sequence[Faces]) -> tuple[list[I8], F8]:
 
 
 def _side_m2(boxes: F8) -> F8:
-    """Return side areas (...,) of boxes (..., 2, 3): the sum of two faces, proportional to the mean over all directions."""
+    """Return side areas (...,) of boxes (..., 2, 3): two faces, in proportion to the mean projected area."""
     size: F8 = boxes[..., 1, :] - boxes[..., 0, :]
     return (size[..., 0] + size[..., 1]) * size[..., 2]
 
 
 @kernel
-def _put(vertices_m: F4, triangles: U4, low_m: float, slab: I8, boxes: F8) -> None:
-    """Assign triangles (t, 3) to the slabs of their lowest corners, and extend the boxes (slabs, 2, 3) to include them."""
+def _assign_to_slabs(vertices_m: F4, triangles: U4, low_m: float, slab: I8, boxes: F8) -> None:
+    """Assign triangles (t, 3) to the slabs of their lowest corners, and extend boxes (slabs, 2, 3)."""
     for t in range(len(triangles)):
         a, b, c = triangles[t]
         slab[t] = int((min(vertices_m[a, 2], vertices_m[b, 2], vertices_m[c, 2]) - low_m) / _SLAB_M)

@@ -1,4 +1,4 @@
-"""Texture, relief and gloss: brighter and darker patches on bark, ground and walls, slightly uneven walls, and shine at normal incidence."""
+"""Texture, relief and gloss: patches on bark, ground and walls, uneven walls, shine at normal incidence."""
 
 import math
 
@@ -50,7 +50,7 @@ relief."""
 
 
 def add_texture(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: int) -> None:
-    """Add the texture, relief and gloss of each surface to hits, in place: local changes of brightness and range.
+    """Add the texture, relief and gloss of each surface to hits, in place.
 
     Brightness scales the cosine of incidence, up to the brightness of a white surface. Relief moves hits
     along the pulse. Both are taken on the axis of the pulse, at the range of the sub-ray. Gloss is the light
@@ -80,7 +80,7 @@ def add_texture(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: 
 def _texture(
     origin_m: F8, direction: F8, rays: tuple[U2, F4, U4, F4], looks: F4, seed: int, known: _Known
 ) -> None:
-    """Add the relief to the ranges of the sub-rays of pulses (k, L), and multiply their cosines by the texture.
+    """Add relief to the ranges of sub-rays of pulses (k, L); multiply their cosines by the texture.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def _texture(
                 if texture != 0.0:
                     if abs(range_m[ray] - patch_m) > _SAME_M:
                         patch_m = at_m
-                        drawn, strength = _of_patch(
+                        drawn, strength = _draw_patch(
                             seed, np.float64(per_m), origin_m, direction, i, j, at_m, 0, known
                         )
                         patch = _SPREAD * (2.0 * drawn - 1.0) * strength
@@ -133,7 +133,7 @@ def _texture(
                     finer = 1.0
                     while finer * at_m < _RELIEF_FROM_M and finer < _FINEST:
                         finer *= 2.0
-                    drawn, strength = _of_patch(
+                    drawn, strength = _draw_patch(
                         seed, finer / _RELIEF_GRID_M, origin_m, direction, i, j, at_m, 2, known
                     )
                     even = 2.0 * drawn - 1.0
@@ -144,7 +144,7 @@ def _texture(
 
 
 @inline_kernel
-def _of_patch(
+def _draw_patch(
     seed: int,
     per_m: float,
     origin_m: F8,
@@ -165,13 +165,13 @@ def _of_patch(
     u = np.int64(math.floor(x + fold(0.37 * y + 0.61 * z) + 0.4 * fold(2.3 * z - 1.7 * y)))
     v = np.int64(math.floor(y + fold(0.53 * z - 0.41 * x) + 0.4 * fold(1.9 * x + 2.1 * z)))
     w = np.int64(math.floor(z + fold(0.43 * x + 0.57 * y) + 0.4 * fold(1.6 * y - 2.2 * x)))
-    drawn = _of_cell(seed, u, v, w, slot, j, known)
-    share = _of_cell(seed, u >> _CELL_BITS, v >> _CELL_BITS, w >> _CELL_BITS, slot + 1, j, known)
+    drawn = _draw_cell(seed, u, v, w, slot, j, known)
+    share = _draw_cell(seed, u >> _CELL_BITS, v >> _CELL_BITS, w >> _CELL_BITS, slot + 1, j, known)
     return drawn, _STRENGTH[np.int64(share * len(_STRENGTH))]
 
 
 @inline_kernel
-def _of_cell(seed: int, u: np.int64, v: np.int64, w: np.int64, slot: int, j: int, known: _Known) -> float:
+def _draw_cell(seed: int, u: np.int64, v: np.int64, w: np.int64, slot: int, j: int, known: _Known) -> float:
     """Draw the number of a cell, unless the last pulse of laser j hit it too."""
     cells, values = known
     if cells[slot, j, 0] != u or cells[slot, j, 1] != v or cells[slot, j, 2] != w:

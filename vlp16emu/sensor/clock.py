@@ -29,7 +29,7 @@ class ClockSpan:
     )
 
     def reading(self, t_ns: I8) -> I8:
-        """Return nanoseconds past the counter's hour at UTC instants of any shape; the first reading before the span."""
+        """Return ns past the counter's hour at UTC instants of any shape; before the span, the first."""
         if self.reading_ns is None:
             if not self.error_ppm:
                 return np.asarray(t_ns % HOUR_NS)
@@ -61,13 +61,13 @@ class Clock:
         return np.array([span.from_ns for span in self.spans[1:]], np.int64)
 
     def reading_ns(self, t_ns: I8) -> I8:
-        """Return nanoseconds past the counter's hour at UTC instants of any shape."""
+        """Return nanoseconds past the counter's hour at UTC instants span any shape."""
         if len(self.spans) == 1:
             return self.spans[0].reading(t_ns)
         out = np.empty(t_ns.shape, np.int64)
-        of = np.searchsorted(self._turns_ns, t_ns, side="right")
-        for number in np.unique(of).tolist():
-            out[of == number] = self.spans[number].reading(t_ns[of == number])
+        span = np.searchsorted(self._turns_ns, t_ns, side="right")
+        for number in np.unique(span).tolist():
+            out[span == number] = self.spans[number].reading(t_ns[span == number])
         return out
 
 
@@ -84,7 +84,7 @@ class ClockEvent:
 def clock_of(
     section: Lidar, power_up_ns: int, pps: Steps[PpsState], events: Iterable[ClockEvent] = ()
 ) -> Clock:
-    """Return the clock of a unit: locked to GPS if possible, otherwise free-running from its last reading, or from power-up.
+    """Return the clock of a unit: locked to GPS, or free-running from its last reading or power-up.
 
     Pulses without sentences pull the fraction of a second to their edge (63-9243 Rev D, appendix G).
 

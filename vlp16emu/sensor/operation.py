@@ -16,7 +16,7 @@ _RUN_UP_RPM_S = 300.0  # change of the rotor's speed per second (assumption: the
 
 @dataclass(frozen=True, slots=True)
 class Operation:
-    """What a sensor does from an instant on."""
+    """Settings and power of a sensor from an instant on."""
 
     settings: SensorSettings
     is_powered: bool = (
@@ -41,24 +41,26 @@ def spins(start_deg: float, operation: Steps[Operation], start_ns: int) -> tuple
     start_ns : UTC of the first laser pulse
     """
 
-    def begun(t_ns: int, settings: SensorSettings) -> Spin:
+    def steady_spin(t_ns: int, settings: SensorSettings) -> Spin:
         phase_deg = _phase_deg(settings, start_ns + t_ns)
         return Spin(t_ns, start_deg if phase_deg is None else phase_deg, float(settings.rpm))
 
     (_, before), *changes = operation.steps
-    done = [begun(0, before.settings)]
+    done = [steady_spin(0, before.settings)]
     for t_ns, now in changes:
         is_power_up = now.is_powered and not before.is_powered
         is_same = _wanted(now) == _wanted(before)
         before = now
         if not is_power_up and (is_same or not now.is_powered):
             continue
-        while len(done) > 1 and done[-1].from_ns > t_ns:  # drop phases of the motion that have not begun
+        while (
+            len(done) > 1 and done[-1].from_ns > t_ns
+        ):  # drop phases of the motion that have not steady_spin
             done.pop()
         if is_power_up:
-            done.append(begun(t_ns, now.settings))
+            done.append(steady_spin(t_ns, now.settings))
         else:
-            done += _steered(done[-1], t_ns, now, start_ns)
+            done += _steer(done[-1], t_ns, now, start_ns)
     return tuple(done)
 
 
@@ -72,7 +74,7 @@ def _phase_deg(settings: SensorSettings, utc_ns: int) -> float | None:
     return None if phase_deg == "off" else in_phase_deg(phase_deg, settings.rpm, utc_ns)
 
 
-def _steered(spin: Spin, t_ns: int, wanted: Operation, start_ns: int) -> Iterator[Spin]:
+def _steer(spin: Spin, t_ns: int, wanted: Operation, start_ns: int) -> Iterator[Spin]:
     """Yield the motion of the rotor from its present state to the wanted one, from an instant on."""
     rpm = spin.rpm_at(t_ns)
     target = float(wanted.settings.rpm if wanted.motor_on else 0)

@@ -197,7 +197,7 @@ class Encoder:
 
     @property
     def limit_deg(self) -> float:
-        """Limit of the difference between reading and true angle at up to 3000 rpm; no normal number exceeds 9."""
+        """Limit of reading minus true angle at up to 3000 rpm; no normal number exceeds 9."""
         return self.once[0] + self.twice[0] + self.pitch_deg + 9.0 * (self.hum_deg + self.noise_deg)
 
     def read(self, angle_deg: F8, sequence: I8, clock_ns: I8, rpm: F8 | float) -> F8:
@@ -305,7 +305,7 @@ class Rotor:
 
     @cached_property
     def _pulls(self) -> tuple[I8, I8, I8, I8]:
-        """Begin and end of each lock, by how much the motor is ahead at its begin, and what the locks until its end have removed."""
+        """Begin and end of each lock, the motor's lead at its begin, and the lead removed until its end."""
         assert self.drift is not None
         bounds_ns = np.array(self.locks_ns.spans)
         ahead_ns = swung_ns((self.drift,), bounds_ns.reshape(-1)) - bounds_ns.reshape(-1)

@@ -41,7 +41,7 @@ _PRESETS: dict[str, dict[str, object]] = {
 }
 
 
-def _of_a_host(address: str) -> str:
+def _host_address(address: str) -> str:
     try:
         known = IPv4Address(address)
     except ValueError:
@@ -51,7 +51,7 @@ def _of_a_host(address: str) -> str:
     return str(known)
 
 
-Address = Annotated[str, AfterValidator(_of_a_host)]
+Address = Annotated[str, AfterValidator(_host_address)]
 
 
 class Lidar(Preset):

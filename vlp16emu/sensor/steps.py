@@ -1,4 +1,4 @@
-"""What changes at instants: separate spans of time, and piecewise constant functions of time."""
+"""Spans of time, and piecewise constant functions of time."""
 
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator

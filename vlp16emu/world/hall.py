@@ -93,7 +93,8 @@ class HallWorld:
         if outside.any():
             x_m, y_m = path_xy_m[int(outside.argmax())]
             _log.warning(
-                "hall: the path of the sensor leaves it at (%g, %g) m; expected x between -%g and %g m, y between -%g and %g m",
+                "hall: the path of the sensor leaves it at (%g, %g) m; "
+                "expected x between -%g and %g m, y between -%g and %g m",
                 *(x_m, y_m, half_m[0], half_m[0], half_m[1], half_m[1]),
             )
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from extras.walk.kit import START_NS, STILL, Circle, at, gait, straps, walking
 
-from vlp16emu.extras.walk.motion import _sit
+from vlp16emu.extras.walk.motion import _add_pack
 from vlp16emu.extras.walk.settings import Harness
 from vlp16emu.motion.pose import rotations
 
@@ -40,7 +40,7 @@ def test_interpolation_is_exact_to_a_nanometre(monkeypatch, harness):
     fine = walking(harness=harness)
     nodes, _ = fine._route.at(np.append(since_ns, 6 * 10**9) / 1e9)
     nodes[:, 2, 0] += 2.0
-    _sit(fine._pack.nodes(5), nodes)
+    _add_pack(fine._pack.nodes(5), nodes)
     np.testing.assert_allclose(poses.world_p_body_m, nodes[:-1, :3, 0], atol=1e-9)
     exact = [rotations(q[5:], q[4], q[3])[0] for q in nodes[:-1, :, 0]]
     np.testing.assert_allclose(poses.world_R_body, exact, atol=1e-9)

@@ -36,7 +36,7 @@ def sampler_of(motion: Motion, imu: InertialSection, *, start_ns: int, seed: int
 
 
 class ImuSampler:
-    """A strapdown unit that samples at its rate from `start_ns` on; `motion` is the motion of the unit itself."""
+    """A strapdown unit that samples at its rate from `start_ns` on; `motion` is its own motion."""
 
     def __init__(self, motion: Motion, imu: Imu, *, start_ns: int, seed: int) -> None:
         self._motion = motion
@@ -48,7 +48,7 @@ class ImuSampler:
         self._responses = [np.eye(3) + _AXIS_ERROR * each for each in drawn]
         noise = imu.gyro_noise_rad_s_sqrt_hz, imu.gyro_walk_rad_s2_sqrt_hz
         self._gyro = (imu.gyro_bias_rad_s, *noise, _GYRO_WARM_UP_RAD_S * imu.is_rough)
-        self._turn = lru_cache(None)(lambda chunk: float(self._turned(chunk)[-1]))
+        self._turn = lru_cache(None)(lambda chunk: float(self._gyro_bias_angle(chunk)[-1]))
 
     def late_ns(self, first: int, count: int) -> I8:
         """Return the delay (count,) of the time stamps of samples first .. first + count - 1."""
@@ -95,7 +95,7 @@ class ImuSampler:
         tilt[:, 1, 2] = -up[:, 1]
         turn = np.eye(3) + tilt + matmul(tilt, tilt) / (1.0 + up[:, 2])[:, None, None]
         chunks = range(first // _CHUNK, (first + len(up) - 1) // _CHUNK + 1)
-        parts = [sum(map(self._turn, range(chunk))) + self._turned(chunk)[:-1] for chunk in chunks]
+        parts = [sum(map(self._turn, range(chunk))) + self._gyro_bias_angle(chunk)[:-1] for chunk in chunks]
         drift_rad = np.concatenate(parts)[first - chunks.start * _CHUNK :][: len(up)]
         if noise := self._imu.gyro_noise_rad_s_sqrt_hz:
             drift_rad += (
@@ -103,8 +103,8 @@ class ImuSampler:
             )
         return matmul(matmul(rotations(drift_rad, 0.0, 0.0), turn), world_R_imu)
 
-    def _turned(self, chunk: int) -> F8:
-        """Return the integral (n + 1,) of the gyroscopes' bias over a chunk, about the vertical of the first sample of all."""
+    def _gyro_bias_angle(self, chunk: int) -> F8:
+        """Integrate the gyroscopes' bias (n + 1,) over a chunk, about the vertical of the first sample."""
         up = self._motion.kinematics_at(np.array([self._start_ns])).world_R_body[0, 2]
         _, bias = self._sample_errors(self._gyro, chunk * _CHUNK, _CHUNK, 0)
         return np.append(0.0, np.cumsum((bias * up).sum(axis=1))) / self._imu.rate_hz
@@ -112,7 +112,7 @@ class ImuSampler:
     def _sample_errors(
         self, sizes: tuple[float, float, float, float], first: int, count: int, first_axis: int
     ) -> tuple[F8, F8]:
-        """Return the errors (count, 3) of three axes, white noise and bias, and the bias alone. Errors of size zero are not drawn."""
+        """Return errors (count, 3) of three axes, noise plus bias, and the bias; none of size 0 is drawn."""
         bias, noise, walk, warm_up = sizes
         warmed = (
             1.0 - exp(-np.arange(first, first + count) / (self._imu.rate_hz * _WARM_UP_S)) if warm_up else 0.0
@@ -139,7 +139,7 @@ class ImuSampler:
 
 
 def _random_walk(seed: int, first: int, count: int, lane: int) -> F8:
-    """Return the cumulative sum (count,) of standard normal numbers at samples first .. first + count - 1, 0 at sample 0.
+    """Return the cumulative sum (count,) of normal numbers from sample `first` on; 0 at sample 0.
 
     Ends of chunks come from halving intervals (Levy's construction of Brownian motion), the samples between
     from a Brownian bridge: the sum costs the same after any time.
@@ -162,7 +162,7 @@ def _random_walk_chunk(seed: int, chunk: int, lane: int) -> F8:
 
 @array_kernel
 def _brownian(seed: int, purpose: int, index: int, lane: int) -> float:
-    """Brownian motion at an integer time up to 2^32; the number for each time is drawn once, for its interval."""
+    """Brownian motion at an integer time up to 2^32, with one random number for each time."""
     low, high = 0, _HORIZON
     before, after = 0.0, math.sqrt(_HORIZON) * normal_pair(seed, purpose, _HORIZON, lane)[0]
     while low < index:

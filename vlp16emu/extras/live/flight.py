@@ -1,4 +1,4 @@
-"""A run that is flown while it is streamed: pose port, report, and the table of knots that repeats the run."""
+"""Live runs: pose port, report, and the table of knots that repeats a run."""
 
 import select
 import socket
@@ -35,7 +35,7 @@ _EXPECTED = "udp://HOST:PORT, for instance udp://127.0.0.1:7000"
 
 
 class PoseReceiver:
-    """Receiver of pose datagrams with a thread of its own, which passes each pose on at once; a context manager.
+    """Receiver of pose datagrams on a thread of its own; a context manager.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class PoseReceiver:
         self._socket.close()
 
     def _run(self) -> None:
-        """Run the thread: among poses that are waiting together only the last one counts, so a flood costs little."""
+        """Pass on poses until closed; of several waiting poses only the last, so a flood costs little."""
         while not self._over.is_set():
             if not select.select([self._socket], [], [], _LISTEN_S)[0]:
                 continue

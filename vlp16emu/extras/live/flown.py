@@ -45,7 +45,7 @@ def read_flown(path: Path) -> F8:
 
 
 class FlownMotion(Knots):
-    """Motion of a body from the table `path`; the first knot is at `start_ns`, UTC. Errors as in `read_flown`."""
+    """Motion from the table `path`, with its first knot at `start_ns`, UTC; errors as in `read_flown`."""
 
     def __init__(self, path: Path, *, start_ns: int) -> None:
         super().__init__(start_ns, read_flown(path))

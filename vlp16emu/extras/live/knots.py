@@ -1,4 +1,4 @@
-"""A trajectory of knots that grows at its end; each knot has a pose and its rates, and determines only the pieces beside it."""
+"""A trajectory that grows at its end, knot by knot; a knot (pose and rates) sets only adjacent pieces."""
 
 import math
 
@@ -27,7 +27,7 @@ _SMALL = 1e-6  # angle in rad below which series are exact to float64
 
 
 class Knots(Piecewise):
-    """Motion between knots: cubic Hermite pieces of position and quaternion, with continuous velocity and angular rate.
+    """Cubic Hermite motion between knots, with continuous velocity and angular rate.
 
     Parameters
     ----------
@@ -145,8 +145,8 @@ def turn_between(old: F8, new: F8) -> F8:
 
 
 @array_kernel
-def _extrapolated(seen: F8, since_s: float) -> F8:
-    """Extrapolate a pose (13,) in time: with constant rates at first, then to rest if no other pose follows."""
+def _extrapolate(seen: F8, since_s: float) -> F8:
+    """Extrapolate a pose (13,) in time: with constant rates at first, then gradually to rest."""
     moving_s = since_s
     share = 1.0
     late_s = since_s - _COAST_S
@@ -175,7 +175,7 @@ def _extrapolated(seen: F8, since_s: float) -> F8:
 
 @array_kernel
 def follow(state: F8, seen: F8, since_s: float, step_s: float, smoothing_s: float) -> F8:
-    """Return the next knot (13,): predicted from the last pose, and corrected towards it without a jump of pose or rate.
+    """Return the next knot (13,), which approaches the extrapolated pose without a jump of pose or rate.
 
     The error of position and quaternion against the prediction decays as a critically damped oscillator,
     which is solved exactly over the step; then the quaternion is scaled to unit length.
@@ -189,8 +189,8 @@ def follow(state: F8, seen: F8, since_s: float, step_s: float, smoothing_s: floa
     smoothing_s : time constant of the correction
     """
     value, rate = _pose_and_rates(state)
-    wanted, wanted_rate = _pose_and_rates(_extrapolated(seen, since_s))
-    target, target_rate = _pose_and_rates(_extrapolated(seen, since_s + step_s))
+    wanted, wanted_rate = _pose_and_rates(_extrapolate(seen, since_s))
+    target, target_rate = _pose_and_rates(_extrapolate(seen, since_s + step_s))
     sign = 1.0 if _dot(value, wanted, 3, 7) >= 0.0 else -1.0
     error = np.empty(7)
     change = np.empty(7)

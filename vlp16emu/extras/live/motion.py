@@ -41,7 +41,7 @@ _FARTHEST_M = 1e6  # limit of a scene
 
 
 @dataclass(frozen=True, slots=True)
-class SeenPose:
+class ReceivedPose:
     """A pose that was received."""
 
     state: F8  # (13,) like a knot; rates are from earlier poses to this one
@@ -72,7 +72,7 @@ class PoseInput:
         self._jumped = False
         self._offset_ns: int | None = None
         self._offset_at_ns = 0
-        self.last: SeenPose | None = None
+        self.last: ReceivedPose | None = None
         self.received = self.refused = self.out_of_order = 0
         """Counts of poses: accepted, malformed, and with a stamp that is not later than the stamp of the pose
         before."""
@@ -93,7 +93,7 @@ class PoseInput:
         """
         now_ns = self._clock_ns()
         try:
-            pose = _checked(position_m, quaternion)
+            pose = _valid_pose(position_m, quaternion)
         except InputError:
             self.refused += 1
             raise
@@ -117,12 +117,12 @@ class PoseInput:
                 if gap_ns > LOST_NS:
                     self.gaps_ns.append((last.arrived_ns, now_ns))
             self.received += 1
-            self.last = SeenPose(self._add_rates(at_ns, pose), at_ns, now_ns)
+            self.last = ReceivedPose(self._add_rates(at_ns, pose), at_ns, now_ns)
         self.came.set()
         return True
 
     def _add_rates(self, at_ns: int, pose: F8) -> F8:
-        """Add to a pose (7,) its rates since the latest pose that is old enough, and keep the pose for later ones."""
+        """Add rates to a pose (7,), from the latest pose that is old enough; keep it for later poses."""
         before = self._before
         while before and at_ns - before[0][0] > _MOST_BASE_NS:
             before.popleft()
@@ -144,7 +144,7 @@ class PoseInput:
         return state
 
     def _is_jump(self, at_ns: int, pose: F8) -> bool:
-        """Return True if no body can move from the last pose to a pose (7,) in time: then the step gives no rates."""
+        """Return True if no body can reach a pose (7,) from the last one in time, so it gives no rates."""
         if self.last is None:
             return False
         last = self.last.state
@@ -186,7 +186,7 @@ class LiveMotion:
         self._lock = threading.Lock()
         self._zero_ns = 0
         self.knots: Knots | None = None  # all knots so far; None before the beginning
-        self._used: SeenPose | None = None
+        self._used: ReceivedPose | None = None
         self.poses = PoseInput(clock_ns)
         self.is_open = False  # True if calls wait for poses, as in a stream
         self.first_uses = deque[tuple[int, int]]()
@@ -198,7 +198,7 @@ class LiveMotion:
         self._zero_ns = zero_ns
         self.poses.longest_gap_ns = 0
         self.poses.gaps_ns.clear()
-        self.knots = Knots(self._start_ns, self._seen().state[None])
+        self.knots = Knots(self._start_ns, self._last_pose().state[None])
 
     def end(self) -> None:
         """Forget the motion, and accept no more poses."""
@@ -220,7 +220,7 @@ class LiveMotion:
         return self.poses.put(position_m, quaternion, t_ns)
 
     def windows(self, parts: Parts, start_ns: int, batching: Batching, threads: int) -> LiveWindows:
-        """Return windows that are opened as the body comes near; parameters as in `engine.windows.windows_of`."""
+        """Return windows that open as the body comes near; parameters as in `windows_of`."""
         return LiveWindows(parts, start_ns, batching, threads, self)
 
     def since_s(self, instant_ns: int) -> float:
@@ -233,7 +233,7 @@ class LiveMotion:
         return 0 if self.knots is None else self._clock_ns() - self._zero_ns
 
     def poses_at(self, t_ns: I8) -> Poses:
-        """Return poses at UTC instants (n,) and wait for future ones; before the beginning the body is at rest.
+        """Return poses at UTC instants (n,), waiting for future ones; before the start the body is at rest.
 
         Raises `TrajectoryError` if no stream is open, and `CancelledError` if the stream ends before there is
         a pose.
@@ -244,7 +244,7 @@ class LiveMotion:
         """Return poses at UTC instants (n,) with their derivatives; otherwise like `poses_at`."""
         return self._knots_until(int(t_ns.max())).kinematics_at(t_ns)
 
-    def _seen(self) -> SeenPose:
+    def _last_pose(self) -> ReceivedPose:
         self.require_open()
         if (seen := self.poses.last) is None:
             raise CancelledError
@@ -253,7 +253,7 @@ class LiveMotion:
     def _knots_until(self, t_ns: int) -> Knots:
         """Compute knots until a UTC instant, each at its time."""
         if self.knots is None:
-            rest = np.append(self._seen().state[:7], np.zeros(STATE - 7))
+            rest = np.append(self._last_pose().state[:7], np.zeros(STATE - 7))
             still = follow(rest, rest, 0.0, STEP_NS / S_NS, self._smoothing_s)  # also loads the kernel
             return Knots(self._start_ns, np.stack([rest, still]))
         while True:
@@ -264,7 +264,7 @@ class LiveMotion:
                     early_ns = self._zero_ns + knots.last_ns - _AHEAD_NS - now_ns
                     if early_ns > 0:
                         break
-                    seen = self._seen()
+                    seen = self._last_pose()
                     if seen is not self._used:
                         self._used = seen
                         self.first_uses.append((self._start_ns + knots.last_ns, seen.arrived_ns))
@@ -277,7 +277,7 @@ class LiveMotion:
             self._sleep(early_ns / S_NS)
 
 
-def _checked(position_m: Sequence[float], quaternion: Sequence[float]) -> F8:
+def _valid_pose(position_m: Sequence[float], quaternion: Sequence[float]) -> F8:
     """Return a pose as one array (7,), its quaternion scaled to unit length."""
     numbers = [*map(float, position_m), *map(float, quaternion)]
     if len(position_m) != 3 or len(quaternion) != 4:

@@ -36,7 +36,8 @@ class Live(MotionSection):
         """True if poses are read from outside, not from a table."""
         return self.flown is None
 
-    def carrier(self, site: "Site", *, start_ns: int, **_: object) -> "tuple[Motion, F8]":  # noqa: ARG002  # it flies over any ground
+    # The body flies over any ground.
+    def carrier(self, site: "Site", *, start_ns: int, **_: object) -> "tuple[Motion, F8]":  # noqa: ARG002
         """Return the motion that follows the poses, and `path_m`."""
         import numpy as np
 

@@ -38,7 +38,7 @@ _KNOWN_NS = (
 )
 _SPARE_M = 1.0
 _SPARE_S = 0.35  # from that time to the end of a block
-"""Margin that is left for the way of the body until the end of the block, at its speed."""
+"""Margin that is left for the path of the body until the end of the block, at its speed."""
 _LATE_BLOCKS = 6
 """Steps of delay, 32 ms, from which all late steps are left out: receivers need recent packets."""
 _NICE = 10
@@ -54,7 +54,7 @@ class Cube(NamedTuple):
     z: int
 
     @classmethod
-    def around(cls, place_m: F8) -> Self:
+    def containing(cls, place_m: F8) -> Self:
         """Return the cube that contains a place (3,)."""
         return cls(*np.floor(place_m / _EDGE_M).astype(int).tolist())
 
@@ -83,7 +83,7 @@ class CubeWindows(Windows[Geometry]):
     kept = 4
 
     def __init__(self, parts: Parts, start_ns: int, batching: Batching, threads: int, motion: Motion) -> None:
-        built = caster(parts.world, ThreadPoolExecutor(threads, "build", self.yielding))
+        built = caster(parts.world, ThreadPoolExecutor(threads, "build", self.prepare_thread))
         arm_m = max(float(norm(np.array(unit.mount.lever_arm_m))) for unit in parts.units)
 
         def open_window(name: tuple[Cube, int]) -> Geometry:
@@ -105,22 +105,22 @@ class CubeWindows(Windows[Geometry]):
         begin_ns = self._begin_ns(block)
         known = self._motion.kinematics_at(np.array([begin_ns - _BEFORE_NS, begin_ns - _KNOWN_NS]))
         before_m, place_m = known.world_p_body_m
-        cube = Cube.around(before_m)
+        cube = Cube.containing(before_m)
         if not cube.serves(place_m, float(norm(known.world_v_body_m_s[1]))):
-            cube = Cube.around(place_m)
-        return self._named(cube, block)
+            cube = Cube.containing(place_m)
+        return self._window_name(cube, block)
 
     def open_ahead(self, block: int, stop: int) -> None:  # noqa: ARG002  # the body goes on
         """Begin to open the window of the cube that the body has entered."""
         known_ns = self._begin_ns(block) - _KNOWN_NS
         place_m = self._motion.poses_at(np.array([known_ns])).world_p_body_m[0]
-        self._opened(self._named(Cube.around(place_m), block + self._ahead))
+        self._opened(self._window_name(Cube.containing(place_m), block + self._ahead))
 
     def _begin_ns(self, block: int) -> int:
         """UTC at which the ordinary block begins that a block is part of."""
         return self._start_ns + block // self._parts * self._parts * self._block_ns
 
-    def _named(self, cube: Cube, block: int) -> tuple[Cube, int]:
+    def _window_name(self, cube: Cube, block: int) -> tuple[Cube, int]:
         return cube, block // self._segment if self._segment else 0
 
 
@@ -135,7 +135,7 @@ class LiveWindows(CubeWindows):
         self.left_out = 0  # blocks that were not cast because their time was over
 
     @staticmethod
-    def yielding() -> None:
+    def prepare_thread() -> None:
         """Lower the priority of a thread that opens windows: the next window can wait, casting cannot."""
         if sys.platform == "linux":
             os.nice(_NICE)

@@ -54,7 +54,7 @@ def read_tum(path: Path) -> RecordedPoses:
 
 
 def read_trajectory_csv(path: Path) -> RecordedPoses:
-    """Read a CSV with the columns t_s, x_m, y_m, z_m, qx, qy, qz and qw; other columns, as in the table of a live run, are ignored."""
+    """Read a CSV with the columns t_s, x_m, y_m, z_m, qx, qy, qz and qw; others are ignored."""
     return _timed(
         read_table(path, TIMED_POSES, f"a CSV with the columns {', '.join(TIMED_POSES)}", TrajectoryError)
     )
@@ -74,7 +74,7 @@ def read_kitti(path: Path, times: Path | float) -> RecordedPoses:
     for i in np.flatnonzero((error > UNIT_TOLERANCE) | (volume < 0)):
         found = f"a matrix with determinant {volume[i]:.4g}, {error[i]:.2g} off orthonormal"
         raise TrajectoryError(table.where(int(i)), found, f"a rotation, to {UNIT_TOLERANCE:g}")
-    return _checked(
+    return _valid_poses(
         table, _times_ns(times, len(table)), np.column_stack([matrix[:, :, 3], _quaternions(turns)])
     )
 
@@ -111,11 +111,11 @@ def _times_ns(times: Path | float, count: int) -> list[int]:
 
 
 def _timed(table: Table) -> RecordedPoses:
-    return _checked(table, table.times_ns("t_s"), table.numbers(*POSE))
+    return _valid_poses(table, table.times_ns("t_s"), table.numbers(*POSE))
 
 
-def _checked(table: Table, t_ns: Sequence[int], poses: F8) -> RecordedPoses:
-    """Return the poses (n, 7) and their times; TrajectoryError for a pose that is no rotation or a time that does not increase."""
+def _valid_poses(table: Table, t_ns: Sequence[int], poses: F8) -> RecordedPoses:
+    """Return poses (n, 7) with times; TrajectoryError for a bad quaternion or times that do not increase."""
     if len(table) < 2:
         raise TrajectoryError(str(table.path), f"found {len(table)} poses", "at least 2")
     for i, (before, after) in enumerate(pairwise(t_ns), start=1):

@@ -48,7 +48,7 @@ class RecordedMotion(Piecewise):
         self.run_time_s = float(knots_ns[-1] / S_NS)
         quaternion = _sign_continuous(poses.quaternion)
         _check_steps(poses, knots_ns, quaternion, recorded.max_gap_s)
-        position_m, quaternion = _placed(recorded, poses.position_m, quaternion)
+        position_m, quaternion = _to_world(recorded, poses.position_m, quaternion)
         powers = interpolant(knots_ns / S_NS, np.column_stack([position_m, quaternion])).powers[::-1]
         powers = np.concatenate([np.zeros((4 - len(powers), *powers.shape[1:])), powers])
         super().__init__(start_ns, knots_ns, powers)
@@ -69,7 +69,7 @@ class RecordedMotion(Piecewise):
 
 
 def _refuse(poses: RecordedPoses, values: F8, most: float, found: str, expected: str) -> None:
-    """Raise TrajectoryError for the first step (n - 1,) between poses whose value is above `most`; `found` formats it."""
+    """Raise TrajectoryError for the first step (n - 1,) with a value above `most`; `found` formats it."""
     if (values > most).any():
         i = int((values > most).argmax())
         raise TrajectoryError(poses.where[i + 1], found.format(values[i]), expected)
@@ -97,19 +97,21 @@ def check_places(position_m: F8, site: Site, reach_m: float) -> None:
         norm(plan_m - site.origin_m[:2]) < norm(plan_m)
     ).all():  # the origin in map coordinates is nearer than (0, 0)
         _log.warning(
-            "motion: recorded poses begin at (%.1f, %.1f, %.1f) m, as if in map coordinates; origin_m is not taken off"
+            "motion: recorded poses begin at (%.1f, %.1f, %.1f) m, as if in map coordinates; "
+            "origin_m is not taken off"
             " them: expected motion.x_m = %.10g, y_m = %.10g, z_m = %.10g",
             *(*position_m[0], *(-value for value in site.origin_m)),
         )
     elif above_m.min() < 0 or above_m.min() > reach_m:
         _log.warning(
-            "motion: recorded poses lie from %.1f to %.1f m above the ground; expected above it and in sight of it"
+            "motion: recorded poses lie from %.1f to %.1f m above the ground; "
+            "expected above it and in sight of it"
             " (motion.z_m moves them)",
             *(above_m.min(), above_m.max()),
         )
 
 
-def _placed(recorded: Recorded, position_m: F8, quaternion: F8) -> tuple[F8, F8]:
+def _to_world(recorded: Recorded, position_m: F8, quaternion: F8) -> tuple[F8, F8]:
     """Return positions (n, 3) and quaternions (n, 4) in world axes, relative to the recording's origin."""
     if recorded.axes == "camera":
         # Forward is the camera's z, left its -x, up its -y, in the recording's frame and in the body's:

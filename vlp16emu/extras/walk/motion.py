@@ -61,7 +61,7 @@ class WalkMotion:
         self.run_time_s = route.run_time_s
 
     def poses_at(self, t_ns: I8) -> Poses:
-        """Return poses at UTC instants (n,); before the start and after the end the person rests at the ends of the path."""
+        """Return poses at UTC instants (n,); outside the run time the person rests at the path's ends."""
         poses = Poses(t_ns, np.empty((len(t_ns), 3, 3)), np.empty((len(t_ns), 3)))
         room = np.empty((1 + 2 * AXES, _TOGETHER))
         for second, which in self._seconds(t_ns):
@@ -122,7 +122,7 @@ class WalkMotion:
         nodes, _ = self._route.at(elapsed_s)
         nodes[:, 2, 0] += self._height_m
         if self._pack is not None:
-            _sit(self._pack.nodes(second), nodes)
+            _add_pack(self._pack.nodes(second), nodes)
         return _hermite(nodes)
 
 
@@ -132,13 +132,14 @@ def check_gait(gait: Gait, sensor_height_m: float) -> None:
     dip_m = (1.0 + gait.variation) * (gait.vertical_m + gait.second_harmonic_m + gait.heel_strike_m)
     if dip_m >= sensor_height_m:
         _log.warning(
-            "motion.gait: lowers the sensor by %.2f m, into the ground; expected less than sensor_height_m = %g m",
+            "motion.gait: lowers the sensor by %.2f m, into the ground; "
+            "expected less than sensor_height_m = %g m",
             *(dip_m, sensor_height_m),
         )
 
 
 @array_kernel
-def _sit(pack: F8, nodes: F8) -> None:
+def _add_pack(pack: F8, nodes: F8) -> None:
     """Add the pack's displacements (n, 6, 3), in the heading frame, to the route without gait (n, 6, 3)."""
     for n in range(len(nodes)):
         yaw, turn, turn2 = nodes[n, 5]
@@ -254,7 +255,7 @@ def _kinematics(
 
 @array_kernel
 def _body_rate(angle_rad: F8, rate_rad_s: F8, acceleration_rad_s2: F8, w_rad_s: F8, alpha_rad_s2: F8) -> None:
-    """Fill angular rate and acceleration (3,), in body axes, from roll, pitch, yaw (3,) and their derivatives.
+    """Fill angular rate and acceleration (3,), in body axes, from roll, pitch, yaw and derivatives.
 
     Source: the z-y-x Euler kinematic equations, for instance Diebel, "Representing Attitude", 2006, section
     5.

@@ -86,7 +86,7 @@ class Pack:
         self._pushed = lru_cache(self._memory_s + 8)(self._push)
 
     def nodes(self, second: int) -> F8:
-        """Return displacement, velocity and acceleration (1001, 6, 3) at the nodes of a second, both ends included.
+        """Return displacement, velocity and acceleration (1001, 6, 3) at a second's nodes, ends included.
 
         The second of the first step is 0. The result does not depend on earlier calls.
         """
@@ -103,7 +103,7 @@ class Pack:
         return out
 
     def _pieces(self, second: int) -> F8:
-        """Polynomials (200, 6, 6) of the trunk's motion in seconds since each knot of a second, lowest power first."""
+        """Polynomials (200, 6, 6) of the trunk's motion, in seconds from each knot, lowest power first."""
         samples = self._trunk(second * KNOTS_PER_S - _REACH, KNOTS_PER_S + 2 * _REACH + 1)
         n = KNOTS_PER_S
         spline = sum(share * samples[j : j + n + 5] for j, share in enumerate(_QUASI))
@@ -126,8 +126,8 @@ class Pack:
     def _push(self, second: int) -> F8:
         state = np.zeros((AXES, 2))
         out = np.zeros((KNOTS_PER_S + 1, AXES, 3))
-        whole = np.ascontiguousarray(self._steps[:, -1:])  # from knot to knot
-        _swing(self._pieces(second), whole, state, self._stiffness, self._drag, out)
+        per_knot = np.ascontiguousarray(self._steps[:, -1:])  # from knot to knot
+        _swing(self._pieces(second), per_knot, state, self._stiffness, self._drag, out)
         return state
 
 
@@ -145,7 +145,7 @@ def _stretch(step: F8, state: F8, a: F8, row: int) -> float:
 
 @array_kernel
 def _swing(pieces: F8, steps: F8, state: F8, stiffness: F8, drag: F8, out: F8) -> None:
-    """Add the stretch to the trunk's motion (m, 6, 3) at nodes, and bring its state from the first of them to the last."""
+    """Add the stretch to the trunk's motion (m, 6, 3) at nodes, and advance its state to the last."""
     per_knot = steps.shape[1]
     for axis in range(AXES):
         for n in range(len(out)):
@@ -171,7 +171,7 @@ def decay_per_s(frequency_hz: float, damping_ratio: float) -> float:
 
 
 def response(frequency_hz: float, damping_ratio: float, s: float) -> F8:
-    """Return the linear map (2, 6) from (y, y', f0, f1, f2, f3) at 0 to (y, y') after s seconds, f = sum of fi t^i.
+    """Return the linear map (2, 6) from (y, y', f0 to f3) at 0 to (y, y') after s seconds; f = sum of fi t^i.
 
     It is the matrix exponential of the oscillator and its forcing: a power series over a short time, doubled
     until the time is s (Moler and Van Loan, "Nineteen dubious ways to compute the exponential of a matrix",

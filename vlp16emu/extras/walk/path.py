@@ -37,7 +37,8 @@ _GAUSS = (
     (0.0, 0.5688888888888889),
     (0.5384693101056831, 0.47862867049936647),
     (0.906179845938664, 0.23692688505618908),
-)  # places between -1 and 1, and weights, of Gauss and Legendre's quadrature (Abramowitz and Stegun, table 25.4)
+)
+"""Places between -1 and 1, and weights, of Gauss-Legendre quadrature (Abramowitz and Stegun, table 25.4)."""
 
 
 class Path:
@@ -87,7 +88,7 @@ class Path:
         self.length_m = float(self._curve.breaks[-1])
 
     def derivatives_at(self, s_m: F8) -> tuple[F8, F8]:
-        """Return ground points (n, 3, 3) and headings (n, 3) at arc lengths (n,), each with its first and second derivative.
+        """Return ground points (n, 3, 3) and headings (n, 3) at arc lengths (n,), with two derivatives.
 
         The middle axis of the points is the order of the derivative. Headings are continuous, in radians from
         east. Arc lengths beyond an end of an open path give its end.
@@ -121,14 +122,17 @@ class Path:
 
 
 def path_over(way_points_m: F8, height_m: HeightField, ground: str) -> Path:
-    """Return the path over the ground named `ground`, computed once and then read from the user's store; an empty name stores nothing."""
+    """Return the path over the ground named `ground`, from the user's store after the first computation.
+
+    Nothing is stored for an empty name.
+    """
     name = ground and f"path {ground} {hashlib.sha256(way_points_m.tobytes()).hexdigest()}"
     return recall(name, lambda: Path(way_points_m, height_m))
 
 
 @array_kernel
 def limit_slope(values: F8, step: F8) -> None:
-    """Lower values (n,) in place, as little as possible, until neighbours i and i + 1 differ by step[i] >= 0 at most."""
+    """Lower values (n,) in place as little as possible, until neighbours differ by at most step[i] >= 0."""
     for i in range(values.size - 1):
         values[i + 1] = min(values[i + 1], values[i] + step[i])
     for i in range(values.size - 2, -1, -1):
@@ -188,7 +192,7 @@ def _knots(cubic: Spline, u: F8, way_points_m: F8, closed: bool) -> tuple[F8, I8
 
 
 def _curvature(steps: F8, closed: bool) -> F8:
-    """Curvature (n,) at n samples, from the angles between the n - 1 steps; infinite at steps without length."""
+    """Curvature (n,) from the angles between n - 1 steps; infinite at steps without length."""
     before, after = (np.roll(steps, 1, axis=0), steps) if closed else (steps[:-1], steps[1:])
     ahead = (before * after).sum(axis=1)
     aside = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
@@ -238,13 +242,13 @@ def _heights(plan: Spline, along_m: F8, origin_m: F8, height_m: HeightField, clo
     ground_m = height_m(xy_m[:, 0], xy_m[:, 1])
     reach = math.ceil(_PACE_M * count / along_m[-1])
     if closed:
-        smooth = _smoothed(np.pad(ground_m[:-1], reach - 1, mode="wrap"), reach)
+        smooth = _smooth(np.pad(ground_m[:-1], reach - 1, mode="wrap"), reach)
         return interpolant(at_m, np.append(smooth, smooth[0])[:, None], ends="periodic")
     padded = np.pad(ground_m, reach - 1, mode="reflect", reflect_type="odd")
-    return interpolant(at_m, _smoothed(padded, reach)[:, None])
+    return interpolant(at_m, _smooth(padded, reach)[:, None])
 
 
-def _smoothed(padded: F8, reach: int) -> F8:
+def _smooth(padded: F8, reach: int) -> F8:
     """Mean (n,) of values (n + 2 reach - 2,) with weights that fall linearly to zero over `reach` steps."""
     out = np.zeros(len(padded) - 2 * reach + 2)
     for k in range(1 - reach, reach):

@@ -67,7 +67,7 @@ class Route:
         self.speed_m_s = walk.speed_m_s  # cruise speed
         if run_time_s is not None:
             self.speed_m_s = _speed_for(run_time_s, legs, float(pauses_s.sum()), self.length_m)
-        at_s, control_m = _sampled(legs, pauses_s, self.speed_m_s)
+        at_s, control_m = _control_points(legs, pauses_s, self.speed_m_s)
         self._moves_s = float(at_s + _PADDING_S)
         if run_time_s is not None:
             # The search ends slightly below the given time; stretching to it breaks no limit.
@@ -80,7 +80,7 @@ class Route:
         self._along_m = Spline(at, powers(at, knots, control_m[:, None], _DEGREE))
 
     def at(self, elapsed_s: F8) -> tuple[F8, F8]:
-        """Return the foot point, without gait, at times (n,) since the start; it rests before the first step and after the run time.
+        """Return the foot point, without gait, at times (n,) since the start; it rests outside the run time.
 
         Returns
         -------
@@ -116,7 +116,7 @@ class _Leg:
         blocks = np.array_split(
             looked_m, 1 + len(looked_m) // _BLOCK
         )  # a path of 100 km has 20 million places
-        turn = -_least_within(-np.abs(np.concatenate([*map(turn_rad_m, blocks)])), _LOOKS // 2)[::_LOOKS]
+        turn = -_running_minimum(-np.abs(np.concatenate([*map(turn_rad_m, blocks)])), _LOOKS // 2)[::_LOOKS]
         yaw_rate_rad_s = math.radians(walk.yaw_rate_deg_s)
         self._turn_limit_m_s = yaw_rate_rad_s / np.maximum(turn, yaw_rate_rad_s / _MAX_SPEED_M_S)
         self._cell_m = (end_m - start_m) / cells
@@ -130,7 +130,7 @@ class _Leg:
         them.
         """
         reach = min(len(self.at_m), math.ceil(2 * _REACH * _KNOT_S * cruise_m_s / self._cell_m))
-        limit = _least_within(self._turn_limit_m_s, reach)
+        limit = _running_minimum(self._turn_limit_m_s, reach)
         # v^2 / 2 grows by acceleration times distance.
         fastest_m_s = np.minimum(limit, cruise_m_s)
         energy = fastest_m_s * fastest_m_s / 2
@@ -139,12 +139,12 @@ class _Leg:
         return np.sqrt(2 * energy)
 
     def times_s(self, speeds_m_s: F8) -> F8:
-        """Return the times (n,) at the cells' edges since the leg began, at constant acceleration in each cell."""
+        """Return times (n,) at the cells' edges since the leg's start; acceleration is constant in a cell."""
         with np.errstate(divide="ignore", over="ignore"):  # at zero speed the time is infinite
             return np.concatenate([[0.0], np.cumsum(2 * self._cell_m / (speeds_m_s[1:] + speeds_m_s[:-1]))])
 
 
-def _least_within(values: F8, reach: int) -> F8:
+def _running_minimum(values: F8, reach: int) -> F8:
     """Return the least value (n,) within `reach` neighbours to either side, in windows that double in width.
 
     `scipy.ndimage.minimum_filter1d` does the same, but its import takes 40 ms of each start.
@@ -158,7 +158,7 @@ def _least_within(values: F8, reach: int) -> F8:
 
 
 def _rests(stops: Stops, length_m: float) -> tuple[F8, F8]:
-    """Return the arc lengths (r,) at which the person rests, both ends included, and the durations before smoothing."""
+    """Return arc lengths (r,) of rests, both ends included, and their durations before smoothing."""
     for stop_m, _ in stops:
         if not 0.0 <= stop_m <= length_m:
             found = f"found {stop_m:g} m along the path"
@@ -190,7 +190,7 @@ def _speed_for(run_time_s: float, legs: Sequence[_Leg], pauses_s: float, length_
     return high
 
 
-def _sampled(legs: Sequence[_Leg], pauses_s: F8, cruise_m_s: float) -> tuple[float, F8]:
+def _control_points(legs: Sequence[_Leg], pauses_s: F8, cruise_m_s: float) -> tuple[float, F8]:
     """Return the duration before smoothing and the control points (c,): arc lengths at equal times."""
     begin_s = pauses_s[0]
     begins = []

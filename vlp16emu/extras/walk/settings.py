@@ -172,7 +172,7 @@ class Mast(Section):
 
     @property
     def frequency_hz(self) -> tuple[float, ...]:
-        """Frequencies (6,) in the order of `walk.gait.AXES`: up and down at 50 Hz, about itself at 15 Hz (assumptions)."""
+        """Frequencies (6,) in the order of `AXES`: 50 Hz up and down, 15 Hz about itself (assumptions)."""
         return self.bending_hz, self.bending_hz, 50.0, self.bending_hz, self.bending_hz, 15.0
 
 
@@ -272,5 +272,6 @@ class Walk(MotionSection):
         """Return the motion of the top of the mast, or `carrier` without a mast."""
         if self.mast is None:
             return carrier
-        bent: Motion = carrier.bent(self.mast)  # type: ignore[attr-defined]  # `WalkMotion`, which this file does not load
-        return bent
+        # `carrier` is a `WalkMotion`, which this file does not load.
+        top: Motion = carrier.bent(self.mast)  # type: ignore[attr-defined]
+        return top

@@ -1,4 +1,4 @@
-"""Waypoints of a walk: from the scene, from CSV and GPX files or from a pattern over a plot; detours around obstacles."""
+"""Waypoints of a walk, from scene, CSV, GPX or a pattern over a plot; detours around obstacles."""
 
 import math
 from collections import Counter
@@ -147,7 +147,7 @@ def _gpx_points(path: Path) -> tuple[dict[str, Table], Counter[str]]:
 
 
 def _there_and_back(points: WayPoints) -> WayPoints:
-    """Return the way there and back, with a small loop behind each end; stops are made both ways, at the ends once."""
+    """Return the path there and back, with a small loop behind each end; stops count in both directions."""
     xy_m = points.xy_m
     pause_s = points.pause_s
     if len(xy_m) < 2 or norm(xy_m[-1] - xy_m[0]) < _LOOP_LENGTH_M:
@@ -163,7 +163,7 @@ def _there_and_back(points: WayPoints) -> WayPoints:
 
 
 def _turning_loop(before_m: F8, end_m: F8) -> F8:
-    """Waypoints (n, 2) of a loop that leads back to the end of a way in the opposite direction.
+    """Waypoints (n, 2) of a loop that leads back to the end of a path in the opposite direction.
 
     It is a sixth of a circle to the right, five sixths to the left round a centre straight ahead, and a sixth
     to the right, all with one radius, and has a waypoint at each sixth.
@@ -176,7 +176,7 @@ def _turning_loop(before_m: F8, end_m: F8) -> F8:
 
 
 def lawn_mower(plot: LawnMower) -> F8:
-    """Return waypoints (n, 2) along parallel lines back and forth over a rectangle, joined by rounded turns inside it.
+    """Return waypoints (n, 2) along parallel lines over a rectangle, joined by rounded turns inside it.
 
     As many lines as fit are centred on the width.
 
@@ -205,7 +205,7 @@ def lawn_mower(plot: LawnMower) -> F8:
 
 
 def _rounded(corners_m: F8, radius_m: float, spacing_m: float) -> F8:
-    """Points (n, 2) at about equal distances along right-angled corners (c, 2) that are cut by quarter circles."""
+    """Sample points (n, 2) about evenly along right-angled corners (c, 2) rounded by quarter circles."""
     ahead = np.diff(corners_m, axis=0)
     ahead /= norm(ahead)[:, None]
     pieces = []
@@ -226,7 +226,7 @@ def _straight(start_m: F8, end_m: F8, spacing_m: float) -> F8:
 
 
 def around(points: WayPoints, places_m: F8, gaps_m: F8) -> WayPoints:
-    """Add waypoints beside places (n, 2) to which the path comes nearer than gaps (n,), nearest first; the user's waypoints stay.
+    """Add waypoints that keep the path at least gaps (n,) away from places (n, 2); the user's stay.
 
     Raises TrajectoryError if no way around is found.
     """
