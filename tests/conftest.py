@@ -87,7 +87,8 @@ def tool_named():
 
 @pytest.fixture(scope="module")
 def kept_woods():
-    """Keep on disk what grows from test to test, where they are about what is seen of it and not about how it grows."""
+    """Keep on disk what grows from test to test, where they are about what is seen of it and not about how
+    it grows."""
     from vlp16emu.store import user_store
 
     with pytest.MonkeyPatch.context() as patch:
@@ -105,13 +106,15 @@ DEFAULT_UNIT = Path(__file__).parent / "default_unit.toml"
     scope="session", params=["static_bench", str(DEFAULT_UNIT)], ids=["ideal unit", "default unit"]
 )
 def each_unit(request):
-    """Scene of a hall with a sensor without errors, GPS and beam width, then with the unit of scenes by default."""
+    """Scene of a hall with a sensor without errors, GPS and beam width, then with the unit of scenes by
+    default."""
     return request.param
 
 
 @pytest.fixture(scope="session")
 def default_unit():
-    """Scene of a hall with the unit that scenes have by default: rotor and noise of a real one, GPS, beams with a width."""
+    """Scene of a hall with the unit that scenes have by default: rotor and noise of a real one, GPS, beams
+    with a width."""
     return str(DEFAULT_UNIT)
 
 

@@ -1,4 +1,5 @@
-"""What tests of several rooms need: words of command lines, the table of bad input, packets and captures of real sensors."""
+"""What tests of several rooms need: words of command lines, the table of bad input, packets and captures
+of real sensors."""
 
 import tomllib
 from functools import cache

@@ -61,7 +61,8 @@ def sweep():
 
 
 def test_distances_are_true_to_the_millimetre(sweep):
-    """All but pulses that graze an edge agree with the closed formulas within 1 mm, half of them within 0.01 mm."""
+    """All but pulses that graze an edge agree with the closed formulas within 1 mm, half of them within
+    0.01 mm."""
     cast_m, true_m, _ = sweep
     error_m = np.abs(cast_m - true_m)
     assert (error_m > 1e-3).mean() < 2e-4
@@ -78,7 +79,8 @@ def test_every_thing_in_the_hall_is_seen(sweep):
 
 
 def test_a_hall_of_ten_kilometres_is_true_to_a_hundredth_of_a_millimetre():
-    """From 1.5 m over a floor of 10 km every return has the distance of the plane, within 0.01 mm at up to 131 m."""
+    """From 1.5 m over a floor of 10 km every return has the distance of the plane, within 0.01 mm at up to
+    131 m."""
     none = [
         "world.boxes=[]",
         "world.poles=[]",
@@ -138,7 +140,8 @@ def round_cosine(p, d, t, diameter):
 
 
 def test_errors_that_accuracy_reports_are_the_true_ones():
-    """Held against closed formulas instead of its own answer, every setting has the same error in the hall."""
+    """Held against closed formulas instead of its own answer, every setting has the same error in the
+    hall."""
     scenario = load("static_bench")
     unit = assemble(scenario).units[0]
     bench, apart = Bench(unit, 512), apart_m(scenario.detector)

@@ -1,4 +1,5 @@
-"""Diameters that a forester would fit to the points of a walk, against those that the stems were made with."""
+"""Diameters that a forester would fit to the points of a walk, against those that the stems were made
+with."""
 
 import numpy as np
 import pytest
@@ -17,7 +18,8 @@ WALK_S = 3.0
 
 @pytest.fixture(scope="module", params=["false", "true"], ids=["round", "crooked"])
 def seen(request):
-    """Points of stems about breast height, by tree, the trees' records, and whether they are straight and round."""
+    """Points of stems about breast height, by tree, the trees' records, and whether they are straight and
+    round."""
     scenario = load("spruce_walk", [*SPRUCE, f"world.crooked_stems={request.param}"], ideal=True)
     emulator = Emulator(scenario)
     points_m, instance = [], []
@@ -35,7 +37,8 @@ def seen(request):
 
 
 def across(tree, points_m):
-    """Put points into the frame of a leaning stem: two coordinates across its axis, and the height along it."""
+    """Put points into the frame of a leaning stem: two coordinates across its axis, and the height along
+    it."""
     lean, towards = np.radians([tree["lean_deg"], tree["lean_towards_deg"]])
     axis = np.array([np.sin(lean) * np.cos(towards), np.sin(lean) * np.sin(towards), np.cos(lean)])
     east = np.cross([0.0, 1.0, 0.0], axis)
@@ -54,9 +57,11 @@ def fitted_diameter_m(xy_m):
 
 
 def test_circles_through_noise_free_returns_give_dbh(seen):
-    """On every round stem seen well at breast height the fitted diameter is within 3 mm of DBH, on average within 1 mm.
+    """On every round stem seen well at breast height the fitted diameter is within 3 mm of DBH, on average
+    within 1 mm.
 
-    Crooked spruces are oval, with lobes and bark: what is seen of one fits a circle up to 15 mm off, on average within 1 mm.
+    Crooked spruces are oval, with lobes and bark: what is seen of one fits a circle up to 15 mm off, on
+    average within 1 mm.
     """
     points_m, instance, trees, is_round = seen
     errors_m = []

@@ -78,7 +78,8 @@ EXTRAS_TAKE = {
     "viewer": {"clouds", "colours", "options", "survey", "verify", "walk"},
     "walk": {"splines"},
 }
-"""Which extras each extra may import beside the core: options, trajectories, colours, ground truth, clouds, and the stand that the page shows."""
+"""Which extras each extra may import beside the core: options, trajectories, colours, ground truth,
+clouds, and the stand that the page shows."""
 
 KERNEL = re.compile(r"^ *@(array_|inline_)?kernel$", re.MULTILINE)
 """Decorators of kernels."""
@@ -163,7 +164,8 @@ def targets(name: str) -> set[str]:
 
 
 def test_the_core_knows_no_forest_and_no_extra():
-    """No file of the core imports what stands around it, not even within a function: it opens doors by name."""
+    """No file of the core imports what stands around it, not even within a function: it opens doors by
+    name."""
     core = [name for name in NAMES if room_of(name) not in NO_CORE | {"__init__"}]
     found = {name: {full for full in targets(name) if full.split(".")[0] in NO_CORE} for name in core}
     assert {name: full for name, full in found.items() if full} == {}
@@ -236,7 +238,8 @@ def test_no_module_needs_itself():
 
 
 def test_changes_of_all_that_a_kernel_takes_are_seen():
-    """What decides the name of a compiled kernel is all that its module takes of ours as it is loaded, and what this takes in turn."""
+    """What decides the name of a compiled kernel is all that its module takes of ours as it is loaded, and
+    what this takes in turn."""
     found = {name for name in NAMES if KERNEL.search((PACKAGE / name).read_text(encoding="utf-8"))}
     assert "raycast/kernel.py" in found
     for name in found:
@@ -252,7 +255,8 @@ def test_changes_of_all_that_a_kernel_takes_are_seen():
 
 
 def test_kernels_take_numba_as_it_is_prepared():
-    """Only `kernels/`, which sets the processor and the folder before any kernel is made, names options of numba."""
+    """Only `kernels/`, which sets the processor and the folder before any kernel is made, names options of
+    numba."""
     for name in NAMES:
         if not name.startswith("kernels/"):
             assert "njit" not in (PACKAGE / name).read_text(encoding="utf-8"), name
@@ -375,7 +379,8 @@ def belong_together(targets):
 
 
 def packed(tree):
-    """Yield the lines of assignments of several values that neither belong together nor need each other's old values."""
+    """Yield the lines of assignments of several values that neither belong together nor need each other's
+    old values."""
     for node in ast.walk(tree):
         if not isinstance(node, ast.Assign) or not isinstance(node.value, ast.Tuple):
             continue

@@ -71,7 +71,8 @@ def stamp_ns(message) -> int:
 
 
 def test_points_and_packets_are_those_of_the_capture(walk, bag):
-    """Packets are the capture's, bit by bit, and points are our decoder's, in the driver's layout and with its times."""
+    """Packets are the capture's, bit by bit, and points are our decoder's, in the driver's layout and with
+    its times."""
     _, found = bag
     assert sorted(found) == [*TOPICS, "/velodyne_points"]
     (table,) = CaptureReader(walk / "walk.pcap").tables()
@@ -107,7 +108,8 @@ def test_points_and_packets_are_those_of_the_capture(walk, bag):
 
 
 def test_truth_is_in_the_bag(walk, bag):
-    """Odometry, transforms, inertial readings and fixes have the numbers of the tables of the truth, bit for bit."""
+    """Odometry, transforms, inertial readings and fixes have the numbers of the tables of the truth, bit
+    for bit."""
     name, found = bag
     poses, imu, fixes = (np.load(walk / "truth" / f"{table}.npy") for table in ("trajectory", "imu", "gnss"))
     odometry = [one.pose.pose for one in found["/ground_truth/odom"]]
@@ -131,7 +133,8 @@ def test_truth_is_in_the_bag(walk, bag):
 
 
 def test_mcap_reader(walk):
-    """The MCAP project's own reader finds the messages in the order of their times, and the fixed transforms' durability."""
+    """The MCAP project's own reader finds the messages in the order of their times, and the fixed
+    transforms' durability."""
     reading = pytest.importorskip("mcap.reader", reason="mcap is not installed")
     with (walk / "walk.mcap").open("rb") as file:
         summary = reading.make_reader(file, validate_crcs=True).get_summary()
@@ -176,8 +179,8 @@ def root_of(frame: str, parents: dict[str, str]) -> str:
 def test_frames_are_a_tree_as_tf2_wants_it(bag):
     """Each frame has one parent, fixed or moving but not both.
 
-    All frames of messages hang on base_link, so that a SLAM program connects them with map by one edge; and transforms are in the bag
-    before what needs them.
+    All frames of messages hang on base_link, so that a SLAM program connects them with map by one edge; and
+    transforms are in the bag before what needs them.
     """
     _, found = bag
     fixed, moving = frames(found)
@@ -211,7 +214,8 @@ MOUNTS = {
 def test_units_have_topics_of_their_own(tmp_path):
     """Each of two sensors has its topics and its frame, whose fixed pose on base_link is that of the rig.
 
-    The truth is that of the body, from a run and from its files alike, and with the fixed transform it is the trajectory of the sensor.
+    The truth is that of the body, from a run and from its files alike, and with the fixed transform it is the
+    trajectory of the sensor.
     """
     rig = {"rig": [{"mount": {"lever_arm_m": [0.0, 0.0, 1.0]}}]}
     emulator = Emulator("static_bench", SETTINGS | MOUNTS | rig)
@@ -249,7 +253,8 @@ def matrix(place, turn):
 
 
 def test_an_attitude_is_that_of_the_truth(tmp_path):
-    """With imu.attitude the orientation of /imu/data is that of the table, and its covariance no longer says that there is none."""
+    """With imu.attitude the orientation of /imu/data is that of the table, and its covariance no longer
+    says that there is none."""
     settings = SETTINGS | {"imu.attitude": True, "motion.yaw_deg": 30.0}
     Emulator("static_bench", settings).record(tmp_path / "a.pcap", duration_s=0.2, truth=tmp_path / "truth")
     write_bag(tmp_path / "a.pcap", tmp_path / "a.mcap", tmp_path / "truth")
@@ -263,7 +268,8 @@ def test_an_attitude_is_that_of_the_truth(tmp_path):
 
 
 def test_a_configuration_is_written_beside_the_bag(walk, tmp_path, refused):
-    """--for writes the files of a program under the bag's name, from a capture, its truth and a run alike; an edited one is left alone."""
+    """--for writes the files of a program under the bag's name, from a capture, its truth and a run alike;
+    an edited one is left alone."""
     assert (
         run(
             [
@@ -310,14 +316,16 @@ def test_a_configuration_is_written_beside_the_bag(walk, tmp_path, refused):
     ],
 )
 def test_what_no_bag_can_be_made_of_is_refused(walk, refused, words, line):
-    """A wrong ending, a folder that is there, no truth, unit or clock of that name: one line before any work, and nothing is written."""
+    """A wrong ending, a folder that is there, no truth, unit or clock of that name: one line before any
+    work, and nothing is written."""
     before = sorted(walk.iterdir())
     assert line in refused(word.format(walk=walk) for word in words.split())
     assert sorted(walk.iterdir()) == before
 
 
 def test_a_run_goes_straight_into_a_bag(bag, tmp_path):
-    """`record` with the name of a bag writes what `bag` makes of the capture and truth of the same run, bit for bit, and nothing beside it."""
+    """`record` with the name of a bag writes what `bag` makes of the capture and truth of the same run,
+    bit for bit, and nothing beside it."""
     name, theirs = bag
     out = f"{tmp_path}/{name}" + "/" * (name == "walk")
     assert run(["record", "static_bench", out, "--duration", "0.5", *WORDS, "--json"]) == 0
@@ -339,7 +347,8 @@ def test_a_capture_shorter_than_a_revolution_is_named(tmp_path, caplog):
 
 
 def test_odometry_of_a_run_has_the_rates_of_its_motion(tmp_path):
-    """Velocity and angular rate in a bag of a run are those of the motion at the same instant, in the sensor's axes.
+    """Velocity and angular rate in a bag of a run are those of the motion at the same instant, in the
+    sensor's axes.
 
     The report of `record` is of the bag: bytes, sha256, and messages by topic.
     """
@@ -372,7 +381,8 @@ def test_odometry_of_a_run_has_the_rates_of_its_motion(tmp_path):
     ],
 )
 def test_damaged_truth_is_named_by_its_file(walk, tmp_path, refused, file, content, message):
-    """A table that is missing, as in folders of earlier versions, damaged or another one is named; exit code 2 and no bag."""
+    """A table that is missing, as in folders of earlier versions, damaged or another one is named; exit
+    code 2 and no bag."""
     shutil.copytree(walk / "truth", tmp_path / "truth")
     place = tmp_path / "truth" / file
     place.unlink()

@@ -62,7 +62,8 @@ CASE_LIST = [
     Case("verify", "19-foreign.pcap", "", 0, only_notes(), "velodyne#306: the unit on 2368 is sound"),
     Case("decode", "19-foreign.pcap", "", 0, packets(26), "velodyne#306: the unit on 2368 is sound"),
     Case("decode", "20-fov10-20.pcap", "", 0, lambda t: t["rpm"] == pytest.approx(1200, abs=1), "recorded at 1200 rpm"),
-    Case("verify", "20-fov10-20.pcap", "", 0, only_notes("azimuth-gap"), "63-9243 Rev D, section 10.1: a setting"),
+    Case("verify", "20-fov10-20.pcap", "", 0, only_notes("azimuth-gap"), "63-9243 Rev D, section 10.1: a "
+                                                                         "setting"),
     Case("verify", "21-rmc-nofix.pcap", "", 0, only_notes(), FIELDS),
     Case("verify", "22-pps-absent.pcap", "", 0, lambda t: t["notes"] == {"nmea-second": 1}, "made so: 25 min apart"),
     Case("bag", "24-nogps.pcap", "", 0, lambda t: t["host_ahead_s"] == [pytest.approx(-964.198, abs=1e-3)], "made so"),
@@ -92,7 +93,8 @@ def test_what_people_have_is_read_as_its_authority_says(case, tmp_path, capsys):
 
 
 def test_stamps_without_gps_are_those_of_the_host_and_of_the_sensor_on_request(tmp_path, capsys):
-    """A unit without GPS has its clouds at the host's time, which the driver gives them without `gps_time`; 964 s later by its own."""
+    """A unit without GPS has its clouds at the host's time, which the driver gives them without
+    `gps_time`; 964 s later by its own."""
     pytest.importorskip("rosbags", reason="the extra ros is not installed")
     from rosbags.highlevel import AnyReader
 

@@ -62,7 +62,8 @@ def azimuths(payload):
 
 
 def test_a_return_mode_is_followed_without_a_gap(tmp_path):
-    """Packets are of the new mode from an instant on; stamps go on, and the run repeats byte for byte from its truth."""
+    """Packets are of the new mode from an instant on; stamps go on, and the run repeats byte for byte from
+    its truth."""
     data, stop, steps = Listener(), Event(), []
     ports = {"sensor.data_port": data.port, "sensor.position_port": 9}
     emulator = Emulator("static_bench", HALL | ports, threads=1)
@@ -92,7 +93,8 @@ def test_a_return_mode_is_followed_without_a_gap(tmp_path):
 
 
 def test_speed_laser_and_field_of_view_are_followed():
-    """The rotor runs up, azimuths stay in the field of view, and without laser data packets cease and position packets do not."""
+    """The rotor runs up, azimuths stay in the field of view, and without laser data packets cease and
+    position packets do not."""
     with streaming() as live:
         post(live.http, "setting", "rpm=1200")
         until(live, lambda payload: 50 < np.median(np.diff(azimuths(payload))) < 100)
@@ -120,7 +122,8 @@ def test_another_receiver_gets_the_packets():
 
 
 def test_events_of_the_scene_show_in_the_web_interface():
-    """What an event has set is among the settings, and an error of the web interface is the answer while it lasts."""
+    """What an event has set is among the settings, and an error of the web interface is the answer while
+    it lasts."""
     events = [
         {"kind": "setting", "at_s": 0.5, "return_mode": "dual", "phase_lock_deg": 90.0},
         {"kind": "http_error", "at_s": 1.5, "status": 503},
@@ -145,7 +148,8 @@ def test_a_stream_to_this_machine_is_sent_to_no_other():
 
 
 def test_a_reset_loses_what_was_not_saved(tmp_path):
-    """After a reset all is silent, the web too; then the saved settings hold, the clock begins anew, and they hold in the next run."""
+    """After a reset all is silent, the web too; then the saved settings hold, the clock begins anew, and
+    they hold in the next run."""
     http = Http("127.0.0.1:0", tmp_path / "saved.json")
     with streaming(http=http) as live:
         post(live.http, "setting", "returns=Last")

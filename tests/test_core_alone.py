@@ -21,7 +21,8 @@ SPAN_S = 0.3
 
 @pytest.fixture(scope="module")
 def core(tmp_path_factory):
-    """Run the command line of a copy of the package without forest, foliage and extras; give what it prints."""
+    """Run the command line of a copy of the package without forest, foliage and extras; give what it
+    prints."""
     folder = tmp_path_factory.mktemp("core")
     shutil.copytree(
         ROOT / "vlp16emu", folder / "vlp16emu", ignore=shutil.ignore_patterns("__pycache__", *AROUND)
@@ -31,7 +32,8 @@ def core(tmp_path_factory):
     env = os.environ | {"PYTHONPATH": str(folder)}
 
     def run(*lines):
-        """Carry out command lines in one process; gives the greatest exit code, and what it printed on stdout and stderr."""
+        """Carry out command lines in one process; gives the greatest exit code, and what it printed on
+        stdout and stderr."""
         program = "import sys, json; from vlp16emu.cli.app import run; sys.exit(max([run(line) for line in json.loads(sys.argv[1])]))"
         command = [sys.executable, "-c", program, json.dumps([[*map(str, line), "--json"] for line in lines])]
         return subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, check=False)
@@ -47,7 +49,8 @@ def packets():
 
 
 def test_it_records_streams_and_decodes_the_same_bytes(core, packets, tmp_path):
-    """`record` gives the file, and `stream` over UDP the payloads, of the whole package; `decode` reads as many points as were returned."""
+    """`record` gives the file, and `stream` over UDP the payloads, of the whole package; `decode` reads as
+    many points as were returned."""
     whole, alone = tmp_path / "whole.pcap", tmp_path / "alone.pcap"
     returns = Emulator("static_bench").record(whole, duration_s=SPAN_S).returns
     with opened(0) as data, opened(0) as position:

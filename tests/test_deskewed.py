@@ -1,4 +1,5 @@
-"""Captures put into the world by `vlp16emu points` with a trajectory, and their labels from the truth behind each record."""
+"""Captures put into the world by `vlp16emu points` with a trajectory, and their labels from the truth
+behind each record."""
 
 from threading import Event
 
@@ -36,7 +37,8 @@ LABELS = ("semantic", "part", "leaf_wood", "instance", "species", "label", "tree
 
 
 def points(*words):
-    """Run `vlp16emu points` with these words, the second of them the file, and read that; its name ends in .npz."""
+    """Run `vlp16emu points` with these words, the second of them the file, and read that; its name ends in
+    .npz."""
     assert run(["points", *map(str, words)]) == 0
     with np.load(words[1]) as arrays:
         return dict(arrays)
@@ -52,7 +54,8 @@ def deskewed(capture, trajectory, out, unit=1, truth=None, **errors):
 
 @pytest.fixture(scope="module")
 def walk(tmp_path_factory):
-    """Folder with walk.pcap of 0.3 s and its truth, in more than one row group; the emulator; and labelled points of the scene itself."""
+    """Folder with walk.pcap of 0.3 s and its truth, in more than one row group; the emulator; and labelled
+    points of the scene itself."""
     folder, emulator = tmp_path_factory.mktemp("walk"), Emulator("birch_walk", SETTINGS)
     to = TruthTo(folder / "truth", per_return=True)
     emulator.record(folder / "walk.pcap", duration_s=0.3, truth=to)
@@ -69,7 +72,8 @@ def true(walk):
 
 
 def test_the_true_trajectory_gives_the_points_of_the_scene(walk, true):
-    """Every echo is there once, at its own time, where `points` of the scene has it but for the steps of the wire."""
+    """Every echo is there once, at its own time, where `points` of the scene has it but for the steps of
+    the wire."""
     _, _, own = walk
     points, report = true
     assert report["without_pose"] == 0
@@ -92,7 +96,8 @@ def test_the_true_trajectory_gives_the_points_of_the_scene(walk, true):
 
 
 def test_a_time_offset_takes_later_poses(walk):
-    """With 50 ms each pulse has the pose of 50 ms later; pulses that have none there are left out and counted."""
+    """With 50 ms each pulse has the pose of 50 ms later; pulses that have none there are left out and
+    counted."""
     folder, emulator, _ = walk
     late, report = deskewed(folder / "walk.pcap", folder / "truth", folder / "w.npz", time_offset_s=0.05)
     truth = emulator.world_T_sensor(late["t_ns"] + 50_000_000)
@@ -146,7 +151,8 @@ def test_laz_of_a_capture_has_returns_time_and_place(walk, true):
 
 
 def test_each_unit_of_a_rig_has_its_own_trajectory(tmp_path):
-    """Of two sensors in one capture the second's points are found by its address, and placed by its own trajectory."""
+    """Of two sensors in one capture the second's points are found by its address, and placed by its own
+    trajectory."""
     rig = [{"mount": {"lever_arm_m": [0.5, 0.0, 0.0], "yaw_deg": 90.0}}]
     emulator = Emulator("static_bench", {"rig": rig, "sensor.max_range_m": 20.0})
     emulator.record(tmp_path / "two.pcap", duration_s=0.1, truth=tmp_path / "truth")
@@ -180,7 +186,8 @@ def by_pulse(arrays, count):
 
 
 def test_points_have_the_labels_that_the_scene_gives_them(walk, labelled):
-    """Every point of the capture, also of the second row group, has the class, part, instance, species and tree of the same echo of the scene."""
+    """Every point of the capture, also of the second row group, has the class, part, instance, species and
+    tree of the same echo of the scene."""
     _, _, own = walk
     count = min(len(own["t_ns"]), len(labelled["t_ns"]))
     assert count > 22_000
@@ -194,7 +201,8 @@ def test_points_have_the_labels_that_the_scene_gives_them(walk, labelled):
 
 
 def test_labels_do_not_depend_on_the_trajectory(walk, labelled):
-    """With an estimate in TUM format that is off by 0.5 m the places move, and the labels stay, height above the ground with them."""
+    """With an estimate in TUM format that is off by 0.5 m the places move, and the labels stay, height
+    above the ground with them."""
     folder, _, _ = walk
     rows = np.loadtxt(folder / "truth" / "trajectory.tum")
     np.savetxt(folder / "estimate.tum", rows + [0, 0.5, *np.zeros(6)], fmt="%.9f")
@@ -217,7 +225,8 @@ def copy(capture, out, keep):
 
 
 def test_lost_late_and_doubled_packets_find_their_rows(walk, labelled, tmp_path):
-    """Of a capture that lacks its first packets and some more, has one twice and one late, each point has the labels that it has in the whole."""
+    """Of a capture that lacks its first packets and some more, has one twice and one late, each point has
+    the labels that it has in the whole."""
     folder, _, _ = walk
 
     def keep(data):

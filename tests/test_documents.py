@@ -178,7 +178,8 @@ def test_the_python_of_the_readme_runs(capsys, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_the_commands_of_the_documents_are_understood(command, capsys):
-    """Verbs and options in the documents and in the help's examples exist: with --help behind them they are accepted."""
+    """Verbs and options in the documents and in the help's examples exist: with --help behind them they
+    are accepted."""
     assert run([*shlex.split(command)[1:], "--help"]) == 0
     assert capsys.readouterr().err == ""
 

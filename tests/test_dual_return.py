@@ -1,4 +1,5 @@
-"""Dual return in a forest: each pair of records in the packets against the rules of 63-9243 Rev D, section 9.3.2, p. 57."""
+"""Dual return in a forest: each pair of records in the packets against the rules of 63-9243 Rev D, section
+9.3.2, p. 57."""
 
 import numpy as np
 import pytest
@@ -12,13 +13,16 @@ pytestmark = pytest.mark.usefixtures("kept_woods")
 
 OWN = ("sensor.return_mode=dual", "noise.reflectivity_noise=0.0", "noise.gain_spread=0.0")
 RESOLUTION_M, NOISE_M, ERROR_M = 1.0, 0.3, 0.05
-"""How far apart two returns are; by how much noise may bring them together, at the detection threshold six sigmas of each are
-0.38 m; and the error of a range that is bright enough to be strongest: bias, at most 3 cm, and noise."""
+"""How far apart two returns are; by how much noise may bring them together, at the detection threshold six
+sigmas of each are 0.38 m; and the error of a range that is bright enough to be strongest: bias, at most 3
+cm, and noise.
+"""
 
 
 @pytest.fixture(scope="module", params=["typical", "ideal"])
 def pairs(request):
-    """Blocks (n, 12) of more than one revolution as on the wire, and strongest, last and second strongest (n, 6, 32, 3) in steps of distance."""
+    """Blocks (n, 12) of more than one revolution as on the wire, and strongest, last and second strongest
+    (n, 6, 32, 3) in steps of distance."""
     emulator = Emulator("birch_walk", [*LINES, *OWN, f"noise.preset={request.param}"])
     sent = data_payloads(emulator.packets(0.0, 0.12))
     returned = np.concatenate([r.distance_m for r in emulator.returns(0.0, 0.12)])[: 12 * len(sent)]
@@ -57,7 +61,8 @@ def broken(blocks, returned):
 
 
 def test_every_pair_of_a_forest_is_lawful(pairs):
-    """No pair breaks a rule, and there are hundreds with no, one and two returns; were odd blocks even ones, rules would break."""
+    """No pair breaks a rule, and there are hundreds with no, one and two returns; were odd blocks even
+    ones, rules would break."""
     blocks, returned = pairs
     assert set(broken(blocks, returned).values()) == {0}
     last, other = (blocks[:, half::2]["records"]["distance_lsb"].reshape(-1) for half in (0, 1))

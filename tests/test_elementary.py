@@ -1,4 +1,5 @@
-"""Elementary functions: exact to some ulp, at the edges too, and the same bits from arrays, numbers and kernels."""
+"""Elementary functions: exact to some ulp, at the edges too, and the same bits from arrays, numbers and
+kernels."""
 
 import math
 from typing import Any
@@ -22,7 +23,8 @@ BINARY = ("atan2", "hypot", "power")
 
 @pytest.mark.parametrize("name", ULPS)
 def test_within_ulps_of_the_library(tool_named: Any, name: str) -> None:
-    """Values are within the stated ulps, and the library's half, of those of the C library, of both signs and all sizes."""
+    """Values are within the stated ulps, and the library's half, of those of the C library, of both signs
+    and all sizes."""
     off, where = tool_named("elementary").worst(name, 12_000, math)
     assert off <= ULPS[name] + 1.0, where
 

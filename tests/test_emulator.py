@@ -41,7 +41,8 @@ def birch():
 @pytest.mark.usefixtures("kept_woods")  # in what order they grow changes nothing: test_forest.py of the stand
 @pytest.mark.parametrize("settings", [{}, BLOWS], ids=["still", "wind"])
 def test_threads_and_cuts_do_not_change_a_byte(settings):
-    """A run by three threads, across the change of a window and in pieces that begin anywhere, also in the middle of a packet, equals the run by one in one go."""
+    """A run by three threads, across the change of a window and in pieces that begin anywhere, also in the
+    middle of a packet, equals the run by one in one go."""
     scenario, start, stop = load("birch_walk", THIN | settings), STRETCH_S - 0.08, STRETCH_S + 0.08
     one = Emulator(scenario, threads=1)
     whole = digest(one.packets(start, stop))
@@ -85,7 +86,8 @@ def test_a_time_that_is_none_is_refused(birch, seconds):
 
 @pytest.mark.parametrize("seconds", [1.3e6, 9.3e9, 1e300])
 def test_a_time_beyond_the_longest_run_is_refused(seconds):
-    """A span that begins or ends later than two weeks is refused, also where its nanoseconds would not fit int64."""
+    """A span that begins or ends later than two weeks is refused, also where its nanoseconds would not fit
+    int64."""
     for span_s in ((seconds, seconds + 0.01), (0.0, seconds)):
         with pytest.raises(InputError, match=r"^(duration|time): found \S+ s; expected at most \S+ s"):
             Emulator("static_bench").packets(*span_s)
@@ -97,7 +99,8 @@ ENCODER = "sensor.eccentricity_deg=0.06", "sensor.azimuth_noise_deg=0.005"
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_run_begins_with_a_whole_scan(seed):
-    """By default the first readings of the encoder are past north, so that readers make no first scan of one packet."""
+    """By default the first readings of the encoder are past north, so that readers make no first scan of
+    one packet."""
     first = next(
         p
         for p in Emulator(load("static_bench", [f"seed={seed}", *ENCODER])).packets(0.0, 0.01)

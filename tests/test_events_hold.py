@@ -1,4 +1,5 @@
-"""Events hold for every reader of a run: scans, points, counts, locks and reports, on the default unit and in the hall."""
+"""Events hold for every reader of a run: scans, points, counts, locks and reports, on the default unit and
+in the hall."""
 
 from dataclasses import replace
 from threading import Event, Thread
@@ -32,7 +33,8 @@ def hall(*events, scene="static_bench", **settings):
     "changed", [{"laser": False}, {"return_mode": "last"}, {"fov_deg": [0, 90]}], ids=str
 )
 def test_scans_follow_settings_as_the_capture_does(each_unit, changed, tmp_path):
-    """Revolutions of the scene have the points of those in its recording, before and after a change of settings."""
+    """Revolutions of the scene have the points of those in its recording, before and after a change of
+    settings."""
     emulator = hall(setting(0.3, **changed), scene=each_unit)
     emulator.record(tmp_path / "hall.pcap", duration_s=0.7)
     sent = list(decode(tmp_path / "hall.pcap"))
@@ -45,7 +47,8 @@ def test_scans_follow_settings_as_the_capture_does(each_unit, changed, tmp_path)
 
 
 def test_a_file_of_points_has_none_while_the_laser_is_off(each_unit, tmp_path):
-    """Points of a scene end with the last packet before the laser is switched off, and begin again with the first after it."""
+    """Points of a scene end with the last packet before the laser is switched off, and begin again with
+    the first after it."""
     emulator = hall(setting(0.1, laser=False), setting(0.2, laser=True), scene=each_unit)
     write_points(emulator, tmp_path / "points.npz", duration_s=0.3)
     with np.load(tmp_path / "points.npz") as points:
@@ -56,7 +59,8 @@ def test_a_file_of_points_has_none_while_the_laser_is_off(each_unit, tmp_path):
 
 
 def test_a_standing_rotor_holds_no_points():
-    """Readings of a rotor that stands are dropped after two seconds, and revolutions after it are whole again."""
+    """Readings of a rotor that stands are dropped after two seconds, and revolutions after it are whole
+    again."""
     longest = 0
 
     class Counted(Chunk):
@@ -93,13 +97,15 @@ def off_deg(scenario, phase_deg, seconds):
     ids=["from the start", "by an event"],
 )
 def test_a_phase_lock_holds(default_unit, settings):
-    """At each whole second of minutes the rotor of a unit with a speed error is within a degree of its phase."""
+    """At each whole second of minutes the rotor of a unit with a speed error is within a degree of its
+    phase."""
     scenario = load(default_unit, {"duration_s": 200.0, **settings})
     assert abs(off_deg(scenario, 90.0, range(5, 190))).max() < 1.0
 
 
 def test_a_rotor_wanders_without_its_lock(default_unit):
-    """Without lock the error of the mean speed moves the rotor by tens of degrees; the move begins at the end of the lock, without a jump."""
+    """Without lock the error of the mean speed moves the rotor by tens of degrees; the move begins at the
+    end of the lock, without a jump."""
     off = setting(60.0, phase_lock_deg="off")
     scenario = load(default_unit, {"duration_s": 200.0, "sensor.phase_lock_deg": 90.0, "events": [off]})
     assert abs(off_deg(scenario, 90.0, range(5, 60))).max() < 1.0
@@ -110,7 +116,8 @@ def test_a_rotor_wanders_without_its_lock(default_unit):
 
 
 def test_only_position_packets_that_leave_are_counted(each_unit):
-    """What a stream skips through a power cycle is what the sensor would have sent: nothing in the seconds without power."""
+    """What a stream skips through a power cycle is what the sensor would have sent: nothing in the seconds
+    without power."""
     emulator = hall({"kind": "power_cycle", "at_s": 0.2, "off_s": 5.0}, scene=each_unit, duration_s=8.0)
     due = [packet.kind for packet in emulator.packets(0.0, 5.3)]
     feed = PacketFeed(emulator.engine, 0.0, 6.0)
@@ -122,7 +129,8 @@ def test_only_position_packets_that_leave_are_counted(each_unit):
 
 
 def test_copies_of_packets_survive_a_change_of_settings(each_unit):
-    """A packet and its copy, due at one instant, are both sent when packets are computed again with other settings."""
+    """A packet and its copy, due at one instant, are both sent when packets are computed again with other
+    settings."""
     emulator = hall({"kind": "duplicate", "at_s": 0.0, "count": 1_000_000}, scene=each_unit)
     whole = list(PacketFeed(emulator.engine, 0.0, 0.05))
     feed = PacketFeed(emulator.engine, 0.0, 0.05)
@@ -132,7 +140,8 @@ def test_copies_of_packets_survive_a_change_of_settings(each_unit):
 
 
 def test_a_new_input_is_spared(tmp_path):
-    """A mesh that `changed` brings into the scene is no output, as if the scene had named it from the start."""
+    """A mesh that `changed` brings into the scene is no output, as if the scene had named it from the
+    start."""
     mesh = tmp_path / "box.ply"
     mesh.write_text(
         "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
@@ -180,7 +189,8 @@ def test_a_wrong_option_is_an_input_error(verb, name, tmp_path):
 
 
 def test_the_report_gives_the_speed_that_ran():
-    """After a change of speed a report has the mean of the set speed over its span, and the revolutions of that span."""
+    """After a change of speed a report has the mean of the set speed over its span, and the revolutions of
+    that span."""
     head = hall(setting(0.0, rpm=1200), duration_s=20.0).parts.head
     turn = turn_of(head, 10.0, 20.0)
     assert (turn.rpm, turn.revolutions) == (pytest.approx(1200.0), pytest.approx(200.0))
@@ -200,7 +210,8 @@ def test_set_up_takes_each_event_once():
 
 
 def test_lost_records_keep_their_range(default_unit):
-    """A record that a unit loses has distance 0 and keeps the range that it would have had, as the type says."""
+    """A record that a unit loses has distance 0 and keeps the range that it would have had, as the type
+    says."""
     emulator = hall(scene=default_unit, **{"sensor.return_mode": "dual"})
     lost = 0
     for returns in emulator.returns(0.0, 0.3, truth=True):
@@ -210,7 +221,8 @@ def test_lost_records_keep_their_range(default_unit):
 
 
 def test_an_engine_is_a_value():
-    """An engine for one run shares world and windows with the engine that it comes from, which stays as it is."""
+    """An engine for one run shares world and windows with the engine that it comes from, which stays as it
+    is."""
     engine = hall().engine
     stop = Event()
     one = engine.stopped_by(stop)

@@ -1,4 +1,5 @@
-"""The course in `tools/examples`, worlds, sensors and motions of one's own, and what other packages add by entry points."""
+"""The course in `tools/examples`, worlds, sensors and motions of one's own, and what other packages add by
+entry points."""
 
 import json
 import os
@@ -30,7 +31,8 @@ COURSE = {
 
 
 def run_python(folder, *command, code=0):
-    """Standard output of a program in a folder whose packages it finds; with what it says on errors if `code` is not 0."""
+    """Standard output of a program in a folder whose packages it finds; with what it says on errors if
+    `code` is not 0."""
     env = os.environ | {"PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)])}
     done = subprocess.run(
         [sys.executable, *command], cwd=folder, env=env, capture_output=True, text=True, check=False
@@ -64,7 +66,8 @@ BUGS = {
 
 
 def test_tests_of_a_driver_find_its_bugs(pytester):
-    """With the fixture `vlp16` the driver of the examples passes, and each of four bugs fails the test that is about it."""
+    """With the fixture `vlp16` the driver of the examples passes, and each of four bugs fails the test
+    that is about it."""
     wanted = []
     driver, tests = (
         (EXAMPLES / "driver_tests" / name).read_text() for name in ("driver.py", "test_driver.py")
@@ -85,7 +88,8 @@ def test_tests_of_a_driver_find_its_bugs(pytester):
 def test_a_session_without_the_fixture_loads_nothing(tmp_path, monkeypatch):
     """The plugin alone brings neither numpy nor the engine, and leaves numba as it is for others."""
     (tmp_path / "test_other.py").write_text(
-        "import os, sys\ndef test_it():\n    assert not {'numpy', 'pydantic', 'vlp16emu.run'} & set(sys.modules)\n"
+        "import os, sys\ndef test_it():\n    assert not {'numpy', 'pydantic', 'vlp16emu.run'} & "
+        "set(sys.modules)\n"
         "    import numba\n    assert 'NUMBA_CPU_NAME' not in os.environ\n"
         "    import vlp16emu.trig\n    assert 'NUMBA_CPU_NAME' in os.environ\n"
     )
@@ -119,7 +123,8 @@ sensor = script("sensor", "0.1")["Dense32"](model="dense-32")
 script("motion", "2.0")
 print(json.dumps([seen, [*sensor.beam_elevations_deg]]))
 """
-"""A program that runs the scripts, looks at the dunes, and prints where returns lie and how high lasers look."""
+"""A program that runs the scripts, looks at the dunes, and prints where returns lie and how high lasers
+look."""
 
 
 @pytest.fixture(scope="module")
@@ -130,7 +135,8 @@ def own(tmp_path_factory):
 
 
 def test_a_world_of_ones_own_is_scanned(own):
-    """Returns lie on the sine that the dunes are, but for the chords of 0.5 m: 1.5 m x (2 pi / 40 m)^2 x (0.5 m)^2 / 8."""
+    """Returns lie on the sine that the dunes are, but for the chords of 0.5 m: 1.5 m x (2 pi / 40 m)^2 x
+    (0.5 m)^2 / 8."""
     _, (said, *_, tree) = own
     assert int(said.split()[0]) > 10_000
     for count, off_m in json.loads(tree)[0]:
@@ -139,7 +145,8 @@ def test_a_world_of_ones_own_is_scanned(own):
 
 
 def test_a_beam_table_of_ones_own_gives_its_elevations(own):
-    """A cloud of the sensor of 32 lasers has 32 rings, at the elevations of its table: a row of a list, no formula."""
+    """A cloud of the sensor of 32 lasers has 32 rings, at the elevations of its table: a row of a list, no
+    formula."""
     folder, lines = own
     assert len(json.loads(lines[-1])[1]) == 32
     head, _, _ = (folder / "dense.ply").read_bytes().partition(b"end_header\n")
@@ -147,7 +154,8 @@ def test_a_beam_table_of_ones_own_gives_its_elevations(own):
 
 
 def test_a_motion_of_ones_own_has_the_derivatives_of_its_poses(own):
-    """The true specific force of the swing is that of a pendulum: g + rope x rate^2 along the rope at the lowest point."""
+    """The true specific force of the swing is that of a pendulum: g + rope x rate^2 along the rope at the
+    lowest point."""
     table = np.genfromtxt(own[0] / "swing_truth" / "imu.csv", delimiter=",", names=True)
     along = table["true_fz_m_s2"]
     rate = np.abs(table["true_wy_rad_s"])
@@ -162,12 +170,14 @@ vlp16emu.load("static_bench")
 print(vlp16emu.doors._entry_points.cache_info().currsize, flush=True)
 sys.exit(max(run(line.split()) for line in sys.argv[1:]))
 """
-"""A program that reads a scene of ours, says how many entry points have been looked up, and carries out command lines."""
+"""A program that reads a scene of ours, says how many entry points have been looked up, and carries out
+command lines."""
 
 
 @pytest.fixture(scope="module")
 def outside(tmp_path_factory):
-    """A folder with a package that adds a world, a scene, a sensor, a verb, and a world and a verb that are broken."""
+    """A folder with a package that adds a world, a scene, a sensor, a verb, and a world and a verb that
+    are broken."""
     folder = tmp_path_factory.mktemp("outside")
     for name in ("own_world", "own_sensor"):
         (folder / f"{name}.py").write_text((EXAMPLES / f"{name}.py").read_text())
@@ -205,7 +215,8 @@ def said(outside):
 
 
 def test_another_package_adds_a_world_that_is_recorded_and_listed(outside, said):
-    """`record` finds the scene of another package and its world, `scenes` lists it, and `schema` has its keys."""
+    """`record` finds the scene of another package and its world, `scenes` lists it, and `schema` has its
+    keys."""
     assert sum(len(scan.xyz_m) for scan in decode(outside / "dunes.pcap")) > 5_000
     before, _, tree = said[0].partition("\n{")
     assert "\n  dune_walk " in before
@@ -231,7 +242,8 @@ def test_a_world_of_another_package_has_no_trees_to_report(said):
 
 @pytest.mark.parametrize("entry", ["ruins of vlp16emu.worlds", "moan of vlp16emu.verbs"])
 def test_a_broken_entry_point_is_one_line_that_names_it(said, entry):
-    """Who asks for what another package has broken is answered with the package, the entry point and the reason."""
+    """Who asks for what another package has broken is answered with the package, the entry point and the
+    reason."""
     word = entry.split()[0]
     assert (
         f"error: outside: entry point {entry}: modulenotfounderror: no module named 'nowhere'; "
@@ -240,5 +252,6 @@ def test_a_broken_entry_point_is_one_line_that_names_it(said, entry):
 
 
 def test_who_asks_for_nothing_of_another_package_hears_nothing_of_it(said):
-    """A scene of ours is read beside broken entry points without a word, and no entry point is looked up for it."""
+    """A scene of ours is read beside broken entry points without a word, and no entry point is looked up
+    for it."""
     assert said[0].startswith("0\n")

@@ -30,7 +30,8 @@ def field():
 
 
 def test_keys_of_the_field_are_those_that_are_not_given():
-    """What the scene says stays; what it does not say is that of the field; without the word all is perfect."""
+    """What the scene says stays; what it does not say is that of the field; without the word all is
+    perfect."""
     field = load(
         FIELD, {"imu.preset": "tactical", "motion.mast.bending_hz": 5.0, "motion.mount.error_mm": 1.0}
     )
@@ -46,7 +47,8 @@ def test_keys_of_the_field_are_those_that_are_not_given():
 
 
 def test_true_mounts_differ_as_far_as_they_shall():
-    """Over 400 seeds the true mount is turned by 0.3 degrees and moved by 5 mm about each axis, one sigma; devices differ."""
+    """Over 400 seeds the true mount is turned by 0.3 degrees and moved by 5 mm about each axis, one sigma;
+    devices differ."""
     given = Mount(yaw_deg=30.0, lever_arm_m=(0.0, 0.1, 0.2), error_deg=0.3, error_mm=5.0)
     true = [true_mount(given, seed, 0) for seed in range(400)]
     turned = np.array([[one.yaw_deg - 30.0, one.pitch_deg, one.roll_deg] for one in true])
@@ -57,7 +59,8 @@ def test_true_mounts_differ_as_far_as_they_shall():
 
 
 def test_truth_has_the_true_extrinsics_and_what_users_are_given(field, tmp_path):
-    """`rig.json` has both, the trajectory is that of the true mount, and stamps of the inertial unit are beside true times."""
+    """`rig.json` has both, the trajectory is that of the true mount, and stamps of the inertial unit are
+    beside true times."""
     write_truth(field, tmp_path / "truth", duration_s=1.0)
     rig = json.loads((tmp_path / "truth" / "rig.json").read_text())
     for device, key in ((rig["units"][0], "body_T_sensor"), (rig["imu"], "body_T_imu")):
@@ -72,7 +75,8 @@ def test_truth_has_the_true_extrinsics_and_what_users_are_given(field, tmp_path)
 
 
 def test_readings_are_late_scaled_and_warm_up(field):
-    """Stamps rise, 2 to 8 ms late; readings are a matrix near the identity times the truth, plus a bias that drifts as it warms up."""
+    """Stamps rise, 2 to 8 ms late; readings are a matrix near the identity times the truth, plus a bias
+    that drifts as it warms up."""
     imu = field.parts.imu
     read = imu.read(0, 4000)
     late_ms = (read.stamp_ns - read.t_ns) / 1e6
@@ -95,7 +99,8 @@ def test_readings_are_late_scaled_and_warm_up(field):
 
 
 def test_the_mast_leans_with_each_step(field):
-    """Sensors lean on the pack by tenths of a degree at the rate of steps, are rigid on a stiff mast, and have derivatives of their own."""
+    """Sensors lean on the pack by tenths of a degree at the rate of steps, are rigid on a stiff mast, and
+    have derivatives of their own."""
     carrier, start_ns = field.parts.carrier, field.scenario.start_ns
     t_ns = start_ns + np.arange(4_000_000_000, 9_000_000_000, 5_000_000)
     pack, top = carrier.poses_at(t_ns), carrier.bent(field.scenario.motion.mast).poses_at(t_ns)
@@ -123,7 +128,8 @@ def scans(field):
 
 
 def test_people_stand_in_the_way(field, scans):
-    """Points of people lie on their cylinders: the companion behind the carrier in each scan, the other one in some."""
+    """Points of people lie on their cylinders: the companion behind the carrier in each scan, the other
+    one in some."""
     for instance, least in ((COMPANION, 45), (PASSER, 5)):
         seen = [scan for scan in scans if (scan.labels.instance == instance).sum() > 3]
         assert len(seen) >= least
@@ -141,7 +147,8 @@ def test_people_stand_in_the_way(field, scans):
 
 
 def test_bytes_are_those_of_seed_and_scene(field):
-    """Packets of a walk in the field are the same on one thread and on three, and in parts; another seed has others."""
+    """Packets of a walk in the field are the same on one thread and on three, and in parts; another seed
+    has others."""
     whole = [
         packet.payload
         for packet in Emulator(FIELD, {"people.passes_every_s": 10.0}, threads=3).packets(4.0, 4.4)

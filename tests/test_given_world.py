@@ -108,7 +108,8 @@ def test_the_box_is_where_the_scene_puts_it(seen):
 
 
 def test_the_ground_is_the_given_ground(seen):
-    """Every return from the ground lies on the plane of the file to a centimetre, far from the map's own zero."""
+    """Every return from the ground lies on the plane of the file to a centimetre, far from the map's own
+    zero."""
     origin, direction, distance, rows = seen
     own = rows["semantic"] == Semantic.GROUND
     place = origin[own] + direction[own] * distance[own, None]
@@ -126,7 +127,8 @@ def test_trees_are_joined_with_their_lines_of_the_list(folder, tmp_path):
 
 
 def test_the_path_of_a_walk_leads_around_the_trees_of_the_list(folder):
-    """With `on_conflict = "move_path"` a walk right through a listed stem keeps its clearance from all of them."""
+    """With `on_conflict = "move_path"` a walk right through a listed stem keeps its clearance from all of
+    them."""
     walk = "motion={kind='walk', way_points_m=[[-10, 5.0], [11, 3.2]]}"
     settings = [walk, 'world.on_conflict="move_path"', "world.meshes=[]"]
     carrier = Emulator(load(str(folder / "plot.toml"), settings), threads=1).parts.carrier
@@ -142,13 +144,16 @@ def test_the_path_of_a_walk_leads_around_the_trees_of_the_list(folder):
 @pytest.mark.parametrize(
     ("setting", "message"),
     [
-        ("motion.x_m=-51", r"ground.asc: ends in column 1 at x = -50.0 m, 1.0 m short of the path at \(-51.0, 4.0\) m; expected ground under"),
-        ("motion.x_m=5.9", r"plot.csv: 1 of 5 trees nearer to the path than path_clearance_m = 0.8: line 2 at \(6, 4\) m, 0.00 m away; expected none, or on_conflict"),
+        ("motion.x_m=-51", (r"ground.asc: ends in column 1 at x = -50.0 m, 1.0 m short of the path at "
+                           r"\(-51.0, 4.0\) m; expected ground under")),
+        ("motion.x_m=5.9", (r"plot.csv: 1 of 5 trees nearer to the path than path_clearance_m = 0.8: line "
+                           r"2 at \(6, 4\) m, 0.00 m away; expected none, or on_conflict")),
         ('world.stem_list="absent.csv"', "absent.csv: no such file or directory"),
     ],
 )  # fmt: skip
 def test_files_that_do_not_fit_the_walk_are_refused(folder, setting, message):
-    """Ground that ends before the path, a tree in the way, and a file that is not there are named before anything is cast."""
+    """Ground that ends before the path, a tree in the way, and a file that is not there are named before
+    anything is cast."""
     settings = [setting, "motion.y_m=4.0"] if setting.startswith("motion") else [setting]
     with pytest.raises(GeometryError, match=message):
         Emulator(load(str(folder / "plot.toml"), settings), threads=1)
@@ -158,9 +163,11 @@ def test_files_that_do_not_fit_the_walk_are_refused(folder, setting, message):
     ("settings", "warning"),
     [
         (["motion.x_m=-5e5", "motion.y_m=-5.7e6"], "motion: recorded poses lie from 211.5 to 211.5 m above"),
-        (["motion.x_m=-5e5", "motion.y_m=-5.7e6", "motion.z_m=-212.0"], "motion: recorded poses lie from -0.5"),
+        (["motion.x_m=-5e5", "motion.y_m=-5.7e6", "motion.z_m=-212.0"], ("motion: recorded poses lie from "
+                                                                        "-0.5")),
         (["motion.x_m=-5e5", "motion.y_m=-5.7e6", "motion.z_m=-210.0"], None),
-        (["world.dem={file='wide.npy', cell_m=1e6, corner_m=[-1e7, -1e7]}"], "motion: recorded poses begin at (500000.0, 5700000.0, 211.5) m, as if in map"),
+        ([("world.dem={file='wide.npy', cell_m=1e6, corner_m=[-1e7, "
+          "-1e7]}")], "motion: recorded poses begin at (500000.0, 5700000.0, 211.5) m, as if in map"),
     ],
 )  # fmt: skip
 def test_recorded_poses_that_are_not_in_the_scene_are_reported(
@@ -179,12 +186,14 @@ def test_recorded_poses_that_are_not_in_the_scene_are_reported(
 
 
 def test_a_stem_list_that_nobody_sees_is_refused(folder):
-    """A list in map coordinates without an origin is no empty forest: the nearest tree and `origin_m` are told."""
+    """A list in map coordinates without an origin is no empty forest: the nearest tree and `origin_m` are
+    told."""
     lines = [line for line in SCENE.splitlines() if not line.startswith(("origin_m", "dem"))]
     (folder / "lost.toml").write_text("\n".join(lines))
     x, y = min(((EAST_M + x, NORTH_M + y) for x, y in TREES_M), key=lambda xy_m: np.hypot(*xy_m))
     message = (
-        rf"plot.csv: no tree in sight, the nearest at \({x:.1f}, {y:.1f}\) m in the scene, {np.hypot(x, y):.1f} m from"
+        rf"plot.csv: no tree in sight, the nearest at \({x:.1f}, {y:.1f}\) m in the scene, "
+        rf"{np.hypot(x, y):.1f} m from"
         r" the path; expected one 31 m from it at most \(a list in map coordinates needs an origin_m\)$"
     )
     with pytest.raises(GeometryError, match=message):
@@ -192,7 +201,8 @@ def test_a_stem_list_that_nobody_sees_is_refused(folder):
 
 
 def test_a_mesh_that_nobody_sees_is_reported(folder, caplog, monkeypatch):
-    """A mesh at map coordinates is warned of in one line, and one in reach is not; the reach ends at its surface."""
+    """A mesh at map coordinates is warned of in one line, and one in reach is not; the reach ends at its
+    surface."""
     monkeypatch.chdir(folder)
     mesh = '{file="box.obj",unit="cm",up="y",reflectance=0.3,places=[{x_m=%r,y_m=0.0,scale=2.0}]}'
     for x_m, warnings in ((EAST_M, 1), (33.0, 1), (31.5, 0)):

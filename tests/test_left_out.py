@@ -76,7 +76,8 @@ def depends_on_seed(*settings):
 
 
 def test_without_noise_nothing_is_drawn():
-    """An ideal sensor in clear air has returns that no random number changes; noise and rain make them random."""
+    """An ideal sensor in clear air has returns that no random number changes; noise and rain make them
+    random."""
     assert not depends_on_seed()
     for setting in ("noise.range_noise_m=0.01", "weather.rain_mm_h=5"):
         assert depends_on_seed(setting), setting
@@ -119,7 +120,8 @@ BARE, STRAPS = "motion.gait={ preset = 'none' }", "motion.harness={}"
     ],
 )
 def test_a_walk_computes_no_sway_that_it_has_not(monkeypatch, places, without, beside):
-    """Without gait neither trunk nor pack is asked, with straps too, and straps are solved only where there are some."""
+    """Without gait neither trunk nor pack is asked, with straps too, and straps are solved only where
+    there are some."""
     forbid(monkeypatch, *places)
     t_ns = birch().start_ns + 2 * 10**9 + np.arange(10, dtype=np.int64)
     Emulator(birch(*without), threads=1).parts.motion.poses_at(t_ns)
@@ -129,7 +131,8 @@ def test_a_walk_computes_no_sway_that_it_has_not(monkeypatch, places, without, b
 
 @pytest.mark.parametrize("setting", ["gps.connected=false", "gps={ connected = true, canopy_loss = false }"])
 def test_without_canopy_loss_nobody_looks_at_the_sky(monkeypatch, setting):
-    """No ray is cast at the sky without a receiver, or for one that sees through trees; else one look a second."""
+    """No ray is cast at the sky without a receiver, or for one that sees through trees; else one look a
+    second."""
     looks = []
     monkeypatch.setattr(page, "sky_cover", lambda *_: looks.append(1) or 0.0)
     list(Emulator(load("static_bench", [setting]), threads=1).packets(0.0, 0.5))
@@ -140,7 +143,8 @@ def test_without_canopy_loss_nobody_looks_at_the_sky(monkeypatch, setting):
 
 @pytest.mark.usefixtures("kept_woods")
 def test_still_air_moves_nothing():
-    """Without wind no placement of a window sways, and each tile's stems are one shape; in wind each is its own."""
+    """Without wind no placement of a window sways, and each tile's stems are one shape; in wind each is
+    its own."""
     still, blown = (
         window_of(emulator.parts, emulator.scenario.start_ns, emulator.engine.batching, 0)
         for emulator in (Emulator(birch(*wind), threads=1) for wind in ([], ["wind.speed_m_s=3"]))
@@ -153,7 +157,8 @@ def test_still_air_moves_nothing():
 
 @pytest.mark.usefixtures("kept_woods")
 def test_a_medium_out_of_sight_is_not_made(monkeypatch):
-    """Where no sensor sees beyond `world.near_m` all is faces and no voxels are made; where one does, they are."""
+    """Where no sensor sees beyond `world.near_m` all is faces and no voxels are made; where one does, they
+    are."""
     forbid(monkeypatch, (FarCaster, "medium"))
     next(Emulator(birch("sensor.max_range_m=5", "world.near_m=5"), threads=1).returns(0.0, SPAN_S))
     with pytest.raises(TouchedError):
@@ -168,14 +173,16 @@ for lines, names in json.loads(sys.argv[1]):
     codes = [run(line) for line in lines]
     print(*codes, *sorted(set(names) & set(sys.modules)), file=sys.stderr)
 """
-"""A program that carries out command lines step by step, and says after each step which of some modules are loaded by now."""
+"""A program that carries out command lines step by step, and says after each step which of some modules
+are loaded by now."""
 
 
 def test_commands_load_no_library_they_do_not_need(tmp_path, monkeypatch):
     """What is wrong with a scene is found before kernels and their compiler are loaded.
 
-    A static, single-ray recording imports nothing that draws, reads meshes or grids, makes curves or talks; a stream builds no frames,
-    and waits neither for the lint nor for scipy, be its path and woods made for it or kept from before.
+    A static, single-ray recording imports nothing that draws, reads meshes or grids, makes curves or talks; a
+    stream builds no frames, and waits neither for the lint nor for scipy, be its path and woods made for it
+    or kept from before.
     """
     monkeypatch.setenv("VLP16EMU_CACHE_DIR", str(tmp_path / "world"))
     wrong, json_ = ("birch_walk", "--set", "sensor.rpm=17"), "--json"

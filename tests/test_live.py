@@ -1,4 +1,5 @@
-"""The closed loop: a scripted drone flies a streamed scene, and what was flown repeats the run byte for byte."""
+"""The closed loop: a scripted drone flies a streamed scene, and what was flown repeats the run byte for
+byte."""
 
 import socket
 import threading
@@ -78,7 +79,8 @@ class Flown:
         self.repeated = {kind: [p.payload for p in packets if p.kind is kind] for kind in self.sent}
 
     def _fly(self, port, begun):
-        """Send a figure of eight, 100 poses a second, in place until the first packet comes; later pause until that is reported."""
+        """Send a figure of eight, 100 poses a second, in place until the first packet comes; later pause
+        until that is reported."""
         begun_s = None
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
             while not self.over.wait(0.01):
@@ -95,7 +97,8 @@ def flown(default_unit, tmp_path_factory, tool_named):
 
 
 def test_what_was_flown_repeats_the_run_byte_for_byte(flown):
-    """Every data and position packet that was sent is in the recording of the flight, in order; the others were skipped."""
+    """Every data and position packet that was sent is in the recording of the flight, in order; the others
+    were skipped."""
     for kind, sent in flown.sent.items():
         repeated = iter(flown.repeated[kind])
         assert all(payload in repeated for payload in sent), kind  # `in` goes on from where it was
@@ -108,7 +111,8 @@ def test_what_was_flown_repeats_the_run_byte_for_byte(flown):
 
 
 def test_points_lie_on_the_surfaces(flown):
-    """Put into the world with what was flown, points are on the walls, but for the steps of the wire, half of 2 mm, and the encoder: 0.03 deg."""
+    """Put into the world with what was flown, points are on the walls, but for the steps of the wire, half
+    of 2 mm, and the encoder: 0.03 deg."""
     data = np.frombuffer(b"".join(flown.repeated[PacketKind.DATA]), np.uint8).reshape(-1, DATA_BYTES)
     points = decode_data(data, keep_no_returns=False)
     hall, motion = flown.again.scenario.world, flown.again.parts.motion
@@ -126,7 +130,8 @@ def test_points_lie_on_the_surfaces(flown):
 
 
 def test_lost_poses_are_reported_and_survived(flown):
-    """A pause of more than a second is reported when it comes and when it ends, and is in the report; the stream goes on."""
+    """A pause of more than a second is reported when it comes and when it ends, and is in the report; the
+    stream goes on."""
     live = flown.streamed.live
     assert flown.lines[0].startswith("waiting for poses on udp://127.0.0.1:")
     said = [line.split(":")[0].split(" after")[0] for line in flown.lines[1:]]
@@ -151,7 +156,8 @@ def test_a_flight_is_put_into_the_present(each_unit):
 
 
 def test_a_live_scene_is_not_recorded(tmp_path):
-    """Recordings, truth and scans of a live scene are refused before a file is touched, and the way is named."""
+    """Recordings, truth and scans of a live scene are refused before a file is touched, and the way is
+    named."""
     emulator = Emulator("static_bench", [LIVE])
     for run in (
         lambda: emulator.record(tmp_path / "x.pcap"),

@@ -66,7 +66,8 @@ def test_a_receiver_gets_them_at_the_port_that_is_reserved(live):
 
 
 def test_scans_are_those_of_a_capture_with_labels(tmp_path):
-    """Revolutions of the stream are those that `decode` finds in a recording, each point with its surface and true range."""
+    """Revolutions of the stream are those that `decode` finds in a recording, each point with its surface
+    and true range."""
     recorded = Emulator(SCENE, {"sensor.return_mode": "dual"}).record(tmp_path / "a.pcap", duration_s=0.4)
     with vlp16emu.stream(SCENE, {"sensor.return_mode": "dual"}, duration_s=0.4) as live:
         for scan, other in zip(live.scans(), decode(tmp_path / "a.pcap", clock="sensor"), strict=True):
@@ -143,7 +144,8 @@ def test_a_stream_that_cannot_begin_is_an_error_at_once():
 
 
 def test_nothing_is_left_behind():
-    """After a stream there are as many open files and threads of streams as before, and its ports are free."""
+    """After a stream there are as many open files and threads of streams as before, and its ports are
+    free."""
 
     def open_now():
         workers = "open_", "build_", "work_"  # they go with the scene, which others may use
@@ -163,7 +165,8 @@ def test_nothing_is_left_behind():
 
 
 def test_ports_that_are_held_are_not_given_again():
-    """No two searches that overlap find a port twice, from whatever thread; nor one that a receiver has bound."""
+    """No two searches that overlap find a port twice, from whatever thread; nor one that a receiver has
+    bound."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         with free_ports(1) as (port,):
             taken.bind(("127.0.0.1", port))
@@ -199,7 +202,8 @@ with vlp16emu.stream("static_bench", look_ahead=64) as live:
 
 
 def test_ctrl_c_ends_program_and_streams():
-    """An interrupt in the midst of a block is a KeyboardInterrupt of the program, which ends although nobody stops another stream."""
+    """An interrupt in the midst of a block is a KeyboardInterrupt of the program, which ends although
+    nobody stops another stream."""
     done = subprocess.run(
         [sys.executable, "-c", INTERRUPTED], capture_output=True, text=True, timeout=120, check=False
     )
@@ -208,7 +212,8 @@ def test_ctrl_c_ends_program_and_streams():
 
 
 def test_a_packet_has_its_truth_as_soon_as_a_receiver_has_it(live, monkeypatch):
-    """The truth of a packet is known while its datagram is being sent, as a receiver is sooner than the sender's own notice."""
+    """The truth of a packet is known while its datagram is being sent, as a receiver is sooner than the
+    sender's own notice."""
     found, sent = [], UdpSink.send
 
     def send(sink, packet):

@@ -56,7 +56,8 @@ def write(path, content=b"new"):
 
 
 def test_two_runs_into_one_file_are_refused(writer, tmp_path):
-    """The second run is refused with the process of the first, whose file is whole; then the place is free."""
+    """The second run is refused with the process of the first, whose file is whole; then the place is
+    free."""
     path = tmp_path / "x"
     other = writer(path)
     with pytest.raises(OutputError, match=rf"x: is being written by process {other.pid}; expected another"):
@@ -68,7 +69,8 @@ def test_two_runs_into_one_file_are_refused(writer, tmp_path):
 
 
 def test_a_killed_run_leaves_the_file_before_and_no_lock(writer, tmp_path):
-    """After SIGKILL the earlier file stands, what was written is beside it, and the next run is not held up."""
+    """After SIGKILL the earlier file stands, what was written is beside it, and the next run is not held
+    up."""
     path = tmp_path / "x"
     path.write_bytes(b"earlier")
     other = writer(path)
@@ -126,7 +128,8 @@ def refusing(*_, **__):
     [(os, "open", refusing), (Path, "iterdir", refusing), (os, "access", lambda *_: False)],
 )
 def test_without_the_right_to_write_the_earlier_file_stays(tmp_path, monkeypatch, owner, name, stand_in):
-    """A folder that takes no new file, and a file that must not be written, are refused in one line: written straight, the earlier would be lost."""
+    """A folder that takes no new file, and a file that must not be written, are refused in one line:
+    written straight, the earlier would be lost."""
     path = tmp_path / "x"
     path.write_bytes(b"earlier")
     with monkeypatch.context() as patch:
@@ -153,7 +156,8 @@ def test_a_file_system_without_locks_is_reported(tmp_path, monkeypatch, caplog):
 @pytest.mark.parametrize("make", [lambda path: path.write_bytes(b"mine"), os.mkfifo, os.mkdir])
 @pytest.mark.parametrize("name", ["x.part", "x.0123abcd.part"])
 def test_what_others_named_like_our_parts_stays(tmp_path, make, name):
-    """A file, a pipe or a folder whose name looks like that of an unfinished file is neither opened for writing nor lost."""
+    """A file, a pipe or a folder whose name looks like that of an unfinished file is neither opened for
+    writing nor lost."""
     make(tmp_path / name)
     before = (tmp_path / name).lstat()
     write(tmp_path / "x")
@@ -175,7 +179,8 @@ KINDS = {
 
 @pytest.mark.parametrize(("name", "kind"), KINDS.items())
 def test_outputs_of_all_kinds_are_locked(tmp_path, name, kind):
-    """While a file, a folder or a bag is being written, a second run is refused, and the first is not disturbed."""
+    """While a file, a folder or a bag is being written, a second run is refused, and the first is not
+    disturbed."""
     with kind(tmp_path / name):
         (part,) = tmp_path.glob(f"{name}.*.part")
         with pytest.raises(

@@ -32,7 +32,8 @@ def wheel(tmp_path_factory):
 
 
 def test_a_wheel_is_the_package_and_its_scenes(wheel):
-    """A wheel has one importable name, every file of the package, every scene with its files, and nothing compiled."""
+    """A wheel has one importable name, every file of the package, every scene with its files, and nothing
+    compiled."""
     names = set(wheel.namelist())
     assert {name.partition("/")[0] for name in names} == {
         "vlp16emu",
@@ -93,7 +94,8 @@ def set_up(tmp_path):
 
 
 def test_the_set_up_installs_what_was_hashed_and_no_more(set_up):
-    """Every package comes with its hash from the lock, what needs it included; those of an extra only for it."""
+    """Every package comes with its hash from the lock, what needs it included; those of an extra only for
+    it."""
     done, calls, plain = set_up()
     assert (done.returncode, done.stderr) == (0, "")
     hashed = [line for line in calls if "--require-hashes --no-deps" in line]

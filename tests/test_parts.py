@@ -1,4 +1,5 @@
-"""Parts outside the core: each is what the core says that it is. mypy reads this file too, and compares their types."""
+"""Parts outside the core: each is what the core says that it is. mypy reads this file too, and compares
+their types."""
 
 import ast
 from collections.abc import Callable
@@ -57,7 +58,8 @@ T = TypeVar("T")
 
 
 def loads(part: Part[T]) -> Callable[[T], tuple[Part[Any], object]]:
-    """Return a function that pairs a part with the object that it loads, which mypy compares with the part's type."""
+    """Return a function that pairs a part with the object that it loads, which mypy compares with the
+    part's type."""
     return lambda found: (part, found)
 
 

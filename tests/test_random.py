@@ -25,7 +25,8 @@ def test_philox_gives_its_authors_answers(counter, key, answer):
 
 @pytest.mark.parametrize(("draw", "law"), [(uniform, "uniform"), (normal, "norm")])
 def test_numbers_follow_their_law(draw, law):
-    """100 000 numbers pass a Kolmogorov-Smirnov test against the uniform distribution on [0, 1), or the standard normal one."""
+    """100 000 numbers pass a Kolmogorov-Smirnov test against the uniform distribution on [0, 1), or the
+    standard normal one."""
     assert stats.kstest(draw(1, Purpose.AZIMUTH_READING, 0, 100_000), law).pvalue > 0.001
 
 

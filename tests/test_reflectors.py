@@ -31,7 +31,8 @@ def code(coefficient):
 
 
 def test_a_reflector_shows_the_upper_half_of_the_scale():
-    """Points on the reflector carry the byte of its coefficient, all others of the hall that of a diffuse wall."""
+    """Points on the reflector carry the byte of its coefficient, all others of the hall that of a diffuse
+    wall."""
     points = decoded(load("static_bench"))
     plate = on_the_plate(points)
     assert plate.sum() > 50

@@ -42,7 +42,8 @@ def test_a_capture_is_sent_as_it_is(capture, listening):
 
 
 def test_time_goes_on_from_pass_to_pass(capture):
-    """A loop repeats all packets, a whole number of seconds later each time: deadlines, stamps and sentences."""
+    """A loop repeats all packets, a whole number of seconds later each time: deadlines, stamps and
+    sentences."""
     once = list(Replay(capture))
     looping = Replay(capture, loop=True)
     thrice = list(islice(looping, 3 * len(once)))
@@ -57,7 +58,8 @@ def test_time_goes_on_from_pass_to_pass(capture):
 
 
 def test_the_present_is_in_the_bytes(capture, listening):
-    """With `now` the stamps of all packets are the capture's, moved by the same whole seconds, and of this hour."""
+    """With `now` the stamps of all packets are the capture's, moved by the same whole seconds, and of this
+    hour."""
     port = port_of(listening)
     report = replay(capture, data_port=port, position_port=port, now=True)
     arrived = waiting(listening)

@@ -28,7 +28,8 @@ def made(*settings):
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory):
-    """A level sensor and a tilted one in dual return, their packets, and the report of a recording of them."""
+    """A level sensor and a tilted one in dual return, their packets, and the report of a recording of
+    them."""
     emulator, packets = made(
         f"rig=[{{name='tilted', return_mode='dual', phase_lock_deg=90.0, mount={MOUNT}, seed=9}}]"
     )
@@ -54,7 +55,8 @@ def test_a_unit_sends_what_it_would_send_alone(rig):
 
 
 def test_a_prepared_rig_sends_what_it_sends_alive(rig):
-    """What is read back from a recording are the packets of both units in their order, with times in whole microseconds."""
+    """What is read back from a recording are the packets of both units in their order, with times in whole
+    microseconds."""
     emulator, packets, recorded = rig
     read = list(packets_of([unit.link for unit in emulator.parts.units], Path(recorded.file)))
     times = [
@@ -64,7 +66,8 @@ def test_a_prepared_rig_sends_what_it_sends_alive(rig):
 
 
 def test_each_unit_has_a_capture_of_its_own(rig, tmp_path):
-    """Split, a recording is a file for each unit, with that unit's records as they are in the file of both, byte for byte."""
+    """Split, a recording is a file for each unit, with that unit's records as they are in the file of
+    both, byte for byte."""
     emulator, _, whole = rig
     split = emulator.record(tmp_path / "own.pcap", duration_s=SPAN_S, split=True)
     all_of = [datagram._replace(number=0) for datagram in Capture(Path(whole.file))]
@@ -79,7 +82,8 @@ def test_each_unit_has_a_capture_of_its_own(rig, tmp_path):
 
 @pytest.mark.parametrize("phase_deg", [0.0, 90.0, 275.5])
 def test_a_locked_phase_is_passed_at_each_second(phase_deg):
-    """At every full second of UTC the rotor stands at the locked azimuth, wherever in a second the run begins."""
+    """At every full second of UTC the rotor stands at the locked azimuth, wherever in a second the run
+    begins."""
     start = "start_utc=2026-05-20T09:00:00.37Z"
     emulator, _ = made(start, f"sensor.phase_lock_deg={phase_deg}", "sensor.rpm=780")
     second_ns = (emulator.scenario.start_ns // S_NS + 1) * S_NS

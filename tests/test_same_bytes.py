@@ -1,4 +1,5 @@
-"""What decides a byte is computed by sums, products, quotients and square roots alone: they round alike on every processor."""
+"""What decides a byte is computed by sums, products, quotients and square roots alone: they round alike on
+every processor."""
 
 import ast
 import math
@@ -38,8 +39,10 @@ MATH = frozenset(
     f"{_ELEMENTARY} asin acos atan atan2 asinh acosh atanh pow dist erf erfc gamma lgamma sumprod".split()
 )
 NUMPY = frozenset(
-    f"{_ELEMENTARY} arcsin arccos arctan arctan2 arcsinh arccosh arctanh power float_power logaddexp sinc geomspace"
-    " logspace dot vdot vecdot matvec vecmat inner matmul einsum tensordot convolve correlate cov corrcoef polyfit"
+    f"{_ELEMENTARY} arcsin arccos arctan arctan2 arcsinh arccosh arctanh power float_power logaddexp "
+    "sinc geomspace"
+    " logspace dot vdot vecdot matvec vecmat inner matmul einsum tensordot convolve correlate cov "
+    "corrcoef polyfit"
     " linalg fft".split()
 )
 """What libraries compute by one of several variants; `linalg` and `fft` with all that they have."""
@@ -102,7 +105,8 @@ def files() -> list[Path]:
 
 
 def test_no_library_decides_a_byte() -> None:
-    """No file on the way to a packet calls an elementary function of a library, BLAS or LAPACK, or raises to a power."""
+    """No file on the way to a packet calls an elementary function of a library, BLAS or LAPACK, or raises
+    to a power."""
     for path in files():
         allowed = ALLOWED.get(str(path.relative_to(PACKAGE)), "\n")
         found = not_ieee(ast.parse(path.read_text(encoding="utf-8")))

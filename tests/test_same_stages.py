@@ -27,7 +27,8 @@ def nudged(arrays, name):
 
 @pytest.fixture
 def check(same_bytes, hall, monkeypatch, capsys):
-    """Let the tool run with workers of our own, which give arrays for the environment that they are called with."""
+    """Let the tool run with workers of our own, which give arrays for the environment that they are called
+    with."""
 
     def call(work, *arguments):
         def _run(self, environment, folder):
@@ -49,7 +50,8 @@ def check(same_bytes, hall, monkeypatch, capsys):
     "name", ["world/shape.vertices_m", "firings/direction", "returns/distance_m", "packets/payload"]
 )
 def test_a_planted_difference_is_found_at_its_stage(check, hall, name):
-    """One number that is one step greater gives exit code 1, and the stage, the count, the size and the place."""
+    """One number that is one step greater gives exit code 1, and the stage, the count, the size and the
+    place."""
     code, out = check(lambda _: nudged(hall, name), "--only", "one thread")
     stage, one = name.partition("/")[0], hall[name]
     bytes_too = "" if stage == "packets" else " (same bytes)"

@@ -39,7 +39,8 @@ def off_deg(one, other):
 
 @pytest.mark.parametrize(("rpm", "start_deg"), [(600, 0.0), (1200, 200.0)])
 def test_a_scan_is_a_whole_revolution(hall, rpm, start_deg):
-    """First and last firing are at azimuth 0, to a block; scans follow each other without a gap; begun ones are left out."""
+    """First and last firing are at azimuth 0, to a block; scans follow each other without a gap; begun
+    ones are left out."""
     step_deg = rpm * 6 * BLOCK_NS * 1e-9
     emulator = hall(rpm=rpm, start_azimuth_deg=start_deg)
     scans = list(emulator.scans(duration_s=SPAN_S))
@@ -107,7 +108,8 @@ def test_in_dual_return_each_echo_is_there_once(hall):
 
 
 def test_poses_take_points_to_the_world(tmp_path):
-    """On a walk each point, put by the pose of its own instant, is where `write_points` has it; the scan's is that of its start."""
+    """On a walk each point, put by the pose of its own instant, is where `write_points` has it; the scan's
+    is that of its start."""
     emulator = Emulator("birch_walk", THIN, threads=1)
     scan = next(emulator.scans(start_s=2.0, duration_s=0.25))
     np.testing.assert_array_equal(scan.world_T_sensor, emulator.world_T_sensor(np.array([scan.start_ns]))[0])
@@ -155,7 +157,8 @@ def chunk(azimuth_deg):
 
 
 def test_a_noisy_reading_at_zero_begins_one_scan():
-    """Where the reading falls back over 0 by its noise, one revolution ends there and none has a single reading."""
+    """Where the reading falls back over 0 by its noise, one revolution ends there and none has a single
+    reading."""
     turn = np.arange(0.2, 360.0, 0.4)
     noisy = np.concatenate([turn, [0.002, 359.999, 0.4], turn[1:], [0.1, 0.5]])
     scans = list(cut_scans([chunk(noisy)]))

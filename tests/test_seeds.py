@@ -37,7 +37,8 @@ def test_the_scenes_seed_is_that_of_all_three(plain):
 
 
 def test_another_sensor_sees_the_same_stand_on_the_same_walk(plain):
-    """With another `sensor.seed` poses are the same to the bit, the same plants are seen, and ranges have other noise."""
+    """With another `sensor.seed` poses are the same to the bit, the same plants are seen, and ranges have
+    other noise."""
     other, plants, pose = scan("sensor.seed=6")
     np.testing.assert_array_equal(pose, plain[2])
     assert len(plants & plain[1]) > 0.9 * len(plants | plain[1]) > 9

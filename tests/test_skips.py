@@ -18,7 +18,8 @@ def test_known():
 
 
 def test_a_skip_fails_with_ci_unless_it_is_on_the_list(pytester, monkeypatch):
-    """With CI=true a test that lacks a program fails; one whose captures are not there is skipped, and an expected failure stays one."""
+    """With CI=true a test that lacks a program fails; one whose captures are not there is skipped, and an
+    expected failure stays one."""
     pytester.makeconftest(Path(__file__).with_name("conftest.py").read_text())
     pytester.makepyfile(SKIPS)
     monkeypatch.setenv("CI", "true")

@@ -1,4 +1,5 @@
-"""Truth behind each record of a data packet, held against the packets, another decoder, the trajectory and the meshes."""
+"""Truth behind each record of a data packet, held against the packets, another decoder, the trajectory and
+the meshes."""
 
 import json
 import struct
@@ -52,7 +53,8 @@ def table(run):
 
 
 def test_every_record_has_its_row(run, table):
-    """Rows go by packet, block and channel, and their ranges in steps of 2 mm are the distances in the packets, all of them."""
+    """Rows go by packet, block and channel, and their ranges in steps of 2 mm are the distances in the
+    packets, all of them."""
     distance = data_payloads(run[1]).view(DATA_PAYLOAD)[:, 0]["blocks"]["records"]["distance_lsb"].reshape(-1)
     assert table.column_names == list(SLOT_COLUMNS)
     number = np.arange(len(distance))
@@ -65,7 +67,8 @@ def test_every_record_has_its_row(run, table):
 
 
 def test_all_points_of_another_decoder_find_their_rows(run, table):
-    """The n-th of all its points is the n-th row, by time and block, that is neither a miss nor a repeat: 15 mm, beside the encoder's error."""
+    """The n-th of all its points is the n-th row, by time and block, that is neither a miss nor a repeat:
+    15 mm, beside the encoder's error."""
     config = velodyne_decoder.Config(min_range=0, max_range=200)
     scans = velodyne_decoder.read_pcap(str(run[1]), config, as_pcl_structs=True)
     points = np.concatenate([points for _, points in scans])
@@ -81,7 +84,8 @@ def test_all_points_of_another_decoder_find_their_rows(run, table):
 
 
 def test_relative_and_absolute_places_are_one(run, table):
-    """With the pose of the trajectory at the time of its pulse a place in the sensor is the place in the world, to 0.1 mm."""
+    """With the pose of the trajectory at the time of its pulse a place in the sensor is the place in the
+    world, to 0.1 mm."""
     lines = (run[2] / "trajectory.tum").read_text().splitlines()[1:]
     poses = np.array([line.split() for line in lines])
     start_ns = run[0].scenario.start_ns
@@ -115,7 +119,8 @@ def test_truth_alone_is_the_same(run, tmp_path):
     ids=["wire", "field of view"],
 )
 def test_packets_that_are_not_sent_have_no_rows(tmp_path, events):
-    """Rows are those of the packets that leave, by their number: some are lost or twice, or the field of view is narrow."""
+    """Rows are those of the packets that leave, by their number: some are lost or twice, or the field of
+    view is narrow."""
     emulator = Emulator("static_bench", {"events": events, "noise.preset": "ideal", "beam.model": "none"})
     emulator.record(tmp_path / "x.pcap", duration_s=0.3, truth=TruthTo(tmp_path / "t", per_return=True))
     payloads = data_payloads(emulator.packets(0.0, 0.3)).view(DATA_PAYLOAD)[:, 0]
@@ -126,7 +131,8 @@ def test_packets_that_are_not_sent_have_no_rows(tmp_path, events):
 
 
 def test_memory_holds_no_more_than_a_row_group(tmp_path, monkeypatch):
-    """Packets are written in groups of a fixed number, whatever the run, so that the file is the same and memory flat."""
+    """Packets are written in groups of a fixed number, whatever the run, so that the file is the same and
+    memory flat."""
     monkeypatch.setattr("vlp16emu.extras.truth.slots._GROUP", 50)
     emulator = Emulator("static_bench", ["beam.model=none"])
     write_truth(emulator, TruthTo(tmp_path / "t", per_return=True), duration_s=0.2)
@@ -149,7 +155,8 @@ def nodes_of(path):
 
 
 def test_labels_are_those_of_the_nearest_surface(tmp_path):
-    """Of a stand cast leaf by leaf, each place lies on a mesh of the digital twin with its labels, and on no other one."""
+    """Of a stand cast leaf by leaf, each place lies on a mesh of the digital twin with its labels, and on
+    no other one."""
     settings = ["beam.model=none", "noise.preset=ideal", "sensor.max_range_m=7", "duration_s=0.5"]
     settings += ["world.near_m=inf", "world.stems_per_ha=80", "world.terrain.rough_rms_m=0"]
     write_truth(Emulator("spruce_walk", settings), TruthTo(tmp_path / "t", per_return=True), duration_s=0.1)

@@ -131,7 +131,8 @@ def test_what_was_not_used_for_longest_goes_first(folder):
 
 
 def test_foreign_files_stay(kept, folder):
-    """Only files with our name and our first bytes are counted and removed, one not written to its end among them."""
+    """Only files with our name and our first bytes are counted and removed, one not written to its end
+    among them."""
     foreign = [folder / "b.thing", folder / "notes.txt"]
     for path in foreign:
         path.write_text("mine")
@@ -173,7 +174,8 @@ def test_a_thing_is_kept_as_it_was(use, tmp_path):
 
 
 def test_the_user_chooses_the_folder(monkeypatch, tmp_path):
-    """`VLP16EMU_CACHE_DIR` and `VLP16EMU_CACHE_MB` decide, else the user's cache is used; a size that is no number counts for none."""
+    """`VLP16EMU_CACHE_DIR` and `VLP16EMU_CACHE_MB` decide, else the user's cache is used; a size that is
+    no number counts for none."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     for value, folder in (("off", None), ("", None), (str(tmp_path / "mine"), tmp_path / "mine")):
         monkeypatch.setenv("VLP16EMU_CACHE_DIR", value)

@@ -38,7 +38,8 @@ def read(folder, content, **options):
     ],
 )
 def test_what_programs_write_is_one_table(tmp_path, text):
-    """Delimiters, decimal commas, missing values, quotes, row names and line ends of each program give the same numbers."""
+    """Delimiters, decimal commas, missing values, quotes, row names and line ends of each program give the
+    same numbers."""
     table = read(tmp_path, text)
     np.testing.assert_allclose(table.numbers("x_m", "dbh_m"), [row[:2] for row in ROWS], rtol=1e-15)
     assert table.texts("remark") == [row[2] for row in ROWS]
@@ -67,14 +68,21 @@ HEADER = "x,dbh_cm,remark\n"
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("x;dbh_cm\n412281,69;28\n5.412.584,02;28\n", "line 3, column x: found '5.412.584,02'; expected one decimal mark, and none between"),
-        ("x;dbh_cm\n412281,69;28\n412.283;28\n", "line 3, column x: found '412.283'; expected one decimal mark"),
-        ('x,dbh_cm\n"4,5",28\n', "line 2, column x: found '4,5'; expected a decimal point; decimal commas need ; or"),
-        ("x,dbh_cm\n4,5,28,4\n", "line 2: found 4 cells; expected 2, as in line 1; decimal commas need ; or a tab between"),
+        ("x;dbh_cm\n412281,69;28\n5.412.584,02;28\n", ("line 3, column x: found '5.412.584,02'; expected "
+                                                      "one decimal mark, and none between")),
+        ("x;dbh_cm\n412281,69;28\n412.283;28\n", ("line 3, column x: found '412.283'; expected one "
+                                                 "decimal mark")),
+        ('x,dbh_cm\n"4,5",28\n', ("line 2, column x: found '4,5'; expected a decimal point; decimal "
+                                 "commas need ; or")),
+        ("x,dbh_cm\n4,5,28,4\n", ("line 2: found 4 cells; expected 2, as in line 1; decimal commas need ; "
+                                 "or a tab between")),
         (HEADER + "4,20,\n-3\n", "line 3: found 1 cells; expected 3, as in line 1"),
-        (HEADER + "4,20 cm,\n", "line 2, column dbh_cm: found '20 cm'; expected a number from 1 to 500 without a unit"),
-        (HEADER + "4,0.284,\n", "line 2, column dbh_cm: found 0.284; expected a number from 1 to 500; is it dbh_m?"),
-        ("x,dbh_m\n4,28.4\n", "line 2, column dbh_m: found 28.4; expected a number from 0.01 to 5; is it dbh_cm?"),
+        (HEADER + "4,20 cm,\n", ("line 2, column dbh_cm: found '20 cm'; expected a number from 1 to 500 "
+                                "without a unit")),
+        (HEADER + "4,0.284,\n", ("line 2, column dbh_cm: found 0.284; expected a number from 1 to 500; is "
+                                "it dbh_m?")),
+        ("x,dbh_m\n4,28.4\n", ("line 2, column dbh_m: found 28.4; expected a number from 0.01 to 5; is it "
+                              "dbh_cm?")),
         (HEADER + "1e308,20,\n", r"line 2, column x: found 1e308; expected a number of at most 1e\+08"),
         (HEADER + "inf,20,\n", "line 2, column x: found inf; expected a number of at most"),
         (HEADER + "1_0,20,\n", "line 2, column x: found '1_0'; expected a number"),
@@ -86,8 +94,10 @@ HEADER = "x,dbh_cm,remark\n"
         ("a,b\nsecret,2\n", "line 1: none of the columns; expected a table"),
         (b"", "line 1: none of the columns; expected a table"),
         (HEADER.encode("utf-16"), "is UTF-16 text; expected UTF-8"),
-        (f"{HEADER}4,20,Höhe\n".encode("cp1252"), "line 2: no UTF-8 text: byte f6, in Windows-1252 'ö'; expected UTF-8"),
-        (f'{HEADER}4,20,"{"x" * 131_073}\n', "line 2: field larger than field limit .131072.; expected a table, with each quotation"),
+        (f"{HEADER}4,20,Höhe\n".encode("cp1252"), ("line 2: no UTF-8 text: byte f6, in Windows-1252 'ö'; "
+                                                  "expected UTF-8")),
+        (f'{HEADER}4,20,"{"x" * 131_073}\n', ("line 2: field larger than field limit .131072.; expected a "
+                                             "table, with each quotation")),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_named_with_what_was_probably_meant(tmp_path, content, message):
@@ -97,7 +107,8 @@ def test_what_is_wrong_is_named_with_what_was_probably_meant(tmp_path, content, 
 
 
 def test_times_keep_all_their_digits(tmp_path):
-    """UTC in seconds keeps its nanoseconds, which float64 does not; words and times beyond int64 are named."""
+    """UTC in seconds keeps its nanoseconds, which float64 does not; words and times beyond int64 are
+    named."""
     path, columns = tmp_path / "t", {"t_s": Column({"t_s": 1.0})}
     times = lambda text: (path.write_text(text), read_table(path, columns, "t", InputError, has_header=False).times_ns("t_s"))[1]  # noqa: E731  # fmt: skip
     assert times("1403636579.763555527\n1,5e-9\n".replace(",", ".")) == [1403636579763555527, 2]

@@ -57,7 +57,8 @@ def tum(path):
 
 
 def test_the_trajectory_is_that_of_the_sensor(walk, tmp_path):
-    """Rows from before the first firing until after the last packet, on the pose at each time; each data packet has its own.
+    """Rows from before the first firing until after the last packet, on the pose at each time; each data
+    packet has its own.
 
     At a rate whose period is no whole nanosecond sample i still lies i / rate after the first pulse.
     """
@@ -80,7 +81,8 @@ def test_the_trajectory_is_that_of_the_sensor(walk, tmp_path):
 
 
 def test_gnss_rows_are_what_the_sentences_say(walk, tmp_path):
-    """Each sentence of the run has its row with the same place and status; the truth in it is the antenna's."""
+    """Each sentence of the run has its row with the same place and status; the truth in it is the
+    antenna's."""
     packets = written(walk, tmp_path, 0.0, 3.0)
     lines = (tmp_path / "gnss.csv").read_text().splitlines()
     rows = [dict(zip(lines[0].split(","), line.split(","), strict=True)) for line in lines[1:]]
@@ -168,7 +170,8 @@ def test_the_resolved_scenario_is_a_scene(name, tmp_path):
 
 @pytest.mark.parametrize("setting", ["world.near_m=7.5", "world.near_m=inf", "motion.run_time_s=120.0"])
 def test_what_json_or_a_scene_cannot_have_is_not_written(setting, tmp_path):
-    """JSON has no infinite number, and a scene no speed beside its run time; what is written without them is read as the same scenario."""
+    """JSON has no infinite number, and a scene no speed beside its run time; what is written without them
+    is read as the same scenario."""
     scenario, path = load("birch_walk", [setting]), tmp_path / "scenario.json"
     path.write_text(json.dumps(_resolved(scenario, (0.0, scenario.duration_s)), allow_nan=False))
     assert load(str(path)) == scenario
@@ -176,7 +179,8 @@ def test_what_json_or_a_scene_cannot_have_is_not_written(setting, tmp_path):
 
 
 def test_the_resolved_scenario_names_its_program_and_takes_settings(walk, tmp_path):
-    """Version, seed and defaults that nobody wrote stand in it; what --set gives wins over it, also a date, which JSON does not have."""
+    """Version, seed and defaults that nobody wrote stand in it; what --set gives wins over it, also a
+    date, which JSON does not have."""
     written(walk, tmp_path, stop_s=0.05)
     tree = json.loads((tmp_path / "scenario.json").read_text())
     assert tree["written_by"].startswith("vlp16emu ")
@@ -188,7 +192,8 @@ def test_the_resolved_scenario_names_its_program_and_takes_settings(walk, tmp_pa
 
 
 def test_texts_are_those_of_the_tables(tmp_path):
-    """Each table has the rows of its text, for all units, with attitude and stamps; velocities are those of the motion, in the sensor's axes."""
+    """Each table has the rows of its text, for all units, with attitude and stamps; velocities are those
+    of the motion, in the sensor's axes."""
     settings = {
         "motion": {"kind": "walk", "way_points_m": [[-8, 0], [4, 0]], "mount": {"yaw_deg": 40.0}},
         "imu": {"preset": "consumer", "attitude": True, "jitter_s": 0.001},
@@ -214,7 +219,8 @@ def test_texts_are_those_of_the_tables(tmp_path):
 
 
 def test_a_sensor_without_packets_has_truth(tmp_path):
-    """A free sensor has trajectory, rig and scenario; poses of packets, which it has not, are refused before any file."""
+    """A free sensor has trajectory, rig and scenario; poses of packets, which it has not, are refused
+    before any file."""
     emulator = Emulator(load("static_bench", ["sensor.model=free", "sensor.beams=32"]))
     write_truth(emulator, tmp_path / "t", duration_s=0.5)
     t_ns, _ = tum(tmp_path / "t" / "trajectory.tum")
@@ -227,7 +233,8 @@ def test_a_sensor_without_packets_has_truth(tmp_path):
 
 
 def test_a_run_that_is_left_can_be_repeated(walk, tmp_path):
-    """The scenario of a run that is ended early ends behind its last packet, and gives these packets again; so do poses, in whole lines.
+    """The scenario of a run that is ended early ends behind its last packet, and gives these packets again;
+    so do poses, in whole lines.
 
     The packet that was taken last and not sent, as by a recording that Ctrl-C ends, has no row.
     """
@@ -281,7 +288,8 @@ READERS = {
 
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory):
-    """A walk in the hall without errors of the sensor: its capture, times and places of all echoes, and its trajectory."""
+    """A walk in the hall without errors of the sensor: its capture, times and places of all echoes, and
+    its trajectory."""
     folder = tmp_path_factory.mktemp("seen")
     motion = '{kind="walk", way_points_m=[[-4, -1], [-1, 0], [3, 4]]}'
     settings = [f"motion={motion}", "noise.preset=ideal", "beam.model=none", *EXACT]
@@ -299,7 +307,8 @@ def seen(tmp_path_factory):
 
 @pytest.mark.parametrize("reader", READERS)
 def test_poses_take_points_of_each_reader_into_the_world_as_documented(seen, reader):
-    """By the formula of `scenes/OUTPUTS.md` with the pose of `trajectory.tum` points are where light met something, to the error there."""
+    """By the formula of `scenes/OUTPUTS.md` with the pose of `trajectory.tum` points are where light met
+    something, to the error there."""
     folder, true_ns, true_m = seen
     row = next(line.split(" | ") for line in OUTPUTS.splitlines() if line.startswith(f"| {reader} | "))
     formula, most_mm = row[2].strip("`"), float(row[3].removesuffix(" mm |"))
@@ -322,7 +331,8 @@ def test_poses_take_points_of_each_reader_into_the_world_as_documented(seen, rea
 
 
 def test_frames_turn_points_and_nothing_else(seen):
-    """The manual's frame is the sensor's turned: x right for -y, y forward for x; and `rig.json` has that turn."""
+    """The manual's frame is the sensor's turned: x right for -y, y forward for x; and `rig.json` has that
+    turn."""
     folder, _, _ = seen
     ours, manual = (next(decode(folder / "walk.pcap", frame=frame)) for frame in ("sensor", "manual"))
     x, y, z = ours.xyz_m.T

@@ -57,7 +57,8 @@ def run(tmp_path_factory):
 
 
 def test_packets_that_are_lost_are_listed_one_by_one(run):
-    """Each lost packet has a row with its number, among those of its kind since the first pulse, and its time."""
+    """Each lost packet has a row with its number, among those of its kind since the first pulse, and its
+    time."""
     made, before, after, folder = run
     for kind in (PacketKind.DATA, PacketKind.POSITION):
         numbered = [packet for packet in before if packet.kind is kind]
@@ -85,7 +86,8 @@ def test_packets_that_are_lost_are_listed_one_by_one(run):
 
 
 def test_what_lasts_has_one_row(run):
-    """Begin, end and packets within of each event that hits all of them; those beyond the end of the run have none."""
+    """Begin, end and packets within of each event that hits all of them; those beyond the end of the run
+    have none."""
     made, before, _, folder = run
     start_ns = made.scenario.start_ns
     listed = {row["kind"]: row for row in rows(folder) if row["kind"] != "drop"}
@@ -104,7 +106,8 @@ def test_what_lasts_has_one_row(run):
 
 
 def test_truth_alone_is_the_same(run, tmp_path):
-    """Without packets, and from a part of a run, the rows are the same, those of events under way included."""
+    """Without packets, and from a part of a run, the rows are the same, those of events under way
+    included."""
     _, _, _, folder = run
     write_truth(emulator(*EVENTS), TruthTo(tmp_path / "alone"))
     for name in ("events.csv", "trajectory.tum", "gnss.csv"):

@@ -20,7 +20,8 @@ def test_still_air_changes_nothing():
 
 
 def test_swaying_stems_are_where_the_formula_has_them_at_each_pulse():
-    """Points on stems, taken back by the lean at their own time, lie 4 mm from the circle of DBH; left as they are, not."""
+    """Points on stems, taken back by the lean at their own time, lie 4 mm from the circle of DBH; left as
+    they are, not."""
     settings = ["motion={kind='static', x_m=10.0, y_m=3.0, height_m=1.3}", "seed=5", "sensor.max_range_m=8.0"]
     settings += ["wind={speed_m_s=9.0, towards_deg=70.0}", "world.stems_per_ha=400"]
     settings += ["world.crooked_stems=false", "world.terrain.rough_rms_m=0"]

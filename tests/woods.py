@@ -1,4 +1,5 @@
-"""The wood that tests look at: few and near birches on hills without roughness, which grow in seconds, once for all tests of a session that keep woods."""
+"""The wood that tests look at: few and near birches on hills without roughness, which grow in seconds,
+once for all tests of a session that keep woods."""
 
 from kit import set_words
 

@@ -115,7 +115,8 @@ def report(data: Data, wanted: Array, title: str, *, whole: bool = False) -> Non
     chance = null(data, x) if whole else []
     between = f"{np.mean(chance):.2f} +- {np.std(chance):.2f}" if whole else ""
     print(
-        f"| {title} ({len(names)}) | {np.mean(areas):.2f} | {' '.join(f'{one:.2f}' for one in own)} | {between} |",
+        f"| {title} ({len(names)}) | {np.mean(areas):.2f} | {' '.join(f'{one:.2f}' for one in own)} | "
+        f"{between} |",
         flush=True,
     )
     if not whole:
@@ -134,7 +135,8 @@ def main() -> None:
     counts = shown_by_all(data)
     of_scene = ~(scene_share(data) < SCENE_SHARE)
     print(
-        f"Real units: {', '.join(data.units[True])}. A row of a feature: its own area, its middle on these, and P10, P50, P90 of ours.\n"
+        f"Real units: {', '.join(data.units[True])}. A row of a feature: its own area, its middle on "
+        "these, and P10, P50, P90 of ours.\n"
     )
     print("| Trees | area | left out: each real unit | real against real |\n|---|---|---|---|")
     of_unit = counts & ~of_scene
@@ -143,7 +145,8 @@ def main() -> None:
         report(data, of_unit & (data.groups == group), f"{group} alone")
     report(data, counts & of_scene, "features of scenes")
     print(
-        f"\nOf the scene, with more than {SCENE_SHARE:.0%} of their variance between scenes: {', '.join(data.names[counts & of_scene])}"
+        f"\nOf the scene, with more than {SCENE_SHARE:.0%} of their variance between scenes: "
+        f"{', '.join(data.names[counts & of_scene])}"
     )
 
 

@@ -28,8 +28,8 @@ class Part(Generic[_T]):
 
     Its type `_T` is declared by the core beside its use.
 
-    It is imported when it is used. `tests/test_parts.py` lists all parts, and mypy compares them with their types
-    there.
+    It is imported when it is used. `tests/test_parts.py` lists all parts, and mypy compares them with
+    their types there.
 
     Parameters
     ----------

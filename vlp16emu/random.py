@@ -166,14 +166,20 @@ def _fill(
 def uniform_at(
     seed: int, purpose: IntEnum, counters: NDArray[np.int64], lane: int = 0
 ) -> NDArray[np.float64]:
-    """Draw uniform numbers in [0, 1), (n,), for counters (n,) of any order; other parameters as in `uniform`."""
+    """Draw uniform numbers in [0, 1), (n,), for counters (n,) of any order.
+
+    Other parameters as in `uniform`.
+    """
     out = np.empty(len(counters))
     _fill(out, False, seed, int(purpose), counters, lane)  # numba would process the whole enum
     return out
 
 
 def normal_at(seed: int, purpose: IntEnum, counters: NDArray[np.int64], lane: int = 0) -> NDArray[np.float64]:
-    """Draw standard normal numbers, (n,), for the arguments of `uniform_at`: the first ones of `normal_pair`."""
+    """Draw standard normal numbers (n,) for the arguments of `uniform_at`.
+
+    They are the first ones of `normal_pair`.
+    """
     out = np.empty(len(counters))
     _fill(out, True, seed, int(purpose), counters, lane)
     return out

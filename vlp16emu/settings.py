@@ -53,7 +53,10 @@ def toml(text: str) -> Tree:
 
 
 class ExpectationError(ValueError):
-    """What a section expects of its keys: raised by validators, its text ends the error line after "expected"."""
+    """What a section expects of its keys, raised by validators.
+
+    Its text ends the error line after "expected".
+    """
 
 
 class Section(BaseModel):

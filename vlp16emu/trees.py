@@ -1,4 +1,7 @@
-"""Tables of TOML and JSON files, as they are parsed and written. Their values have the types of these formats."""
+"""Tables of TOML and JSON files, as they are parsed and written.
+
+Their values have the types of these formats.
+"""
 
 from collections.abc import Mapping
 from typing import Any

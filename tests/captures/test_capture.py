@@ -44,7 +44,8 @@ def block(order, kind, body):
 
 
 def pcapng(*frames, order="<", options=b"", link_types=(1,), stamp=1_700_000_000_123_456, kind=6):
-    """Write a capture of pcapng by hand, with an interface for each link type and each frame as (interface, bytes)."""
+    """Write a capture of pcapng by hand, with an interface for each link type and each frame as
+    (interface, bytes)."""
     out = block(order, 0x0A0D0D0A, struct.pack(f"{order}IHHq", 0x1A2B3C4D, 1, 0, -1))
     for link_type in link_types:
         out += block(order, 1, struct.pack(f"{order}HHI", link_type, 0, 0) + options)
@@ -59,7 +60,8 @@ def pcapng(*frames, order="<", options=b"", link_types=(1,), stamp=1_700_000_000
 
 
 def tunnel(protocol, content):
-    """Put an Ethernet frame of IPv4 around what a tunnel carries; the protocol 17 is UDP, with its ports in the content."""
+    """Put an Ethernet frame of IPv4 around what a tunnel carries; the protocol 17 is UDP, with its ports
+    in the content."""
     length = struct.pack(">H", 20 + len(content))
     return DATA[:16] + length + DATA[18:23] + bytes([protocol]) + DATA[24:34] + content
 
@@ -69,7 +71,8 @@ def gre(kind, flags, content):
 
 
 def modified(*frames):
-    """Write a capture as routers do that run an old patched tcpdump: 8 more bytes in the header of each record."""
+    """Write a capture as routers do that run an old patched tcpdump: 8 more bytes in the header of each
+    record."""
     out = struct.pack("<IHHIIII", 0xA1B2CD34, 2, 4, 0, 0, 65_535, 1)
     for frame in frames:
         out += struct.pack("<6I", 1_700_000_000, 123_456, len(frame), len(frame), 1, 0x800) + frame
@@ -100,7 +103,8 @@ def fragments(ip, size=776, number=9):
 @pytest.mark.parametrize("order", ["<", ">"])
 @pytest.mark.parametrize(("magic", "unit_ns"), [(MICROSECONDS, 1000), (NANOSECONDS, 1)])
 def test_all_four_kinds_of_pcap_give_exact_stamps(tmp_path, order, magic, unit_ns):
-    """Either byte order and either unit of the stamps give the same datagrams with stamps exact to the unit."""
+    """Either byte order and either unit of the stamps give the same datagrams with stamps exact to the
+    unit."""
     datagrams, capture = read(tmp_path, pcap(DATA, POSITION, order=order, magic=magic))
     assert [d.stamp_ns for d in datagrams] == [1_700_000_000_000_000_000 + 123_456 * unit_ns] * 2
     assert [d.payload for d in datagrams] == [PAYLOAD, bytes(512)]
@@ -118,7 +122,8 @@ def test_all_four_kinds_of_pcap_give_exact_stamps(tmp_path, order, magic, unit_n
     ],
 )
 def test_pcapng_gives_exact_stamps(tmp_path, order, options, stamp):
-    """Resolution in powers of ten and of two, and an offset in seconds, are honoured (options 9 and 14 of pcapng)."""
+    """Resolution in powers of ten and of two, and an offset in seconds, are honoured (options 9 and 14 of
+    pcapng)."""
     if order == ">" and options:
         code, size = struct.unpack_from("<HH", options)
         options = struct.pack(">HH", code, size) + (options[4:][::-1] if size == 8 else options[4:])
@@ -167,7 +172,8 @@ def shown_by_tshark(path):
 
 @TSHARK
 def test_frames_that_tshark_reads_are_read(tmp_path):
-    """In a capture with an interface for each link, number and payload of each datagram are those that tshark shows."""
+    """In a capture with an interface for each link, number and payload of each datagram are those that
+    tshark shows."""
     rows = [(name, link, frame) for name, (link, *frames) in FRAMES.items() for frame in frames]
     content = pcapng(
         *((i, frame) for i, (_, _, frame) in enumerate(rows)), link_types=[link for _, link, _ in rows]
@@ -221,7 +227,8 @@ def test_containers_that_tshark_reads_are_read(tmp_path, content):
     ],
 )
 def test_tunnels_options_and_padding(tmp_path, frame):
-    """The payload is found in tunnels (RFC 2003, 2890, 7348) and behind IP options, and ends where UDP says."""
+    """The payload is found in tunnels (RFC 2003, 2890, 7348) and behind IP options, and ends where UDP
+    says."""
     ((datagram,), _) = read(tmp_path, pcap(frame))
     assert datagram.payload == PAYLOAD
     assert datagram.source == bytes([192, 168, 1, 201])
@@ -351,7 +358,8 @@ def test_missing_file_and_folder_are_refused(tmp_path):
 
 
 def test_what_comes_twice_is_read_once(tmp_path):
-    """Each packet that a bridge or `-i any` shows again is left out and counted; other datagrams are not looked at."""
+    """Each packet that a bridge or `-i any` shows again is left out and counted; other datagrams are not
+    looked at."""
     other = DATA[:42] + bytes(1206)
     datagrams, capture = read(tmp_path, pcap(DATA, DATA, POSITION, DATA, POSITION, other, other))
     assert [d.number for d in datagrams] == [1, 3, 6, 7]
@@ -360,7 +368,8 @@ def test_what_comes_twice_is_read_once(tmp_path):
 
 
 def test_files_behind_each_other_are_one_capture(tmp_path):
-    """What `cat` makes of captures is read as tenzir#3513 asks, each with its own link type; tshark stops at the second header."""
+    """What `cat` makes of captures is read as tenzir#3513 asks, each with its own link type; tshark stops
+    at the second header."""
     datagrams, capture = read(
         tmp_path, pcap(DATA) + pcap(IP, link_type=101) + pcap() + pcap(POSITION), repeats=True
     )
@@ -373,7 +382,8 @@ def test_files_behind_each_other_are_one_capture(tmp_path):
 
 
 def test_data_packets_that_the_host_has_merged_are_taken_apart(tmp_path):
-    """One datagram of three data packets, as UDP GRO of Linux hands it on (slimcap#99), is these three, of one frame number."""
+    """One datagram of three data packets, as UDP GRO of Linux hands it on (slimcap#99), is these three, of
+    one frame number."""
     payloads = [b"\xff\xee" + bytes([i]) * 1204 for i in range(3)]
     whole = tunnel(17, DATA[34:38] + struct.pack(">HH", 8 + 3 * 1206, 0) + b"".join(payloads))
     datagrams, capture = read(tmp_path, pcap(whole))
@@ -394,7 +404,8 @@ def test_files_of_one_walk_are_one_capture(tmp_path):
 
 
 def test_units_of_one_address_differ_by_mac(tmp_path):
-    """Two sensors as delivered on two network cards are two units; one whose way changes is one, and foreign traffic none."""
+    """Two sensors as delivered on two network cards are two units; one whose way changes is one, and
+    foreign traffic none."""
     other = DATA[:10] + b"\x99\x11" + DATA[12:]
     (unit,) = [datagram.mac for datagram in read(tmp_path, pcap(other))[0]]
 

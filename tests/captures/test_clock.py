@@ -1,4 +1,5 @@
-"""UTC of packets by the sensor's clock, the receiver's sentences and the host; kinds of captures that people reported."""
+"""UTC of packets by the sensor's clock, the receiver's sentences and the host; kinds of captures that
+people reported."""
 
 from pathlib import Path
 
@@ -35,7 +36,8 @@ REAL = Path(__file__).resolve().parents[3] / "shared" / "captures" / "mrpt_vlp16
     ],
 )
 def test_the_hour_is_the_one_that_both_clocks_allow(stamps_s, past_hour_s, utc_s):
-    """Steps up to a second are the sensor's; after longer ones the hour is nearest to where the host has gone (velodyne#384)."""
+    """Steps up to a second are the sensor's; after longer ones the hour is nearest to where the host has
+    gone (velodyne#384)."""
     clock = PacketClock()
     pairs = zip(stamps_s, past_hour_s, strict=True)
     found = [clock.sensor_ns(NINE + round(stamp * 1e9), round(past * 1e6)) - NINE for stamp, past in pairs]
@@ -66,13 +68,15 @@ def captured(path, pps, named_ns=None, past_hour_s=2747.198, host_ns=NINE + 1783
     ],
 )
 def test_the_default_is_the_clock_that_follows_utc(tmp_path, pps, past_hour_s, clock):
-    """A locked sensor's clock is UTC (63-9243 Rev D, section 7); without lock it counts from power-up, and the host's is the best."""
+    """A locked sensor's clock is UTC (63-9243 Rev D, section 7); without lock it counts from power-up, and
+    the host's is the best."""
     (found,) = unit_clocks(captured(tmp_path / "a.pcap", pps, past_hour_s=past_hour_s), [None])
     assert found.clock.clock == clock
 
 
 def test_sentences_name_date_and_hour_for_a_host_without_a_clock(tmp_path):
-    """A board whose clock begins in 1970 (WendyOS#1171) has its packets in the hour of GPRMC; without a sentence that is refused."""
+    """A board whose clock begins in 1970 (WendyOS#1171) has its packets in the hour of GPRMC; without a
+    sentence that is refused."""
     path = captured(tmp_path / "a.pcap", PpsState.LOCKED, NINE + 2746 * S_NS, host_ns=12 * S_NS)
     (found,) = unit_clocks(path, [None], "gps")
     assert found.first_ns == NINE + round(2747.198 * S_NS)

@@ -57,7 +57,8 @@ def cli(capsys):
 
 @pytest.fixture
 def main_here(monkeypatch, capsys):
-    """Carry out the whole program here, its standard output a file; gives the exit code and what is said on stderr."""
+    """Carry out the whole program here, its standard output a file; gives the exit code and what is said
+    on stderr."""
 
     def call(*arguments, stdout):
         before = {number: signal.getsignal(number) for number in ENDINGS}
@@ -98,7 +99,8 @@ def signal_at(monkeypatch):
 
 @pytest.fixture
 def heeds_signals():
-    """Let a child heed Ctrl-C and hangups where the tests run in the background, or under nohup, and ignore them."""
+    """Let a child heed Ctrl-C and hangups where the tests run in the background, or under nohup, and
+    ignore them."""
 
     def reset():
         for number in (signal.SIGINT, signal.SIGHUP):

@@ -4,14 +4,16 @@ RUN = "accuracy", "static_bench", "--pulses", "128"
 
 
 def test_a_report_marks_the_setting_in_use(cli):
-    """With --json one object is printed; the scene's setting is marked, and what is advised is among the settings."""
+    """With --json one object is printed; the scene's setting is marked, and what is advised is among the
+    settings."""
     tree = cli(*RUN, "--json").tree
     assert [row["name"] for row in tree["rows"] if row["in_use"]] == ["beam.model=none"]
     assert {one["take"] for one in tree["choices"]} <= {row["name"] for row in tree["rows"]}
 
 
 def test_people_get_a_table_and_an_advice(cli):
-    """Each setting has a line, the one in use a star, and the last line says what to take; nothing is cut off."""
+    """Each setting has a line, the one in use a star, and the last line says what to take; nothing is cut
+    off."""
     out = cli(*RUN).out
     assert "\nnone * " in out
     assert "adaptive target_m=" in out
@@ -20,7 +22,8 @@ def test_people_get_a_table_and_an_advice(cli):
 
 
 def test_a_run_tells_its_error(cli, tmp_path):
-    """`record` prints an audit and has it in its JSON, says where a pulse is one ray, and is silent with --no-audit."""
+    """`record` prints an audit and has it in its JSON, says where a pulse is one ray, and is silent with
+    --no-audit."""
     run = "record", "static_bench", tmp_path / "x.pcap", "--duration"
     wide = "1.2", "--set", "beam.model=fixed", "--set", "beam.rays=4"
     audit = cli(*run, *wide, "--json").tree["audit"]

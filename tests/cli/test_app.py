@@ -15,7 +15,8 @@ VERBS = ["record", "stream", "decode", "points", "truth", "verify", "scenes", "s
 
 
 def test_help_loads_nothing_heavy():
-    """The package imports no library, and `--help` no numerical one, no validation and no emulator: it answers at once."""
+    """The package imports no library, and `--help` no numerical one, no validation and no emulator: it
+    answers at once."""
     code = (
         "import sys, vlp16emu\n"
         f"print(*sorted({HEAVY | {'typer'}!r} & set(sys.modules)), file=sys.stderr)\n"
@@ -68,7 +69,8 @@ def test_a_reader_that_has_had_enough_is_no_error(main_here):
     ],
 )
 def test_output_that_cannot_be_written_is_one_line(main_here, line, more):
-    """A full disk under stdout is told in one line, be it at the first word, midway or only at the end, and the run has failed."""
+    """A full disk under stdout is told in one line, be it at the first word, midway or only at the end,
+    and the run has failed."""
     with Path("/dev/full").open("w") as full:
         said = f"error: standard output: No space left on device{more}\n"
         assert main_here(*line.split(), stdout=full) == (1, said)
@@ -109,7 +111,8 @@ def test_what_a_terminal_cannot_show_is_reported_all_the_same(main_here, tmp_pat
 
 
 def test_scenes_are_listed(cli):
-    """Each scene that can be called by name has a line with its duration and title; the JSON list has its kinds and the path of its file."""
+    """Each scene that can be called by name has a line with its duration and title; the JSON list has its
+    kinds and the path of its file."""
     lines, rows = cli("scenes").out.splitlines(), cli("scenes", "--json").tree["scenes"]
     assert lines[0] == "scenes"
     assert [line.split()[0] for line in lines[1:]] == list(scene_files())

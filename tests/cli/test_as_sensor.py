@@ -118,9 +118,11 @@ def test_a_missing_address_is_answered_with_the_command_that_adds_it(seen):
 
 
 def test_each_unit_of_a_rig_is_a_sensor_on_the_wire(seen):
-    """With --interface all is broadcast, and from byte 12 on each unit's frames are a real sensor's with its own address and ports.
+    """With --interface all is broadcast, and from byte 12 on each unit's frames are a real sensor's with its
+    own address and ports.
 
-    Those of data have no checksum, TTL 255, don't fragment and identification 0; those of positions a checksum and TTL 64.
+    Those of data have no checksum, TTL 255, don't fragment and identification 0; those of positions a
+    checksum and TTL 64.
     """
     frames = [bytes.fromhex(frame) for frame in seen["frames"]]
     assert {frame[:6] for frame in frames} == {b"\xff" * 6}
@@ -143,7 +145,8 @@ def test_each_unit_of_a_rig_is_a_sensor_on_the_wire(seen):
 
 
 def test_an_unplugged_cable_is_survived(seen):
-    """While the other end of the cable is down the stream goes on, and frames arrive as soon as it is up again."""
+    """While the other end of the cable is down the stream goes on, and frames arrive as soon as it is up
+    again."""
     assert seen["unplugged"] is None
     assert {len(bytes.fromhex(frame)) for frame in seen["plugged in"]} <= {1248, 554}
 

@@ -9,7 +9,8 @@ from vlp16emu.store import user_store
 
 @pytest.fixture
 def folders(tmp_path, monkeypatch):
-    """A store of one bundle, and a folder of a kernel and one not written to its end; with foreign files in them."""
+    """A store of one bundle, and a folder of a kernel and one not written to its end; with foreign files
+    in them."""
     world, kernels = tmp_path / "world", tmp_path / "vlp16emu-kernels"
     monkeypatch.setenv("VLP16EMU_CACHE_DIR", str(world))
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
@@ -55,7 +56,8 @@ def test_no_folder_is_said(cli, monkeypatch):
 
 
 def test_kernels_are_compiled_before_they_are_needed(cli, monkeypatch):
-    """`--compile` compiles all that the table of kernels has, on request alone, and does not go with `--clear`."""
+    """`--compile` compiles all that the table of kernels has, on request alone, and does not go with
+    `--clear`."""
     groups = []
     monkeypatch.setattr("vlp16emu.cli.about.compile_first", groups.append)
     cli("cache")

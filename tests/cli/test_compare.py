@@ -50,7 +50,8 @@ def test_a_fitted_unit_goes_into_a_scene(cli, captures, tmp_path):
 
 
 def test_what_both_captures_lack_of_real_units_is_said_once(cli, captures):
-    """Statistics that are like no real unit in both have a star and one line below; JSON has both verdicts of each."""
+    """Statistics that are like no real unit in both have a star and one line below; JSON has both verdicts
+    of each."""
     pair = captures / "ideal.pcap", captures / "ideal.pcap"
     text, tree = cli("compare", *pair).out, cli("compare", *pair, "--json").tree
     unlike = sum(all(one["unlike"]) for one in tree["statistics"])
@@ -61,7 +62,8 @@ def test_what_both_captures_lack_of_real_units_is_said_once(cli, captures):
 
 
 def test_histograms_are_shares_of_both_captures(cli, captures):
-    """Shares of azimuth steps add up to one, those of an ideal sensor are in one or two bins, and the bins of both are the same."""
+    """Shares of azimuth steps add up to one, those of an ideal sensor are in one or two bins, and the bins
+    of both are the same."""
     tree = cli("compare", captures / "a.pcap", captures / "ideal.pcap", "--json").tree
     by_name = {one["name"]: one for one in tree["histograms"]}
     steps = by_name["azimuth step"]

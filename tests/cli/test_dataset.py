@@ -28,7 +28,8 @@ def spec(tmp_path):
 
 
 def test_a_dry_run_says_what_is_made_and_makes_nothing(cli, spec, tmp_path):
-    """Number, size and hours come before anything is made, as a page and as JSON; they hold for the walks made then."""
+    """Number, size and hours come before anything is made, as a page and as JSON; they hold for the walks
+    made then."""
     out = tmp_path / "out"
     page = cli("dataset", spec, out, "--dry-run", "--workers", "0")
     assert page.out.startswith("2 of 2 walks to be made\n  simulated  0.4 s\n  size       ")
@@ -47,7 +48,10 @@ def test_a_dry_run_says_what_is_made_and_makes_nothing(cli, spec, tmp_path):
     [
         (
             "",
-            "error: scheduler: found ''; expected tcp://HOST:PORT of a Dask scheduler, or its scheduler file\n",
+            (
+                "error: scheduler: found ''; expected tcp://HOST:PORT of a Dask scheduler, or its scheduler "
+                "file\n"
+            ),
         ),
         ("127.0.0.1", "error: scheduler: found '127.0.0.1'; expected tcp://HOST:PORT "),
         ("spec.toml", "error: spec.toml: is no scheduler file; expected tcp://HOST:PORT "),
@@ -70,7 +74,8 @@ def test_a_scheduler_that_cannot_be_reached_is_one_line(
 
 @pytest.fixture
 def mute_server():
-    """A server on this machine that takes a connection and never answers: its address, and the event of the connection."""
+    """A server on this machine that takes a connection and never answers: its address, and the event of
+    the connection."""
     came = threading.Event()
     with socket.create_server(("127.0.0.1", 0)) as server:
 

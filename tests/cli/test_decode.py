@@ -41,7 +41,8 @@ def xyz_in(path):
 
 
 def test_the_summary_is_what_the_packets_say(cli, bench):
-    """Counts, ranges, speed, mode and turns of 28.9 thousand records equal what a plain look at all packets at once gives."""
+    """Counts, ranges, speed, mode and turns of 28.9 thousand records equal what a plain look at all
+    packets at once gives."""
     tree = cli("decode", bench, "--json").tree
     points = decode_data(data_payloads(bench), keep_no_returns=True)
     met_m = points.distance_m[points.distance_m > 0]
@@ -162,7 +163,8 @@ def test_packets_before_a_damaged_record_are_reported(bench, tmp_path):
 
 
 def test_a_clock_that_is_set_on_the_way_adds_no_time(cli, bench, tmp_path):
-    """A sensor that gets lock in mid-run steps by half an hour while the host's clock goes on: the capture lasts as long as without."""
+    """A sensor that gets lock in mid-run steps by half an hour while the host's clock goes on: the capture
+    lasts as long as without."""
     content = bytearray(bench.read_bytes())
     for payload in data_payloads(bench)[200:]:
         at = content.index(payload.tobytes()) + 1200
@@ -175,7 +177,8 @@ def test_a_clock_that_is_set_on_the_way_adds_no_time(cli, bench, tmp_path):
 
 
 def test_a_power_cycle_takes_its_time(cli, tmp_path):
-    """A sensor that was off for longer than before has a clock that steps back by less than the host's goes on: both count."""
+    """A sensor that was off for longer than before has a clock that steps back by less than the host's
+    goes on: both count."""
     cycle = {"kind": "power_cycle", "at_s": 0.2, "off_s": 0.4}
     Emulator("static_bench", {"events": [cycle]}).record(tmp_path / "cycle.pcap", duration_s=0.8)
     assert cli("decode", tmp_path / "cycle.pcap", "--json").tree["duration_s"] == pytest.approx(0.8, abs=0.01)
@@ -213,7 +216,8 @@ def test_another_model_is_refused_at_any_packet(bench, tmp_path, monkeypatch, si
 
 
 def test_a_real_capture_is_read(cli):
-    """A capture of a real unit gives its known counts, speed, smallest range and GPS state; a turn has 100.16 ms of 289 344 records per second."""
+    """A capture of a real unit gives its known counts, speed, smallest range and GPS state; a turn has
+    100.16 ms of 289 344 records per second."""
     tree = cli("decode", real_capture("mrpt_vlp16_gps.pcap"), "--json").tree
     assert (tree["packets"], tree["position_packets"]) == (293, 57)
     assert tree["rpm"] == pytest.approx(600, abs=3)
@@ -231,7 +235,8 @@ def test_files_name_the_frame_of_their_points(bench, cli, tmp_path, frame, axes)
 
 
 def test_a_unit_before_release_is_read_with_its_model(bench, cli, tmp_path):
-    """Product 0x21 names another sensor too: the line asks for --model, with which all points are as before."""
+    """Product 0x21 names another sensor too: the line asks for --model, with which all points are as
+    before."""
     old = changed(bench, tmp_path / "old.pcap", 1205, 0x21)
     refused = cli("decode", old)
     assert refused.code == 2

@@ -24,7 +24,8 @@ def rows(outcome):
 
 
 def test_each_row_has_a_finding_and_a_mend(cli):
-    """All rows are there in their order, what is no ok has a mend, and counts and exit code are those of the rows."""
+    """All rows are there in their order, what is no ok has a mend, and counts and exit code are those of
+    the rows."""
     outcome = cli("doctor", "--json")
     checks = rows(outcome)
     assert list(checks) == NAMES
@@ -65,7 +66,8 @@ def test_a_missing_extra_names_what_needs_it(cli, monkeypatch, extra):
 
 
 def test_kernels_on_disk_are_looked_for(cli, monkeypatch, tmp_path):
-    """A folder without kernels of casting is mended by compiling them, one that others can write by another one."""
+    """A folder without kernels of casting is mended by compiling them, one that others can write by
+    another one."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "base"))
     monkeypatch.setattr(cache, "user_kernels", cache.user_kernels.__wrapped__)
     monkeypatch.setattr("vlp16emu.extras.doctor.user_kernels", cache.user_kernels)

@@ -22,7 +22,8 @@ GAP_S = 5 * 3600  # a clock that was set while a capture was written: shared rep
 
 @pytest.fixture(scope="session")
 def gap(bench, tmp_path_factory):
-    """The bench capture, whose second half is stamped five hours later (a pcap record begins with its seconds)."""
+    """The bench capture, whose second half is stamped five hours later (a pcap record begins with its
+    seconds)."""
     content, at, frames = bytearray(bench.read_bytes()), 24, 0
     while at < len(content):
         seconds, _, length = struct.unpack_from("<III", content, at)
@@ -52,7 +53,8 @@ LIVE = "stream static_bench --set motion={{kind='live'}} --pose-in udp://127.0.0
 
 @pytest.mark.parametrize(("line", "number"), [(REPLAY, signal.SIGHUP), (LIVE, signal.SIGTERM)])
 def test_what_waits_ends_with_the_first_signal(cli, gap, line, number):
-    """A replay in a gap of hours, and a stream that no pose has come to, end with 130 after one signal, and with a report."""
+    """A replay in a gap of hours, and a stream that no pose has come to, end with 130 after one signal,
+    and with a report."""
     before, done, here = signal.signal(number, lambda *_: None), threading.Event(), threading.get_ident()
 
     def knock():
@@ -71,7 +73,8 @@ def test_what_waits_ends_with_the_first_signal(cli, gap, line, number):
 
 @pytest.mark.parametrize("most_bytes", [0, None])
 def test_the_wait_for_a_pipe_ends_with_the_first_signal(cli, bench, tmp_path, most_bytes):
-    """Decoding ends with 130 while a pipe stays open without bytes (PEP 475 retries reads); points that came through are kept."""
+    """Decoding ends with 130 while a pipe stays open without bytes (PEP 475 retries reads); points that
+    came through are kept."""
     pipe, out, here, done = tmp_path / "x.pcap", tmp_path / "x.csv", threading.get_ident(), threading.Event()
     os.mkfifo(pipe)
 
@@ -94,7 +97,8 @@ def test_the_wait_for_a_pipe_ends_with_the_first_signal(cli, bench, tmp_path, mo
 
 
 def test_a_terminal_that_goes_ends_a_run_as_ctrl_c(program, heeds_signals):
-    """A run that reports to a terminal which is closed ends with 130, and without a word on it that nobody can read."""
+    """A run that reports to a terminal which is closed ends with 130, and without a word on it that nobody
+    can read."""
     ours, theirs = pty.openpty()
     process = program(
         *["stream", "static_bench", "--data-port", "9", "--duration", "3600"],
@@ -141,7 +145,8 @@ scenario.load = load
 
 @pytest.mark.parametrize("before", [INTERRUPTED_IMPORT, INTERRUPTED_CHECK])
 def test_a_signal_from_which_a_library_makes_another_error_ends_the_run(program, before):
-    """Python up to 3.11 wraps what a signal raises in `__set_name__`, as in imports, into a RuntimeError; a check that it meets fails: still 130 and no line."""
+    """Python up to 3.11 wraps what a signal raises in `__set_name__`, as in imports, into a RuntimeError;
+    a check that it meets fails: still 130 and no line."""
     process = program("record", "static_bench", "x.pcap", before=before)
     assert process.communicate(timeout=100) == ("", "")
     assert process.returncode == 130
@@ -163,7 +168,8 @@ def test_warnings_of_numpy_stay_away_from_the_line_of_an_error(main_here, monkey
 
 @pytest.mark.parametrize(("code", "where"), [(24, "the system"), (2, "the current folder")])
 def test_an_error_without_a_file_is_not_one_of_standard_output(main_here, monkeypatch, tmp_path, code, where):
-    """The error line names the limit of open files when the system has no more, or the current folder when it is gone."""
+    """The error line names the limit of open files when the system has no more, or the current folder when
+    it is gone."""
 
     def load(*_, **__):
         raise OSError(code, "No")
@@ -192,7 +198,8 @@ def test_a_file_does_not_take_the_place_of_a_closed_output(cli, tmp_path):
 
 
 def test_a_signal_that_meets_a_library_is_not_printed(monkeypatch, capsys):
-    """Where a signal meets a `__del__`, Python prints a traceback, but not once the command is interrupted."""
+    """Where a signal meets a `__del__`, Python prints a traceback, but not once the command is
+    interrupted."""
 
     class Held:
         def __del__(self):

@@ -53,7 +53,8 @@ def test_the_inventory_has_every_tree_in_reach_once(written, rows):
 
 
 def test_stems_are_circles_with_the_diameter_of_the_inventory(written, rows):
-    """Each tree's first leader goes from the ground to its height; at 1.3 m the circle has its DBH and is where the inventory says."""
+    """Each tree's first leader goes from the ground to its height; at 1.3 m the circle has its DBH and is
+    where the inventory says."""
     circles = np.genfromtxt(written[0] / "stems.csv", delimiter=",", names=True)
     assert set(circles["tree"]) == {int(row["id"]) for row in rows}
     for row in rows[::10]:
@@ -86,7 +87,8 @@ def test_the_table_sums_up_the_inventory_near_the_way(written, rows):
 
 
 def test_the_ground_lies_where_trees_stand(written, rows):
-    """The grid holds all ground within the radius of the way, and its cells have the height of the feet in them: 2 cm in the median."""
+    """The grid holds all ground within the radius of the way, and its cells have the height of the feet in
+    them: 2 cm in the median."""
     grid = read_grid(written[0] / "ground.asc", cell_m=None, corner_m=None)
     way_m = np.array([written[1]["path"][name][:2] for name in ("start_m", "end_m")])
     lines, columns = grid.heights_m.shape
@@ -103,7 +105,8 @@ def test_the_ground_lies_where_trees_stand(written, rows):
 
 
 def test_tops_are_those_of_the_twin(written, rows):
-    """The highest vertex of each tree of the twin is `top_m` of the inventory over its foot, to 0.2 mm; others are saplings."""
+    """The highest vertex of each tree of the twin is `top_m` of the inventory over its foot, to 0.2 mm;
+    others are saplings."""
     scene = trimesh.load_scene(written[0] / "twin.glb")
     tops_m = {}
     for node in scene.graph.nodes_geometry:
@@ -146,7 +149,8 @@ def test_a_hall_tells_its_things(cli):
 
 
 def test_files_take_their_names_together(cli, tmp_path):
-    """A full disk for the last of several files leaves all earlier ones as they were, and nothing beside them."""
+    """A full disk for the last of several files leaves all earlier ones as they were, and nothing beside
+    them."""
     (tmp_path / "trees.csv").write_text("earlier")
     (tmp_path / "ground.asc").symlink_to("/dev/full")
     outcome = cli(

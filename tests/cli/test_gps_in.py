@@ -40,7 +40,8 @@ def listening():
 
 
 def test_a_receiver_on_a_terminal_locks_the_sensor(wire, listening):
-    """Sentences of a receiver are echoed, the state goes from absent over synchronizing to locked, and stamps are its time."""
+    """Sentences of a receiver are echoed, the state goes from absent over synchronizing to locked, and
+    stamps are its time."""
     (ours, port), (sockets, settings) = wire, listening
     emulator = Emulator("static_bench", {**settings, "gps.pps_window_s": 1.5})
     stop, results = threading.Event(), []

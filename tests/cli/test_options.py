@@ -40,7 +40,8 @@ def test_an_option_is_declared_once():
 
 @pytest.mark.parametrize("verb", VERBS)
 def test_help_has_name_default_and_unit(cli, verb):
-    """Each option stands in the help of its verb with its metavar and default; the metavar is the unit that its field names."""
+    """Each option stands in the help of its verb with its metavar and default; the metavar is the unit
+    that its field names."""
     blocks = [" ".join(block.split()) for block in re.split(r"\n  (?=\S)", cli(verb, "--help").out)]
     for leaf in leaves(verb):
         name = leaf.name.partition("/")[0]  # of a pair that switches on and off
@@ -92,7 +93,8 @@ def test_python_refuses_what_the_command_line_refuses(tmp_path):
 
 
 def test_options_that_make_an_emulator_are_its_parameters():
-    """Python has the options of the scene, the workers and the audit by the same names, with the same defaults but for the audit."""
+    """Python has the options of the scene, the workers and the audit by the same names, with the same
+    defaults but for the audit."""
     parameters = inspect.signature(Emulator).parameters
     for field in fields(RunOptions):
         assert field.name in parameters
@@ -100,7 +102,8 @@ def test_options_that_make_an_emulator_are_its_parameters():
 
 
 def test_options_that_are_settings_agree_with_the_page():
-    """An option that changes a key of a scene has that key's limits; SETTINGS.md is made of the same schema."""
+    """An option that changes a key of a scene has that key's limits; SETTINGS.md is made of the same
+    schema."""
     keys = schema()["$defs"]["Sensor"]["properties"]
     for one in options_of(runs.StreamOptions):
         if one.field.endswith("_port"):

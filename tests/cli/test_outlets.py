@@ -44,7 +44,8 @@ def receiver():
 
 @pytest.fixture
 def cable():
-    """Two pseudo-terminals with all that is written to the first coming out of the second, and what passed."""
+    """Two pseudo-terminals with all that is written to the first coming out of the second, and what
+    passed."""
     masters, slaves = zip(os.openpty(), os.openpty(), strict=True)
     for slave in slaves:
         tty.setraw(slave)
@@ -67,7 +68,8 @@ def cable():
 
 
 def test_samples_leave_at_their_time(cli, receiver):
-    """With --now samples arrive when they say that they were taken, by the clock of this machine, and none is missing."""
+    """With --now samples arrive when they say that they were taken, by the clock of this machine, and none
+    is missing."""
     arrived_ns, frames = [], []
     to = f"udp://127.0.0.1:{port_of(receiver)}"
 
@@ -101,7 +103,8 @@ def test_samples_leave_at_their_time(cli, receiver):
 
 
 def test_sentences_are_those_of_the_position_packets(cli, receiver, cable):
-    """Live and moved into the present, the port gives the bytes that position packets echo; the report has a row for it."""
+    """Live and moved into the present, the port gives the bytes that position packets echo; the report has
+    a row for it."""
     port, _, passed = cable
     position = ["--data-port", "9", "--position-port", port_of(receiver)]
     outcome = cli(
@@ -139,7 +142,8 @@ def watched(port, seconds):
 
 @pytest.mark.skipif(shutil.which("gpsd") is None, reason="gpsd is not installed")
 def test_gpsd_follows_the_walk(program, cable, tmp_path):
-    """gpsd, on the other end of a serial cable, reports the walk's place within the receiver's errors, and the present time."""
+    """gpsd, on the other end of a serial cable, reports the walk's place within the receiver's errors, and
+    the present time."""
     port, other_end, _ = cable
     with free_ports(1) as (tcp,):
         pass

@@ -68,7 +68,8 @@ def test_a_plot_replaces_no_file_that_is_read(cli, bench, tmp_path):
 
 
 def test_stages_add_up_and_are_in_the_order_of_the_chain(cli):
-    """Each stage of a plan has a cost; an audited beam has its audit, and a sensor that stands still opens no window."""
+    """Each stage of a plan has a cost; an audited beam has its audit, and a sensor that stands still opens
+    no window."""
     tree = cli("plan", "static_bench", "--set", "beam.model=adaptive", "--json").tree
     stages = {stage["name"]: stage["cpu_s_per_s"] for stage in tree["stages"]}
     chain = ["poses of pulses", "aim", "cast, near", "cast, far", "audit", "texture", "detect", "pack"]

@@ -38,7 +38,8 @@ def test_both_frames_are_reported(points):
 
 @pytest.mark.parametrize("beams", [8, 16, 64, 256])
 def test_a_free_table_is_what_is_seen(points, beams):
-    """Elevations reckoned from the points are those of the table, ring by ring, and the resolution is as asked."""
+    """Elevations reckoned from the points are those of the table, ring by ring, and the resolution is as
+    asked."""
     options = ["--set", f"sensor.beams={beams}", "--set", "sensor.vertical_fov_deg=[-25, 15]"]
     own, report = points(*FREE, *options, "--set", "sensor.azimuth_resolution_deg=0.5")
     x, y, z = own["sensor_m"].astype(float).T
@@ -54,7 +55,8 @@ def test_a_free_table_is_what_is_seen(points, beams):
 
 
 def test_angle_errors_show_in_the_points(points):
-    """A laser that looks lower than its table meets the floor nearer, and so its points stand over the floor."""
+    """A laser that looks lower than its table meets the floor nearer, and so its points stand over the
+    floor."""
     settings = ["sensor.model=free", "sensor.elevations_deg=[-30, -20, -40]", "noise.elevation_error_deg=0.3"]
     own, _ = points("--truth", *set_words(settings))
     beams = Emulator(load("static_bench", settings)).parts.head.beams
@@ -68,7 +70,8 @@ def test_angle_errors_show_in_the_points(points):
 
 
 def test_labels_name_what_was_hit(points):
-    """Points with the label of a pole lie on that pole, and none is of a plant; the reflectance is the pole's."""
+    """Points with the label of a pole lie on that pole, and none is of a plant; the reflectance is the
+    pole's."""
     own, _ = points("--truth", duration=0.1)
     scenario = load("static_bench")
     names = Emulator(scenario).parts.world.names
@@ -99,7 +102,8 @@ def test_fog_is_of_no_class(points):
 
 
 def test_leaves_are_distinguished_from_wood(points):
-    """In a forest every point on a leaf is labelled leaf, on any other part of a plant wood, elsewhere neither."""
+    """In a forest every point on a leaf is labelled leaf, on any other part of a plant wood, elsewhere
+    neither."""
     own, _ = points("--truth", *WORDS, scene="birch_walk")
     assert {0, 1, 2} == set(own["leaf_wood"])
     assert (own["leaf_wood"] == 2).tolist() == (own["part"] == PlantPart.LEAF).tolist()
@@ -135,7 +139,8 @@ def test_a_ply_says_what_its_labels_mean(cli, tmp_path):
 
 
 def test_points_have_the_truth_of_their_run(cli, tmp_path):
-    """`--truth-folder` writes beside the points what `truth` writes over the same span, also for a free sensor."""
+    """`--truth-folder` writes beside the points what `truth` writes over the same span, also for a free
+    sensor."""
     for free in ([], FREE):
         span = ["--start", "0.1", "--duration", "0.3", *free]
         beside, alone = tmp_path / "beside", tmp_path / "alone"

@@ -38,7 +38,8 @@ def test_the_report_tells_the_truth_about_the_file(cli, tmp_path):
 
 
 def test_people_get_a_summary(cli, tmp_path):
-    """Without --json the same stands in a few lines, models as they are after presets, `--set` and `--ideal`; nothing is on stderr."""
+    """Without --json the same stands in a few lines, models as they are after presets, `--set` and
+    `--ideal`; nothing is on stderr."""
     sets = "noise.preset=datasheet", "beam.model=adaptive", "weather={visibility_m=60.0,rain_mm_h=10.0}"
     run = "record", "static_bench", tmp_path / "x.pcap", "--duration", "0.1"
     out, ideal = cli(*run, *set_words(sets)).out, cli(*run, "--ideal")
@@ -68,7 +69,8 @@ def test_a_walk_that_is_cut_off_says_how_much_of_it_there_is(cli, tmp_path):
 
 
 def test_a_recording_goes_through_a_pipe(main_here, cli, tmp_path):
-    """To - the file's bytes go to standard output, nothing else does, and the report goes to stderr, also by its other name."""
+    """To - the file's bytes go to standard output, nothing else does, and the report goes to stderr, also
+    by its other name."""
     options = "--duration", "0.1", "--json"
     with (tmp_path / "report").open("w") as stdout:
         assert main_here("record", "static_bench", "/dev/stdout", *options, stdout=stdout)[1].startswith("{")
@@ -175,7 +177,8 @@ def test_ctrl_c_does_not_wait_for_the_world(cli, monkeypatch, tmp_path):
 
 
 def test_a_second_ctrl_c_waits_for_nothing(program, tmp_path):
-    """Where the first Ctrl-C cannot end the run, the second does, whatever threads are at; a capture without a packet is not kept."""
+    """Where the first Ctrl-C cannot end the run, the second does, whatever threads are at; a capture
+    without a packet is not kept."""
     path = tmp_path / "x.pcap"
     process = program("record", "static_bench", path, "--json", before=CASTS_AND_WRITES_FOR_EVER)
     until(process, "writing")
@@ -190,7 +193,8 @@ TURNED = "revolutions", "azimuth_steps"
 
 
 def test_a_recording_tells_revolutions_and_azimuth_steps(cli, tmp_path):
-    """A fifth of a second at 600 rpm is 2 turns of 1808.4 firing sequences, and 3616 sequences fit whole; each unit of a rig counts its own."""
+    """A fifth of a second at 600 rpm is 2 turns of 1808.4 firing sequences, and 3616 sequences fit whole;
+    each unit of a rig counts its own."""
     arguments = "record", "static_bench", tmp_path / "x.pcap", "--duration", "0.2"
     unit = cli(*arguments, "--json").tree["units"][0]["turn"]
     assert [unit[key] for key in TURNED] == [2.0, 3616]

@@ -1,4 +1,5 @@
-"""Bad input is one line that says where, what was found and what was expected: the rows of `tests/refusals.toml`."""
+"""Bad input is one line that says where, what was found and what was expected: the rows of
+`tests/refusals.toml`."""
 
 import re
 import shlex
@@ -44,7 +45,8 @@ def assert_said(found, line):
 
 @pytest.mark.parametrize(("code", "verb", "words", "line"), COMMANDS)
 def test_a_command_that_cannot_be_carried_out_is_one_line(cli, inputs, monkeypatch, code, verb, words, line):
-    """The exit code is 2 for bad input, 1 for a full disk; standard output stays empty, and files as they are."""
+    """The exit code is 2 for bad input, 1 for a full disk; standard output stays empty, and files as they
+    are."""
     if verb == "view" or "--view" in words:
         pytest.importorskip("viser", reason="the extra viewer is not installed")
     monkeypatch.chdir(inputs)

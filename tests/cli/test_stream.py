@@ -91,7 +91,8 @@ def test_people_read_where_it_goes_and_how_it_went(cli, ports):
 
 @pytest.mark.parametrize("verb", ["stream", "replay"])
 def test_a_strict_stream_that_was_late_has_failed(cli, bench, ports, monkeypatch, verb):
-    """With --strict the exit code is 1 where a packet was late, after the same report; on time, and without it, 0."""
+    """With --strict the exit code is 1 where a packet was late, after the same report; on time, and
+    without it, 0."""
     what = ["static_bench", "--duration", "0.1"] if verb == "stream" else [bench]
     line = verb, *what, *ports, "--json"
     monkeypatch.setattr("vlp16emu.run.stream.TOLERANCE_NS", 10**11)  # whatever other programs do to the cores
@@ -105,7 +106,8 @@ def test_a_strict_stream_that_was_late_has_failed(cli, bench, ports, monkeypatch
 
 @pytest.mark.parametrize("how", [[], ["--prepare"]])
 def test_clocks_of_packet_0_are_in_report_and_truth(cli, each_unit, listeners, ports, tmp_path, how):
-    """With --now the first packet's time by the sensor's clock is that of its stamp, by this machine's the same, and by the truth `moved_s` earlier."""
+    """With --now the first packet's time by the sensor's clock is that of its stamp, by this machine's the
+    same, and by the truth `moved_s` earlier."""
     gps = "--set", "gps.connected=true"
     line = "stream", each_unit, "--duration", "0.1", *gps, *ports, "--now", "--truth", tmp_path / "truth"
     began_ns = time.time_ns()
@@ -137,7 +139,8 @@ def test_a_prepared_stream_is_the_same_on_the_wire(cli, bench, listeners, ports,
 
 @pytest.fixture
 def arrivals():
-    """A port of the loopback, and a function that waits for n data packets; the kernel stamps arrivals in ns."""
+    """A port of the loopback, and a function that waits for n data packets; the kernel stamps arrivals in
+    ns."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
         receiver.bind(("127.0.0.1", 0))
         receiver.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
@@ -157,9 +160,12 @@ def arrivals():
 @pytest.mark.skipif(sys.platform != "linux", reason="stamps of arrival as Linux gives them")
 @pytest.mark.parametrize("late", ["pace", "skip"])
 def test_a_stopped_stream_goes_on_without_a_burst(program, arrivals, late):
-    """Stopped for 2 s, the stream goes on at the sensor's pace: n packets take 0.94 of their time less 10 ms, or more.
+    """Stopped for 2 s, the stream goes on at the sensor's pace: n packets take 0.94 of their time less 10 ms,
+    or more.
 
-    Another 5 ms may pass between a packet's time and its stamp, where other programs take the processor. It says so at once on stderr, stdout stays one JSON object, and the report gives the delay or the packets skipped. Where punctuality is a must, it ends with 1.
+    Another 5 ms may pass between a packet's time and its stamp, where other programs take the processor. It
+    says so at once on stderr, stdout stays one JSON object, and the report gives the delay or the packets
+    skipped. Where punctuality is a must, it ends with 1.
     """
     port, receive = arrivals
     ports = "--to", f"127.0.0.1:{port}", "--position-port", 9  # discard
@@ -192,7 +198,8 @@ def test_a_stopped_stream_goes_on_without_a_burst(program, arrivals, late):
 
 
 def test_port_0_is_a_free_one(cli):
-    """With --data-port 0 and --position-port 0 a free port of each is taken, printed at once, and reported."""
+    """With --data-port 0 and --position-port 0 a free port of each is taken, printed at once, and
+    reported."""
     free = "--data-port", "0", "--position-port", "0"
     run = cli("stream", "static_bench", "--duration", "0.05", *free, "--set", "rig=[{}]")
     pairs = [pair.split(" and ") for pair in run.out.splitlines()[0].partition(", ports ")[2].split("; ")]

@@ -65,7 +65,8 @@ def test_a_terminal_that_goes_ends_the_bar_alone(monkeypatch):
 
 
 def test_the_first_run_says_how_far_it_has_compiled(monkeypatch, capsys):
-    """Two lines on stderr, at the begin and at the end; in a terminal one that counts; none where nothing is compiled."""
+    """Two lines on stderr, at the begin and at the end; in a terminal one that counts; none where nothing
+    is compiled."""
     monkeypatch.setattr(compiler, "compile_kernels", lambda _: iter([(0, 2), (1, 2), (2, 2)]))
     compile_first("hall")
     first, last = "compiling kernels: 0 of 2, once", "compiling kernels: 2 of 2, once"

@@ -15,7 +15,8 @@ def rows(path):
 
 @pytest.mark.parametrize("start", [[], ["--start", "0.3"]])
 def test_truth_repeats_the_run_that_was_made(cli, each_unit, tmp_path, start):
-    """Recorded without --duration, scenario.json makes the same bytes, settings and all, and is as long as the run was; a --start is named in it."""
+    """Recorded without --duration, scenario.json makes the same bytes, settings and all, and is as long as
+    the run was; a --start is named in it."""
     options, folder = ["--json", *start], tmp_path / "t"
     settings = "--set", "seed=9", "--set", "sensor.return_mode=dual"
     run = "record", each_unit, tmp_path / "a.pcap", *options, *settings, "--duration", "0.2"
@@ -26,7 +27,8 @@ def test_truth_repeats_the_run_that_was_made(cli, each_unit, tmp_path, start):
 
 
 def test_the_truth_alone_is_that_of_a_recording(cli, tmp_path):
-    """`truth` writes the files of `record --truth`, whose recording is as without, for each unit of a rig, and names them in its report."""
+    """`truth` writes the files of `record --truth`, whose recording is as without, for each unit of a rig,
+    and names them in its report."""
     sets = (
         "imu.preset=consumer",
         "rig=[{return_mode='dual'}]",

@@ -67,7 +67,8 @@ def test_decode_takes_the_packets_of_one(cli, rig, unit, mode):
 
 
 def test_points_of_a_tilted_unit_are_in_its_own_frame(cli, rig, tmp_path):
-    """Turned by its pitch, nose up, what the tilted sensor saw of the hall's floor lies 1.5 m below it to 5 mm."""
+    """Turned by its pitch, nose up, what the tilted sensor saw of the hall's floor lies 1.5 m below it to
+    5 mm."""
     assert cli("decode", rig, "--unit", "192.168.1.202:2369", "--out", tmp_path / "x.npz").code == 0
     x_m, _, z_m = np.load(tmp_path / "x.npz")["xyz_m"].T.astype(float)
     pitch = np.radians(35.0)

@@ -1,4 +1,5 @@
-"""What all verbs have in common: a good run, one JSON object, an end by Ctrl-C, and a line for an unknown option."""
+"""What all verbs have in common: a good run, one JSON object, an end by Ctrl-C, and a line for an unknown
+option."""
 
 import io
 import json
@@ -80,7 +81,8 @@ def test_every_verb_is_here():
 
 @each(GOOD.keys() - PLAIN)
 def test_a_good_run_is_told_to_people_and_programs(cli, words):
-    """Exit code 0 and nothing on stderr; with --json, which the help names, standard output is one object of strict JSON."""
+    """Exit code 0 and nothing on stderr; with --json, which the help names, standard output is one object
+    of strict JSON."""
     for options in ([], ["--json"]):
         shutil.rmtree("images", ignore_errors=True)  # must be new or empty
         outcome = cli(*words, *options)

@@ -25,7 +25,8 @@ def page_of(process):
 
 
 def test_a_killed_page_is_one_line_and_ctrl_c_ends_both(program):
-    """After kill -9 of the page the stream says so and goes on; Ctrl-C ends a stream with exit code 130, and its page with it."""
+    """After kill -9 of the page the stream says so and goes on; Ctrl-C ends a stream with exit code 130,
+    and its page with it."""
     process = program(*STREAM, "--view", "--view-port", "0", "--duration", "600")
     assert process.stdout.readline().startswith("page at http://127.0.0.1:")
     assert process.stdout.readline().startswith("streaming static_bench")
@@ -45,7 +46,8 @@ def test_a_killed_page_is_one_line_and_ctrl_c_ends_both(program):
 
 
 def test_json_stays_one_object_and_a_prepared_run_has_a_page(program):
-    """With --json the address of the page is on standard error; a prepared run has a page too, and no web interface."""
+    """With --json the address of the page is on standard error; a prepared run has a page too, and no web
+    interface."""
     process = program(*STREAM, "--view", "--view-port", "0", "--duration", "0.2", "--prepare", "--json")
     out, error = process.communicate()
     assert json.loads(out)["interrupted"] is False
@@ -59,7 +61,8 @@ def test_a_port_in_use_is_one_line(refused):
         number = taken.getsockname()[1]
         line = refused([*STREAM, "--view", "--view-port", number])
     assert line == (
-        f"error: 127.0.0.1:{number}: address already in use; expected an address of this machine with a free port\n"
+        f"error: 127.0.0.1:{number}: address already in use; expected an address of this machine with a "
+        "free port\n"
     )
 
 

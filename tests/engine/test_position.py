@@ -28,7 +28,8 @@ def sentences(emulator, receiver, start_s, stop_s):
 
 
 def test_sentences_do_not_depend_on_how_a_run_is_cut(birch):
-    """Any second can be had first, and from another emulator: the sentences are the same, lost fixes included."""
+    """Any second can be had first, and from another emulator: the sentences are the same, lost fixes
+    included."""
     whole = sentences(birch, birch.engine.receiver, 0.0, 6.0)
     assert {parse_rmc(sentence).valid for sentence in whole} == {True, False}
     other = Emulator(birch.scenario, threads=1)
@@ -68,7 +69,8 @@ WORST = [
 
 @pytest.mark.parametrize("settings", [["gps.velocity_noise_m_s=30"], WORST], ids=["30 m/s", "worst"])
 def test_no_error_of_the_receiver_ends_a_run(settings):
-    """With the greatest errors that a scene may give, and under a roof, each second still has a sentence of at most 82 bytes."""
+    """With the greatest errors that a scene may give, and under a roof, each second still has a sentence
+    of at most 82 bytes."""
     emulator = Emulator(load("static_bench", ["gps.connected=true", *settings]))
     spoken = set(sentences(emulator, emulator.engine.receiver, 0.0, 12.0))
     assert len(spoken) == 13
@@ -79,7 +81,8 @@ def test_no_error_of_the_receiver_ends_a_run(settings):
 @pytest.mark.parametrize("rate", ["measured", "manual"])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_no_position_packet_is_older_than_its_sensor(rate, seed):
-    """Without GPS the first stamp, written 350 us before its packet leaves, is not before power-up, and stamps grow from there; there is no sentence."""
+    """Without GPS the first stamp, written 350 us before its packet leaves, is not before power-up, and
+    stamps grow from there; there is no sentence."""
     settings = [f"seed={seed}", f"sensor.position_rate={rate}", "gps.connected=false"]
     scenario = load("static_bench", settings)
     emulator = Emulator(scenario)

@@ -39,7 +39,8 @@ def test_results_come_in_order_with_their_segment(threads):
 @pytest.mark.parametrize("threads", [1, 2, 5])
 @pytest.mark.parametrize("span", [range(3), range(3, 14), range(50, 400)])
 def test_runs_hold_each_block_once_and_keep_to_segments(threads, span):
-    """Runs follow each other without gaps, none crosses a segment, and the first and last of every worker are single."""
+    """Runs follow each other without gaps, none crosses a segment, and the first and last of every worker
+    are single."""
     runs = list(windows(per_segment=64, threads=threads).runs(span, 8, threads))
     assert [block for run in runs for block in run] == list(span)
     assert all(run.start // 64 == (run.stop - 1) // 64 for run in runs)
@@ -60,7 +61,8 @@ def test_with_any_number_of_threads_windows_are_opened_once(threads):
 
 
 def test_only_windows_that_are_needed_are_opened():
-    """One segment serves a scene in which nothing moves, an empty span opens nothing, and before the first pulse the first segment serves."""
+    """One segment serves a scene in which nothing moves, an empty span opens nothing, and before the first
+    pulse the first segment serves."""
     opened = []
     list(run(lambda _run, scene: scene.result(), range(100), per_segment=None, opened=opened))
     assert opened == [0]
@@ -98,7 +100,8 @@ def test_leaving_early_stops_the_work():
 
 
 def test_a_wire_sensor_is_cut_as_ever():
-    """A VLP-16 has blocks of 1920 sequences, whole packets in both return modes, and segments of 64 of them; in 20 parts they have the same edges."""
+    """A VLP-16 has blocks of 1920 sequences, whole packets in both return modes, and segments of 64 of
+    them; in 20 parts they have the same edges."""
     batching = Batching(16, 55_296)
     assert (batching.block, batching.segment) == (BLOCK, SEGMENT) == (1_920, 64)
     assert batching.block_ns == 1_920 * 55_296
@@ -115,7 +118,8 @@ def test_a_wire_sensor_is_cut_as_ever():
 @pytest.mark.parametrize("lasers", [1, 8, 64, 256, 1024])
 @pytest.mark.parametrize("sequence_ns", [2_315, 55_556, 5_555_556])
 def test_blocks_of_any_sensor_are_bounded(lasers, sequence_ns):
-    """Blocks are multiples of 8 sequences, with no more pulses than a VLP-16's and no longer unless that is the least."""
+    """Blocks are multiples of 8 sequences, with no more pulses than a VLP-16's and no longer unless that
+    is the least."""
     batching = Batching(lasers, sequence_ns)
     assert batching.block % 8 == 0
     assert batching.block == 8 or (batching.block * lasers <= 16 * BLOCK and batching.block_ns <= 110_000_000)
@@ -123,7 +127,8 @@ def test_blocks_of_any_sensor_are_bounded(lasers, sequence_ns):
 
 
 def test_each_window_is_opened_once_while_it_is_in_use():
-    """A window that blocks use is not opened again for a time in it, nor the other way; two are kept, so one is opened again after two others."""
+    """A window that blocks use is not opened again for a time in it, nor the other way; two are kept, so
+    one is opened again after two others."""
     opened = []
     of = windows(opened=opened)
     assert of.at_time(399).result() == "segment 0"
@@ -160,7 +165,8 @@ def test_windows_are_let_go_with_their_owner():
 
 
 def test_a_stop_ends_the_wait_for_a_window():
-    """Who waits for a block is let go when the run is stopped, and no thread that grows its window is waited for."""
+    """Who waits for a block is let go when the run is stopped, and no thread that grows its window is
+    waited for."""
     grown, stop = threading.Event(), threading.Event()
     batching = SimpleNamespace(block_ns=100, segment=4, parts=1)
     of = Windows(lambda _segment: grown.wait(), batching, moves=True, threads=2)

@@ -49,7 +49,8 @@ def lab(rgb, sight):
 @pytest.mark.parametrize("sight", SIGHTS)
 @pytest.mark.parametrize("stand", STANDS, ids=lambda stand: stand[0])
 def test_leaves_stems_ground_and_undergrowth_can_be_told_apart(stand, sight):
-    """Leaves of species that grow together differ from each other, from stems, ground, grass, stones and shrubs, and stems from the ground."""
+    """Leaves of species that grow together differ from each other, from stems, ground, grass, stones and
+    shrubs, and stems from the ground."""
     leaves = {name: colours_of_plant(name)[0] for name in stand}
     stems = {f"stem of {name}": colours_of_plant(name)[1] for name in stand}
     floor = {name: colour_of_kind(name) for name in ("ground", "grass", "stone", "shrub")}

@@ -54,7 +54,8 @@ def test_the_best_rung_that_leaves_a_fifth_free_is_forecast(speed, rung):
 def test_a_stream_takes_the_first_rung_that_is_measured_to_be_enough(
     monkeypatch, speeds, taken, enough, cores
 ):
-    """Rungs are measured from the best one that may be enough down; the emulator then has the settings of the one taken."""
+    """Rungs are measured from the best one that may be enough down; the emulator then has the settings of
+    the one taken."""
     left = iter(speeds)
     monkeypatch.setattr(outlook, "_measured", lambda _run: next(left))
     monkeypatch.setattr("os.sched_getaffinity", lambda _process: {0, 1}, raising=False)

@@ -14,7 +14,8 @@ FIELD_DEG = (-15.0, 15.0)
 
 
 def test_places_along_and_aside_are_those_of_the_path():
-    """A tree beside a bent path is at the length walked to its nearest point; ground and profile have the heights of the ground."""
+    """A tree beside a bent path is at the length walked to its nearest point; ground and profile have the
+    heights of the ground."""
     path_m = np.array([[x, 0.0, 3.0] for x in range(11)] + [[10.0, y, 3.0] for y in range(1, 6)], float)
     trees = np.zeros(2, INVENTORY)
     trees["x_m"], trees["y_m"], trees["species"] = (4.0, 13.0), (-2.0, 4.0), (1, 1)
@@ -41,7 +42,8 @@ def test_a_long_path_has_a_map_of_bounded_size():
 
 @pytest.mark.usefixtures("kept_woods")
 def test_one_place_sees_half_of_a_stem_and_a_walk_more():
-    """From where a sensor stands at most half of the bark is seen, and of some stem nearly that; a walk past sees no less of any stem, and more in all."""
+    """From where a sensor stands at most half of the bark is seen, and of some stem nearly that; a walk
+    past sees no less of any stem, and more in all."""
     walk = load("birch_walk", {**THIN, "duration_s": 6.0})
     seen = survey(walk, 12.0)
     trees = seen.inventory(seen.near)

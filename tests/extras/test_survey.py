@@ -12,7 +12,8 @@ TREES = np.array(
 
 
 def test_rows_add_up_to_sums_by_hand():
-    """Density, quadratic mean diameter, basal area, volume and leaf area follow from the trees and the area."""
+    """Density, quadratic mean diameter, basal area, volume and leaf area follow from the trees and the
+    area."""
     birch, oak, together = stand_rows(TREES, {1: "silver_birch", 7: "english_oak"}, 500.0)
     assert (birch["species"], oak["species"], together["species"]) == ("silver_birch", "english_oak", "all")
     assert (birch["stems"], birch["stems_per_ha"]) == (2, 40.0)

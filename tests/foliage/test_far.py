@@ -46,7 +46,8 @@ def part_of(window, surface):
 
 
 def stems_alike(window, ours, true, *, same_share, high_m):
-    """Which true hits are of stems, and which agree in surface, after both casts are seen to agree on stems."""
+    """Which true hits are of stems, and which agree in surface, after both casts are seen to agree on
+    stems."""
     stem = np.isin(part_of(window, true.surface), [PlantPart.STEM, PlantPart.ROOT_FLARE])
     assert stem.sum() > 2000
     same = ours.surface == true.surface
@@ -58,7 +59,8 @@ def stems_alike(window, ours, true, *, same_share, high_m):
 
 
 def test_stems_from_afar_are_those_of_the_mesh(both):
-    """Ranges to stems equal those of polygons with as much area within 3 mm in the median; labels agree for 99 % of rays."""
+    """Ranges to stems equal those of polygons with as much area within 3 mm in the median; labels agree
+    for 99 % of rays."""
     window, far, near = both
     ours, true = (cast(scene, *around(40_000, AT_M[0])) for scene in (far, near))
     stem, same = stems_alike(window, ours, true, same_share=0.99, high_m=0.02)
@@ -67,7 +69,8 @@ def test_stems_from_afar_are_those_of_the_mesh(both):
 
 
 def test_bent_stems_from_afar_are_those_of_the_mesh(workers, both):
-    """Stems that bow by 0.25 m are met where their polygons are, within 3 mm in the median; as straight ones they would not."""
+    """Stems that bow by 0.25 m are met where their polygons are, within 3 mm in the median; as straight
+    ones they would not."""
     worlds = [lab.Tiles(near_m, things=False, per_tile=8, bow_m=0.25) for near_m in (2.0, math.inf)]
     scenes = [*(FarCaster(world, workers).open(world.window(AT_M)) for world in worlds), both[1]]
     ours, true, straight = (cast(scene, *around(40_000, AT_M[0])) for scene in scenes)
@@ -76,7 +79,8 @@ def test_bent_stems_from_afar_are_those_of_the_mesh(workers, both):
 
 
 def test_the_ground_from_afar_is_that_of_the_mesh(both):
-    """Ranges to the ground equal those of its triangles within 2 mm in the median, incidence alike; labels agree."""
+    """Ranges to the ground equal those of its triangles within 2 mm in the median, incidence alike; labels
+    agree."""
     window, far, near = both
     ours, true = (
         cast(scene, *around(40_000, AT_M[0], low_deg=-60.0, high_deg=-2.0)) for scene in (far, near)
@@ -118,7 +122,8 @@ def test_a_circle_fitted_at_30_m_has_the_dbh(workers):
 
 
 def test_without_a_limit_all_is_cast_as_faces(workers):
-    """`near_m` of infinity asks for no tile and has no medium, and meets what a window without tiles meets, bit by bit."""
+    """`near_m` of infinity asks for no tile and has no medium, and meets what a window without tiles
+    meets, bit by bit."""
     world = lab.Tiles(math.inf)
     window = world.window(AT_M)
     world.far_tile = None
@@ -132,7 +137,8 @@ def test_without_a_limit_all_is_cast_as_faces(workers):
 
 
 def test_near_by_all_is_as_with_faces_alone(workers):
-    """What is met before the medium begins is met as in a window of faces, bit by bit, by one ray and by eight."""
+    """What is met before the medium begins is met as in a window of faces, bit by bit, by one ray and by
+    eight."""
     far, near = (lab.Tiles(near_m) for near_m in (15.0, math.inf))
     scenes = [FarCaster(world, workers).open(world.window(AT_M)) for world in (far, near)]
     for beam in ({}, {"model": "fixed", "rays": 8}):
@@ -166,7 +172,8 @@ def test_batches_threads_and_revolutions_do_not_matter_in_a_medium(workers, mode
 
 
 def test_cold_and_warm_caches_give_the_same(workers):
-    """A window opened after others, whose blocks and clouds are kept, is that of a fresh caster, bit by bit."""
+    """A window opened after others, whose blocks and clouds are kept, is that of a fresh caster, bit by
+    bit."""
     world = lab.Tiles(2.0, across=3)
     elsewhere = world.window(
         AT_M + [[-20.0, 0.0, 0.0]], [(ix, iy) for ix in (-3, -2, -1, 0) for iy in (-1, 0, 1)]
@@ -203,7 +210,8 @@ def with_wall(window, x_m):
 
 @pytest.mark.parametrize("beam", [{}, {"model": "fixed", "rays": 8}])
 def test_a_users_wall_in_the_wood_is_hit_exactly(workers, beam):
-    """At 40 m a wall is met at its range to 0.02 mm, hides what is behind it, and changes nothing before it or beside it."""
+    """At 40 m a wall is met at its range to 0.02 mm, hides what is behind it, and changes nothing before
+    it or beside it."""
     world = lab.Tiles(10.0, across=2)
     bare, at_m = world.window(AT_M), AT_M[0] + [0.0, 0.0, 4.0]
     window, wall = with_wall(bare, 50.0)
@@ -227,7 +235,8 @@ def test_a_users_wall_in_the_wood_is_hit_exactly(workers, beam):
 
 
 def test_what_is_low_is_met_near_by_only(workers):
-    """A thing that is said to be low is met at its range where light has not come to the medium, and passed by beyond."""
+    """A thing that is said to be low is met at its range where light has not come to the medium, and
+    passed by beyond."""
     world = lab.Tiles(10.0)
     bare, at_m = world.window(AT_M), AT_M[0] + [0.0, 0.0, 4.0]
     rays, grown = around(8000, at_m, low_deg=-8.0, high_deg=8.0), world.shape
@@ -244,7 +253,8 @@ def test_what_is_low_is_met_near_by_only(workers):
 
 
 def test_things_that_sway_are_faces_at_any_range(workers):
-    """Trees that sway, farther than `near_m`, are met where they are at the time of each pulse, as with faces alone."""
+    """Trees that sway, farther than `near_m`, are met where they are at the time of each pulse, as with
+    faces alone."""
     far, near = (lab.Tiles(near_m) for near_m in (8.0, math.inf))
     window = far.window(AT_M)
     crowns = np.flatnonzero([window.shapes[s] == "crown" for s in window.shape])

@@ -42,7 +42,8 @@ def met(window, hits):
 
 
 def test_a_pulse_meets_the_same_in_the_windows_that_hold_it(forest, stood, workers):
-    """From windows 4 m apart, of two casters, what is met up to 27 m is the same thing at the same range to 0.1 mm."""
+    """From windows 4 m apart, of two casters, what is met up to 27 m is the same thing at the same range
+    to 0.1 mm."""
     unit, (firings, _, _) = forest.units[0], stood
     at_m = firings.origin_m[:1, 0]
     tracks = [np.concatenate([at_m, at_m + [[dx, 1.0, 0.0]]]) for dx in (8.0, -8.0)]
@@ -64,7 +65,8 @@ def test_a_pulse_meets_the_same_in_the_windows_that_hold_it(forest, stood, worke
 
 
 def test_a_far_hit_shows_what_stands_there(forest, stood):
-    """Of hits beyond `near_m` a face that shows their own surface is within 1 m; of surfaces dealt anew it mostly is not."""
+    """Of hits beyond `near_m` a face that shows their own surface is within 1 m; of surfaces dealt anew it
+    mostly is not."""
     world, (firings, window, scene) = forest.world, stood
     hits = scene.cast(firings, forest.units[0].head.beams.near_m, REACH_M)
     far = np.flatnonzero((hits.range_m > world.near_m) & np.isfinite(hits.range_m))[::10]

@@ -47,7 +47,8 @@ def met_m(medium, origin_m, direction, far_m=60.0):
 @pytest.mark.parametrize("code", [10, 40, 90])
 @pytest.mark.parametrize("corner", [(40, -7, 11), (0, 0, 0), (-3, 5, -900)])
 def test_a_voxels_leaves_have_one_place_in_space(code, corner):
-    """Rays through all columns of a voxel, along x, y and z and both ways, meet leaves at the same places, to 0.1 mm."""
+    """Rays through all columns of a voxel, along x, y and z and both ways, meet leaves at the same places,
+    to 0.1 mm."""
     cell = np.array([2, 1, 3])
     medium = one_voxel(lab.no_medium(), code, tuple(cell.tolist()), corner)
     low_m = cell * VOXEL_M
@@ -133,7 +134,8 @@ DENSE_UPRIGHT = pytest.param(
     [*((e, lad) for e in (0.0, 17.46, 90.0) for lad in (0.2, 0.5, 1.0) if e * lad != 90.0), DENSE_UPRIGHT],
 )
 def test_light_is_let_through_as_by_random_leaves(leaves, lad, elevation_deg):
-    """Through 4 m of leaves of all directions goes exp(-LAD / 2 * 4), within three standard errors and 4 % of the depth."""
+    """Through 4 m of leaves of all directions goes exp(-LAD / 2 * 4), within three standard errors and 4 %
+    of the depth."""
     medium, near_m = leaves(lad), NEAR_M
     rng, way_m, n = np.random.default_rng(6), 4.0, 4000
     sine = math.sin(math.radians(elevation_deg))

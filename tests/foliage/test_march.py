@@ -49,7 +49,8 @@ class Twin:
         return best if best[0] < far_m else MISS
 
     def leaves(self, o, d):
-        """First leaf: the voxel that the ray is in half-way through each slab says whether there is one in its way."""
+        """First leaf: the voxel that the ray is in half-way through each slab says whether there is one in
+        its way."""
         M = self.M
         main = int(np.argmax(np.abs(d)))
         one, two = (axis for axis in range(3) if axis != main)
@@ -145,7 +146,8 @@ class Twin:
 
 
 def marched(medium, origin_m, direction, axis=None, far_m=FAR_M):
-    """Ranges, surfaces and cosines of up to eight rays that are a pulse, whose middle is the first if none is given."""
+    """Ranges, surfaces and cosines of up to eight rays that are a pulse, whose middle is the first if none
+    is given."""
     L, n = lanes(), len(origin_m)
     L.origin_m[:, :n], L.direction[:, :n] = np.transpose(origin_m), np.transpose(direction)
     L.range_m[:], L.surface[:], L.cosine[:] = far_m, NO_SURFACE, 0.0
@@ -158,7 +160,8 @@ def marched(medium, origin_m, direction, axis=None, far_m=FAR_M):
 
 
 def within_m(medium, origin_m, direction):
-    """How far a ray goes before it is within 1 m of the edge of the grid, to the sides and below, 60 m at most."""
+    """How far a ray goes before it is within 1 m of the edge of the grid, to the sides and below, 60 m at
+    most."""
     low_m = np.array(medium.corner_m) + 1.0
     high_m = low_m + np.array(medium.brick.shape[:3]) * BRICK * VOXEL_M - [2.0, 2.0, -100.0]
     with np.errstate(divide="ignore"):
@@ -186,7 +189,8 @@ DIRECTIONS = {
 
 
 def some_rays(world, towards, count, seed=1):
-    """Rays (n, 3) in float32, relative to a window at (10, 10, 6), that begin over the ground and look about a direction."""
+    """Rays (n, 3) in float32, relative to a window at (10, 10, 6), that begin over the ground and look
+    about a direction."""
     rng = np.random.default_rng(seed)
     place_m = rng.uniform(-18, 38, (count, 2))
     over_m = 0.3 + rng.uniform(0, 2.5 if towards == "z" else 14, count)
@@ -203,7 +207,8 @@ def some_rays(world, towards, count, seed=1):
 
 @pytest.mark.parametrize("towards", DIRECTIONS)
 def test_rays_meet_what_they_meet_by_the_slow_twin(stand, towards):
-    """All of 450 rays but one (of 750 steep ones but two) meet the same surface, leaves and stems to 1 mm, the ground to 4 mm."""
+    """All of 450 rays but one (of 750 steep ones but two) meet the same surface, leaves and stems to 1 mm,
+    the ground to 4 mm."""
     world, window, medium = stand
     twin, good, hits, seen = Twin(medium), 0, 0, set()
     origin_m, direction = some_rays(world, towards, 750 if towards == "-z" else 450)
@@ -225,7 +230,8 @@ def test_rays_meet_what_they_meet_by_the_slow_twin(stand, towards):
 
 
 def test_light_that_leaves_the_grid_meets_nothing_beyond():
-    """A ray that leaves the top of a brick in the very middle of a slab does not go on in the brick of the next column."""
+    """A ray that leaves the top of a brick in the very middle of a slab does not go on in the brick of the
+    next column."""
     medium = lab.no_medium()._replace(
         brick=np.array([[[[0, 0]]], [[[2**64 - 1, 0]]]], "u8"),
         record=np.full(64, 60 | 60 << 7 | 60 << 14, "u4"),
@@ -252,7 +258,8 @@ def pulses_of_eight(world, count, seed=4):
 
 
 def test_a_ray_is_the_same_alone_and_in_any_order(stand):
-    """A sub-ray meets the same, bit by bit, alone, among the eight of its pulse, and with these in another order."""
+    """A sub-ray meets the same, bit by bit, alone, among the eight of its pulse, and with these in another
+    order."""
     world, _, medium = stand
     met, order = 0, np.array([3, 7, 0, 5, 1, 6, 2, 4])
     for axis, origin_m, direction in pulses_of_eight(world, 240):
@@ -269,7 +276,8 @@ def test_a_ray_is_the_same_alone_and_in_any_order(stand):
 
 @pytest.mark.parametrize("half_width", [0.05, 0.6, 3.0])
 def test_pulses_meet_the_stems_of_their_sector_as_those_of_the_whole_window(stand, half_width):
-    """What pulses that look into a sector, narrow or around, meet is the same with the stems listed for each of them alone."""
+    """What pulses that look into a sector, narrow or around, meet is the same with the stems listed for
+    each of them alone."""
     medium, rng, met, n = stand[2], np.random.default_rng(7), 0, 60
     for x_m, y_m in rng.choice(medium.stems.line[:, :2], 8):
         towards = math.atan2(y_m, x_m)
@@ -297,7 +305,8 @@ def test_pulses_meet_the_stems_of_their_sector_as_those_of_the_whole_window(stan
 
 
 def test_what_is_hit_before_hides_what_is_behind(stand):
-    """Light that is given up before a hit meets nothing, and light that is given up behind it meets the same."""
+    """Light that is given up before a hit meets nothing, and light that is given up behind it meets the
+    same."""
     world, _, medium = stand
     origin_m, direction = some_rays(world, "x", 200)
     for o, d in zip(origin_m, direction, strict=True):

@@ -41,7 +41,8 @@ def crown():
 
 @pytest.mark.parametrize("knot", range(3))
 def test_the_projected_area_of_a_cloud_is_that_of_its_faces(crown, knot):
-    """Over all azimuths the mean projected area equals brute force over all faces to 1 %, for wood and leaves each."""
+    """Over all azimuths the mean projected area equals brute force over all faces to 1 %, for wood and
+    leaves each."""
     meshes, cloud = crown
     for number, (mesh, share) in enumerate(zip(meshes, (0.5, 1.0), strict=True)):
         true_m2 = share * np.abs(normals(mesh) @ towards(KNOTS[knot]).T).sum(axis=0).mean()
@@ -66,7 +67,8 @@ def test_cosines_of_a_cloud_are_those_with_which_light_meets_its_faces(crown, kn
 
 
 def test_leaves_that_hide_each_other_count_once():
-    """Of four leaves behind one another an area like that of one is left; of leaves apart, all but a little."""
+    """Of four leaves behind one another an area like that of one is left; of leaves apart, all but a
+    little."""
     leaf_m = np.array([[0.0, 0.1, 0.1], [0.0, 0.16, 0.1], [0.0, 0.16, 0.16], [0.0, 0.1, 0.16]])
     behind = np.array([leaf_m + [x, 0, 0] for x in (0.1, 0.15, 0.2, 0.25)])
     apart = np.array([leaf_m + [0.1, y, 0] for y in (0.0, 0.1, 0.2, 0.3)])
@@ -77,7 +79,8 @@ def test_leaves_that_hide_each_other_count_once():
 
 
 def test_a_cloud_is_where_its_faces_are(monkeypatch):
-    """Where nothing is hidden, cells add up to the area of each mesh, and their middle is that of the faces, to a millimetre."""
+    """Where nothing is hidden, cells add up to the area of each mesh, and their middle is that of the
+    faces, to a millimetre."""
     monkeypatch.setattr(clouds_room, "kept_share", lambda corners, *_: np.ones(len(corners)))
     meshes = lab.Tiles().shape("crown")
     cloud = cloud_of(meshes, PARTS)
@@ -112,7 +115,8 @@ def blocks():
 
 @pytest.mark.parametrize("knot", range(3))
 def test_blocks_hold_all_the_area_of_what_stands_on_them(blocks, knot):
-    """Over nine tiles, area in voxels is that of the faces whose middles lie over them, to 3 %, by each elevation."""
+    """Over nine tiles, area in voxels is that of the faces whose middles lie over them, to 3 %, by each
+    elevation."""
     world, _, tiles, made = blocks
     code = [block.record >> np.uint32(7 * knot) & 127 for block in made.values()]
     found_m2 = sum(TAU_PER_M[own].sum() * VOXEL_M**3 for own in code)
@@ -134,7 +138,8 @@ def place_of(owner):
 
 
 def test_owners_have_their_shares(blocks):
-    """Each record's shares rise to 255, and over a block each owner has the area of its own cells, within rounding."""
+    """Each record's shares rise to 255, and over a block each owner has the area of its own cells, within
+    rounding."""
     _, library, tiles, made = blocks
     block = made[0, 0]
     ends = np.append(block.first_owner[1:], len(block.owner))
@@ -182,7 +187,8 @@ def test_a_block_depends_on_its_neighbours_only(blocks):
 
 
 def block(number, records, owners):
-    """Make a block whose numbers are its own; each record but the first has one owner, and that has the rest."""
+    """Make a block whose numbers are its own; each record but the first has one owner, and that has the
+    rest."""
     return Block(
         bottom=number,
         mask=np.full((10, 10, 1), number, np.uint64),
@@ -216,7 +222,8 @@ def same(one, other):
 
 
 def test_what_is_open_keeps_its_blocks_whatever_comes_and_goes():
-    """Blocks of the last two of many windows are as they were made, in the arrays that each window got; room that is free is used again."""
+    """Blocks of the last two of many windows are as they were made, in the arrays that each window got;
+    room that is free is used again."""
     rng, open_windows, shelf = np.random.default_rng(3), [], Shelf()
     for start in range(60):
         names = [(start + i, 0) for i in range(6)]

@@ -34,7 +34,8 @@ def test_a_line_of_one_point_and_a_doubled_point():
 
 
 def test_a_long_line_is_searched_in_pieces_without_loss():
-    """On a line of 1000 segments that winds back on itself the distance is that to the nearest of all segments."""
+    """On a line of 1000 segments that winds back on itself the distance is that to the nearest of all
+    segments."""
     turn = np.linspace(0, 12 * np.pi, 1001)
     line = np.column_stack([turn * np.cos(turn), turn * np.sin(turn)])
     points = RNG.uniform(-45, 45, (300, 2))

@@ -1,4 +1,5 @@
-"""Records of trees, stands grown tile by tile, solids and their sections, and leaves of meshes as quads (n, 4, 3)."""
+"""Records of trees, stands grown tile by tile, solids and their sections, and leaves of meshes as quads
+(n, 4, 3)."""
 
 from itertools import product
 

@@ -33,7 +33,8 @@ def test_tails_are_rounded_and_nothing_else(name: str, arguments: tuple[int], ed
 
 
 def test_what_follows_from_ziggurats_is_that_of_numpy() -> None:
-    """Normal, Rayleigh and beta numbers are numpy's own to a step of 2**-24, one by one and from the same state on."""
+    """Normal, Rayleigh and beta numbers are numpy's own to a step of 2**-24, one by one and from the same
+    state on."""
     own, true = generator(7, Growth.TREE, 3, -4), _plain()
     modes = np.linspace(0.1, 2.0, 5000)
     for name, arguments in (
@@ -47,7 +48,8 @@ def test_what_follows_from_ziggurats_is_that_of_numpy() -> None:
 
 
 def test_quantiles_are_those_of_scipy() -> None:
-    """Normal quantiles are within 2e-15 of scipy's, relatively, in the middle, in the tails and where they meet."""
+    """Normal quantiles are within 2e-15 of scipy's, relatively, in the middle, in the tails and where they
+    meet."""
     share = np.concatenate([np.linspace(1e-6, 1 - 1e-6, 20_001), np.geomspace(1e-13, 0.5, 500), [np.exp(-2)]])
     assert normal_quantile(share) == pytest.approx(special.ndtri(share), rel=2e-15, abs=1e-15)
 

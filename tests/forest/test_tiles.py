@@ -34,7 +34,8 @@ RUTS = ground(trail_spacing_m=10.0, trail_towards_deg=30.0)
     "terrain", [ground(pits_per_ha=600.0), RUTS, ROUGH], ids=["pits", "ruts", "old growth"]
 )
 def test_triangles_follow_the_ground_to_millimetres(terrain):
-    """In pits and ruts and on rough ground, where a grid of 0.5 m is off by 30 mm, one place in a thousand is off by 5 mm and none by 7."""
+    """In pits and ruts and on rough ground, where a grid of 0.5 m is off by 30 mm, one place in a thousand
+    is off by 5 mm and none by 7."""
     off = off_m(*ground_triangles((40.0, -20.0), EDGE_M, terrain.height_m), terrain.height_m)
     assert np.quantile(off, 0.999) < 0.005
     assert off.max() < 0.007
@@ -54,7 +55,8 @@ def test_even_ground_has_two_triangles_to_a_square():
 
 
 def test_triangles_cover_the_ground_once_without_cracks():
-    """Over four squares side by side each edge of a triangle is that of one other, but for those around all four."""
+    """Over four squares side by side each edge of a triangle is that of one other, but for those around
+    all four."""
     pieces, corners = [], [(x, y) for x in (0.0, 10.0) for y in (-10.0, 0.0)]
     for corner_m in corners:
         points_m, faces = ground_triangles(corner_m, EDGE_M, ROUGH.height_m)
@@ -78,7 +80,8 @@ LINE = np.array([[3.0, 5.0], [90.0, 40.0]])
 
 
 def test_no_tile_in_reach_is_left_out():
-    """Every point within reach of the line lies on one of the tiles, and no tile is farther than its diagonal beyond."""
+    """Every point within reach of the line lies on one of the tiles, and no tile is farther than its
+    diagonal beyond."""
     tiles = tiles_within(LINE, 50.0)
     points = np.random.default_rng(1).uniform(-80, 180, (20_000, 2))
     near = points[distance_m(points, LINE) < 50.0]
@@ -89,7 +92,8 @@ def test_no_tile_in_reach_is_left_out():
 
 
 def test_ground_vertices_are_terrain_heights(terrain):
-    """Each vertex of the grid, by rows from south to north, lies on the terrain, also far from the origin; every face looks up or out."""
+    """Each vertex of the grid, by rows from south to north, lies on the terrain, also far from the origin;
+    every face looks up or out."""
     key = TileKey(40_000, -3)
     mesh = ground_mesh(key, terrain.height_m)
     origin = tile_origin_m(key.ix, key.iy, terrain.height_m)

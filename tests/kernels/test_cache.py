@@ -32,11 +32,13 @@ def folder(tmp_path, monkeypatch):
 
 @pytest.fixture
 def package(tmp_path, monkeypatch):
-    """A package of a caster that takes a kernel, two ways, and settings with a table, of a medium that it knows nothing of, and of a verb."""
+    """A package of a caster that takes a kernel, two ways, and settings with a table, of a medium that it
+    knows nothing of, and of a verb."""
     folder = tmp_path / "package"
     texts = {
         "near/__init__.py": "",
-        "near/kernel.py": "from vlp16emu.near import (\n    trig as t,\n)\n\ndef late():\n    from vlp16emu.settings import x\n",
+        "near/kernel.py": "from vlp16emu.near import (\n    trig as t,\n)\n\ndef late():\n    from "
+        "vlp16emu.settings import x\n",
         "near/trig.py": "x = 1\n",
         "settings.py": "x = 1\n",
         "units.toml": "x = 1\n",
@@ -86,7 +88,8 @@ def is_compiled_anew():
 
 
 def test_time_and_place_change_nothing(package, tmp_path, monkeypatch):
-    """Neither a `touch` nor another folder of the same files has kernels of its own: the second installation compiles nothing."""
+    """Neither a `touch` nor another folder of the same files has kernels of its own: the second
+    installation compiles nothing."""
     before = named("near.kernel")
     for path in package.rglob("*.py"):
         os.utime(path, (1.0, 1.0))
@@ -108,7 +111,8 @@ def test_time_and_place_change_nothing(package, tmp_path, monkeypatch):
     ],
 )
 def test_content_changes_what_is_made_of_it(package, name, near, far):
-    """A change of a file renames the kernels of its module and of all that import it, also inside functions, and no others."""
+    """A change of a file renames the kernels of its module and of all that import it, also inside
+    functions, and no others."""
     before = named("near.kernel"), named("near.kernel", "far.medium")
     (package / name).write_text("x = 2\n")
     assert (named("near.kernel") != before[0], named("near.kernel", "far.medium") != before[1]) == (near, far)
@@ -197,7 +201,8 @@ def test_a_planted_kernel_does_not_run(folder, tmp_path):
 
 
 def test_kernels_of_a_wheel_are_read_and_left_as_they_are(folder, monkeypatch, tmp_path):
-    """Kernels that lie in the package serve without anything written elsewhere, and a damaged one is compiled."""
+    """Kernels that lie in the package serve without anything written elsewhere, and a damaged one is
+    compiled."""
     is_compiled_anew()
     carried = folder.rename(tmp_path / "carried")
     (file,) = carried.iterdir()
@@ -219,7 +224,8 @@ def test_kernels_of_others_are_left_to_numba():
 
 
 def test_a_kernel_of_another_one_is_no_file_until_it_is_called(folder):
-    """A kernel that only another one calls is compiled into that one; called from Python it is compiled for itself."""
+    """A kernel that only another one calls is compiled into that one; called from Python it is compiled
+    for itself."""
     module = {"numba": numba, "__name__": "vlp16emu.room"}
     exec(TWO_KERNELS, module)
     inner, outer = module["inner"], module["outer"]
@@ -236,7 +242,8 @@ def test_a_kernel_of_another_one_is_no_file_until_it_is_called(folder):
 
 
 def test_a_kernel_from_a_file_is_compiled_into_another_one(folder):
-    """A kernel that was loaded can be called by one that is compiled later, ours or a program's own, and from Python as before."""
+    """A kernel that was loaded can be called by one that is compiled later, ours or a program's own, and
+    from Python as before."""
     for _ in range(2):  # the second time `inner` is loaded
         module = {"numba": numba, "__name__": "vlp16emu.room"}
         exec(TWO_KERNELS, module)
@@ -250,7 +257,8 @@ def test_a_kernel_from_a_file_is_compiled_into_another_one(folder):
 
 
 def test_a_loaded_kernel_needs_no_compiler():
-    """A program that finds its kernels on disk does not load the part of numba that types and lowers functions."""
+    """A program that finds its kernels on disk does not load the part of numba that types and lowers
+    functions."""
     program = "import sys; from vlp16emu.random import normal; normal(1, 2, 0, 2); print(*sys.modules)"
     runs = [subprocess.check_output([sys.executable, "-c", program], text=True) for _ in range(2)]
     assert ["numba.np.npyimpl" in modules.split() for modules in runs] == [True, False]
@@ -277,14 +285,16 @@ except KeyboardInterrupt:
 
 
 def test_a_signal_while_a_kernel_is_loaded_interrupts():
-    """Ctrl-C in LLVM's call for a kernel's code, which cannot propagate it, raises KeyboardInterrupt; the kernel can be loaded again."""
+    """Ctrl-C in LLVM's call for a kernel's code, which cannot propagate it, raises KeyboardInterrupt; the
+    kernel can be loaded again."""
     for program in ("from vlp16emu.random import normal; normal(1, 2, 0, 2)", INTERRUPTED_LOAD):
         said = subprocess.check_output([sys.executable, "-c", program], text=True, stderr=subprocess.DEVNULL)
     assert said == "interrupted (2,)\n"
 
 
 def test_the_target_is_fixed(monkeypatch):
-    """Kernels are for a level of the x86-64 psABI that the processor has, for another one where that is named."""
+    """Kernels are for a level of the x86-64 psABI that the processor has, for another one where that is
+    named."""
     assert cpu_target.target_context.codegen().magic_tuple()[1:] == compiler._target()
     has = dict.fromkeys([feature for needs in compiler._TARGETS.values() for feature in needs], True)
     monkeypatch.setattr(binding, "get_host_cpu_features", lambda: has)

@@ -88,7 +88,8 @@ def compiled_by_a_program(tmp_path, folder, before=""):
 
 
 def test_what_lacks_is_compiled_once(tmp_path):
-    """Other processes compile the kernels of a group that are neither there nor gone; one that cannot be is tried once."""
+    """Other processes compile the kernels of a group that are neither there nor gone; one that cannot be
+    is tried once."""
     printed = compiled_by_a_program(tmp_path, tmp_path / "kernels")
     assert printed == (["(0, 3) (3, 3)", "", "(0, 1) (1, 1)"], "")
     assert len([*tmp_path.rglob("*.kernel")]) == 4
@@ -140,7 +141,8 @@ def test_without_private_interfaces_the_numbers_are_the_same(tmp_path):
 
 
 def test_known_interfaces_are_checked_by_a_kernel(monkeypatch):
-    """With a newer numba a kernel is compiled through all interfaces; if it fails, kernels are compiled in numba's way."""
+    """With a newer numba a kernel is compiled through all interfaces; if it fails, kernels are compiled in
+    numba's way."""
     monkeypatch.delenv("VLP16EMU_NUMBA", raising=False)
     numba_private.check_interfaces()
     monkeypatch.setattr(compiler, "_KNOWN", (0, 1))

@@ -71,7 +71,8 @@ def test_a_receiver_reports_at_most_999_knots(speed_m_s, reported_m_s):
 
 @pytest.mark.parametrize("lag_s", [0, 30, 120, 600])
 def test_wander_has_the_autocovariance_it_states(lag_s):
-    """Over 2000 seeds the product of two seconds a lag apart has the mean exp(-lag / 120 s), within 5 sigma."""
+    """Over 2000 seeds the product of two seconds a lag apart has the mean exp(-lag / 120 s), within 5
+    sigma."""
     first_s = 1_780_000_000
     pairs = [
         wander(seed, 0, first_s, 120.0) * wander(seed, 0, first_s + lag_s, 120.0) for seed in range(2000)
@@ -83,7 +84,8 @@ def test_wander_has_the_autocovariance_it_states(lag_s):
 
 @pytest.mark.parametrize(("cover", "factor"), [(0.0, 1.0), (0.5, 2.0), (1.0, 3.0)])
 def test_errors_have_their_sigmas_and_grow_with_cover(cover, factor):
-    """Over 1000 seeds position and velocity errors are normal with the stated sigma times the factor of the cover, and of each axis its own."""
+    """Over 1000 seeds position and velocity errors are normal with the stated sigma times the factor of
+    the cover, and of each axis its own."""
     readings = [receiver(NOISY, seed=seed, sky=lambda _t, _p: cover).reading(at(0)) for seed in range(1000)]
     position_m = np.array([r.measured_m[:2] - r.antenna_m[:2] for r in readings])
     velocity_m_s = np.array([r.measured_m_s - r.velocity_m_s[:2] for r in readings])
@@ -103,13 +105,15 @@ def test_consecutive_seconds_share_what_wanders_only():
 
 @pytest.mark.parametrize(("cover", "lost"), [(0.8, 0.1192), (0.9, 0.5), (1.0, 0.8808)])
 def test_fixes_fail_as_the_logistic_curve_says(cover, lost):
-    """Over 1000 seeds the share of seconds without fix is 1 / (1 + exp(-(cover - 0.9) / 0.05)), within 5 sigma."""
+    """Over 1000 seeds the share of seconds without fix is 1 / (1 + exp(-(cover - 0.9) / 0.05)), within 5
+    sigma."""
     valid = [receiver(seed=seed, sky=lambda _t, _p: cover).reading(at(0)).valid for seed in range(1000)]
     assert 1 - np.mean(valid) == pytest.approx(lost, abs=5 * math.sqrt(lost * (1 - lost) / 1000))
 
 
 def test_fixes_fail_in_spells():
-    """The second after one without fix has none either in 1/2 + asin(exp(-0.1)) / pi of all cases, over 10 seeds."""
+    """The second after one without fix has none either in 1/2 + asin(exp(-0.1)) / pi of all cases, over 10
+    seeds."""
     again = []
     for seed in range(10):
         there = receiver(seed=seed, sky=lambda _t, _p: 0.9)
@@ -119,7 +123,8 @@ def test_fixes_fail_in_spells():
 
 
 def test_a_lost_fix_repeats_the_last_one():
-    """Under a roof that is entered at second 100 the numbers stay those of second 99, and the status says so."""
+    """Under a roof that is entered at second 100 the numbers stay those of second 99, and the status says
+    so."""
     hidden = NOISY.model_copy(update={"canopy_half_cover": 0.5})
     walk = receiver(hidden, velocity_m_s=(1.0, 0.0, 0.0), sky=lambda t_ns, _p: float(t_ns >= at(100)))
     last = walk.fix(at(99))
@@ -168,7 +173,8 @@ ORIGINS = [
     "offset_m", [(300.0, 0.0, 2.0), (0.0, 30_000.0, -40.0), (-100_000.0, 100_000.0, 9000.0)]
 )
 def test_a_point_lies_where_pymap3d_puts_it(origin, offset_m):
-    """The geodetic point of an offset to the east, north and up is that of pymap3d, and leads back to it, within 1 um."""
+    """The geodetic point of an offset to the east, north and up is that of pymap3d, and leads back to it,
+    within 1 um."""
     place = pymap3d.enu2geodetic(*offset_m, origin.latitude_deg, origin.longitude_deg, origin.height_m)
     found = to_geodetic(np.array([offset_m]), origin)[0]
     gap_m = np.array(pymap3d.geodetic2ecef(*found)) - pymap3d.geodetic2ecef(*place)

@@ -21,7 +21,8 @@ def test_mount_that_changes_nothing_costs_nothing():
 
 
 def test_lever_arm_and_tilt_are_in_the_carriers_frame():
-    """On a carrier that looks north, an arm forward points north and a tilt nose down looks down northwards."""
+    """On a carrier that looks north, an arm forward points north and a tilt nose down looks down
+    northwards."""
     device = mounted(tripod(), Mount(lever_arm_m=(0.5, 0.0, 0.2), pitch_deg=90.0), START_NS)
     poses = device.poses_at(np.arange(5))
     assert len(poses.t_ns) == 1
@@ -32,7 +33,8 @@ def test_lever_arm_and_tilt_are_in_the_carriers_frame():
 
 
 def test_spinning_stage_turns_the_tilted_device():
-    """After a quarter of a turn counter-clockwise about the carrier's z, a device tilted forward is tilted left."""
+    """After a quarter of a turn counter-clockwise about the carrier's z, a device tilted forward is tilted
+    left."""
     device = mounted(tripod(), Mount(pitch_deg=30.0, spin_hz=0.5, spin_axis=(0.0, 0.0, 2.0)), START_NS)
     assert device.moves
     t_ns = START_NS + np.array([0, 500_000_000, 86_400 * 10**9 + 500_000_000])
@@ -70,7 +72,8 @@ def test_poses_and_kinematics_are_one_function(spin_hz):
 
 @pytest.mark.parametrize("spins", [False, True])
 def test_rates_are_the_derivatives_of_poses(spins):
-    """Velocity, angular rate and both accelerations of a pack in loose straps, and of a tilted device that spins on it, equal differences."""
+    """Velocity, angular rate and both accelerations of a pack in loose straps, and of a tilted device that
+    spins on it, equal differences."""
     motion = walking(harness=straps((2.5, 3.0, 2.0, 3.0, 3.0, 2.5), 0.2))
     if spins:
         turns = {"yaw_deg": 20.0, "pitch_deg": 30.0, "roll_deg": -10.0, "spin_hz": 0.5}

@@ -51,7 +51,8 @@ def test_packed_again(request, capture, mode):
 
 
 def test_time_steps(real_single, real_dual):
-    """Stamps of single return step by 1327 (261 times) or 1328 us (31), within 1 us of 1327.104 us; those of dual return by 663.552 us to 1 ns."""
+    """Stamps of single return step by 1327 (261 times) or 1328 us (31), within 1 us of 1327.104 us; those
+    of dual return by 663.552 us to 1 ns."""
     stamps_us = data_fields(real_single)["timestamp_us"].astype(np.int64)
     steps, counts = np.unique(np.diff(stamps_us), return_counts=True)
     assert dict(zip(steps.tolist(), counts.tolist(), strict=True)) == {1327: 261, 1328: 31}
@@ -92,7 +93,8 @@ def test_pairs_of_dual_return(real_dual):
 
 
 def test_positions(real_position):
-    """Position packets and their sentences are packed again to the same bytes; a sentence names the second whose edge came last before the stamp."""
+    """Position packets and their sentences are packed again to the same bytes; a sentence names the second
+    whose edge came last before the stamp."""
     for _, payload in real_position:
         fields = decode_position(payload)
         assert rmc(parse_rmc(fields.sentence)) == fields.sentence

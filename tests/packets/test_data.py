@@ -79,7 +79,8 @@ def azimuth_codes(reading_deg):
 
 
 def test_every_azimuth_code():
-    """Each of the 36000 whole hundredths of a degree becomes its code, between two the lower is sent, never 36000; nothing gives no packets."""
+    """Each of the 36000 whole hundredths of a degree becomes its code, between two the lower is sent,
+    never 36000; nothing gives no packets."""
     np.testing.assert_array_equal(azimuth_codes(np.arange(36000) / 100), np.arange(36000))
     codes = azimuth_codes(np.array([0.0099, 123.4567, 359.9999, 359.9999999999, np.nextafter(360, 0)]))
     assert codes.tolist() == [0, 12345, 35999, 0, 0]
@@ -87,7 +88,8 @@ def test_every_azimuth_code():
 
 
 def test_distance_codes():
-    """Distances are rounded to 2 mm; less than 0.5 m or more than 16 bits is no return; reflectivity stays."""
+    """Distances are rounded to 2 mm; less than 0.5 m or more than 16 bits is no return; reflectivity
+    stays."""
     sent_m = np.array(
         [0, 0.002, 0.498, 0.5, 0.501, 0.5011, 1.2345, 99.9989, 131.07, 131.072, 500], np.float32
     )
@@ -103,9 +105,12 @@ def test_distance_codes():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"reading_deg": np.full(24, np.nan)}, "firings.reading_deg: from nan to nan; expected finite numbers from 0 upwards"),
-        ({"distance_m": np.full((24, 16, 3), -1, np.float32)}, "distance_m: from -1.0 to 0.0; expected finite numbers from 0 upwards"),
-        ({"distance_m": np.full((24, 16, 3), np.inf, np.float32)}, "distance_m: from 0.0 to inf; expected finite numbers from 0 upwards"),
+        ({"reading_deg": np.full(24, np.nan)}, ("firings.reading_deg: from nan to nan; expected finite "
+                                               "numbers from 0 upwards")),
+        ({"distance_m": np.full((24, 16, 3), -1, np.float32)}, ("distance_m: from -1.0 to 0.0; expected "
+                                                               "finite numbers from 0 upwards")),
+        ({"distance_m": np.full((24, 16, 3), np.inf, np.float32)}, ("distance_m: from 0.0 to inf; "
+                                                                   "expected finite numbers from 0 upwards")),
     ],
 )  # fmt: skip
 def test_refuses_what_cannot_be_packed(changes, message):

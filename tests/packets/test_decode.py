@@ -36,7 +36,8 @@ def steady(mode, packets, start_deg=358.0, step_deg=0.1990656, clock_ns=0):
 
 
 def slow_points(payloads, model):
-    """Decode the obvious way: tuples of packet, laser, azimuth in degrees, x, y, z in metres, pulse by pulse."""
+    """Decode the obvious way: tuples of packet, laser, azimuth in degrees, x, y, z in metres, pulse by
+    pulse."""
     packets = payloads.view(DATA_PAYLOAD)[:, 0]
     stride = 2 if packets["return_mode"][0] == 0x39 else 1
     for p, b in itertools.product(range(len(packets)), range(0, 12, stride)):
@@ -59,7 +60,8 @@ def slow_points(payloads, model):
 @pytest.mark.parametrize("mode", ReturnMode)
 @pytest.mark.parametrize("model", [SensorModel.VLP_16, SensorModel.PUCK_HI_RES])
 def test_against_slow_twin(mode, model):
-    """Azimuths and coordinates are those of a loop over the manual's formulas, with its y as x and its -x as y."""
+    """Azimuths and coordinates are those of a loop over the manual's formulas, with its y as x and its -x
+    as y."""
     payloads = data_payloads(random_returns(24 * 4, seed=21), mode, model)
     points = decode_data(payloads, keep_no_returns=True)
     packet, laser, azimuth_deg, *xyz_m = np.array(list(slow_points(payloads, model))).T
@@ -73,7 +75,8 @@ def test_against_slow_twin(mode, model):
 
 @pytest.mark.parametrize("mode", ReturnMode)
 def test_dropping_no_returns(mode):
-    """Without the pulses that found nothing the other records are the same, in the same order; no packets give no points."""
+    """Without the pulses that found nothing the other records are the same, in the same order; no packets
+    give no points."""
     assert len(decode_data(np.zeros((0, 1206), np.uint8), keep_no_returns=True).laser) == 0
     payloads = data_payloads(random_returns(24 * 3, seed=22), mode, VLP_16)
     every, some = (decode_data(payloads, keep_no_returns=keep) for keep in (True, False))

@@ -24,7 +24,8 @@ def slow_checksum(data: bytes) -> int:
 
 @pytest.mark.parametrize("number", [0, 1, 0x8537, 0xFFFF])
 def test_position_frame_has_valid_checksums(number):
-    """Both checksums of a position frame are those of a sum made word by word, and its fields are the real ones."""
+    """Both checksums of a position frame are those of a sum made word by word, and its fields are the real
+    ones."""
     frame = position_frame(FACTORY_LINK, bytes(range(256)) * 2, number)
     ip, udp = frame[14:34], frame[34:]
     assert len(frame) == 554
@@ -35,7 +36,8 @@ def test_position_frame_has_valid_checksums(number):
 
 
 def test_position_frames_at_their_limits():
-    """Packet 65536 has the identification of packet 0; a UDP checksum of 0, which means none, is sent as 0xFFFF (RFC 768)."""
+    """Packet 65536 has the identification of packet 0; a UDP checksum of 0, which means none, is sent as
+    0xFFFF (RFC 768)."""
     payload = bytes(512)
     assert position_frame(FACTORY_LINK, payload, 0x10000) == position_frame(FACTORY_LINK, payload, 0)
     payload = bytearray(512)

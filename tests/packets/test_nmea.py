@@ -37,7 +37,8 @@ def fields(**changes):
 
 
 def test_real_sentences_are_read():
-    """What a real unit echoed is written back byte for byte; one of another receiver, without decimals in its time, is read too."""
+    """What a real unit echoed is written back byte for byte; one of another receiver, without decimals in
+    its time, is read too."""
     assert rmc(parse_rmc(REAL)) == REAL
     fix = parse_rmc(OTHER)
     assert fix.t_ns == int(datetime(2015, 7, 23, 21, 41, 6, tzinfo=UTC).timestamp()) * 10**9
@@ -47,7 +48,8 @@ def test_real_sentences_are_read():
 
 
 def test_by_hand():
-    """Each field and the checksum are what arithmetic on paper gives; without a fix V and N; what rounds up to 60 minutes or 360 degrees goes on."""
+    """Each field and the checksum are what arithmetic on paper gives; without a fix V and N; what rounds
+    up to 60 minutes or 360 degrees goes on."""
     assert rmc(FIX) == signed(b"GPRMC,081802.00,A,6214.4000000,N,02545.0000000,E,2.333,90.0,210116,0.0,E,A")
     void = fields(valid=False)
     assert (void[2], void[12][0]) == ("V", "N")
@@ -66,7 +68,8 @@ def test_by_hand():
     [(0, "0.000"), (99.998, "99.998"), (99.9996, "100.00"), (100, "100.00"), (999, "999.00")],
 )
 def test_speed_takes_six_characters_at_most(knots, field):
-    """From 100 knots on a speed has two decimals, so that the longest sentence has the 82 characters of NMEA 0183."""
+    """From 100 knots on a speed has two decimals, so that the longest sentence has the 82 characters of
+    NMEA 0183."""
     longest = dataclasses.replace(FIX, speed_m_s=knots * 1852 / 3600, course_deg=212.5)
     assert rmc(longest).decode().split(",")[7] == field
     assert len(rmc(longest)) <= 82

@@ -16,7 +16,8 @@ rates = pytest.mark.parametrize("rate", ["measured", "manual"])
 
 
 def test_bytes():
-    """Without GPS all but the time is zero; with it state and sentence, of 128 bytes at most, stand at 202 and 206; the clock rolls over."""
+    """Without GPS all but the time is zero; with it state and sentence, of 128 bytes at most, stand at 202
+    and 206; the clock rolls over."""
     payload = pack_position(0x12345678 * 1000 + 999, PpsState.ABSENT, b"")
     assert payload == bytes(198) + b"\x78\x56\x34\x12" + bytes(310)
     payload = pack_position(0, PpsState.LOCKED, SENTENCE)
@@ -44,7 +45,8 @@ def test_refuses_sentences(sentence, message):
 
 
 def test_rates_are_those_of_real_units_and_of_the_manual():
-    """Mean 6.86 ms and 3.17 ms of standard deviation within 0.2 and 5 percent, stamps 0.98 ms younger than of data; by the manual 53.8 per second."""
+    """Mean 6.86 ms and 3.17 ms of standard deviation within 0.2 and 5 percent, stamps 0.98 ms younger than
+    of data; by the manual 53.8 per second."""
     interval_ms = np.diff(position_due_ns("measured", 1, START_NS, 0, 20_000)) / 1e6
     assert interval_ms.mean() == pytest.approx(6.859, rel=0.002)
     assert interval_ms.std() == pytest.approx(3.165, rel=0.05)
@@ -57,7 +59,8 @@ def test_rates_are_those_of_real_units_and_of_the_manual():
 
 
 def test_jitter_is_uniform_and_of_the_seed():
-    """Against its place in the 102 of a cycle a packet is late by 0 to 0.38 ms, evenly, otherwise per seed."""
+    """Against its place in the 102 of a cycle a packet is late by 0 to 0.38 ms, evenly, otherwise per
+    seed."""
     late_ms = []
     for seed in (1, 2):
         due_ns = position_due_ns("measured", seed, 0, 0, 102 * 100).reshape(100, 102)

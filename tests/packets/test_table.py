@@ -40,7 +40,8 @@ def made(mode, clock):
 
 @pytest.mark.parametrize("mode", ReturnMode)
 def test_a_row_has_the_fields_of_its_payload(mode):
-    """Each field of a payload is a column, the last bytes of a row are the payload, and number and arrival stand before."""
+    """Each field of a payload is a column, the last bytes of a row are the payload, and number and arrival
+    stand before."""
     payloads, packets = made(mode, PacketClock())
     fields = payloads.view(DATA_PAYLOAD)[:, 0]
     for name in DATA_PAYLOAD.names:
@@ -52,7 +53,8 @@ def test_a_row_has_the_fields_of_its_payload(mode):
 
 @pytest.mark.parametrize("mode", ReturnMode)
 def test_points_are_decoded_with_the_utc_of_each_pulse(mode):
-    """Points of a table are those of its payloads; their UTC in whole hours is the time that the manual gives each pulse."""
+    """Points of a table are those of its payloads; their UTC in whole hours is the time that the manual
+    gives each pulse."""
     payloads, packets = made(mode, PacketClock())
     points = points_in(packets)
     expected = decode_data(payloads, keep_no_returns=False)

@@ -48,7 +48,8 @@ def veloview_calibration(path):
 
 @sensors
 def test_ros_file(protocol, timing, data_packet, model):
-    """The YAML file has all keys that velodyne_pointcloud reads: elevations (rad), vertical corrections (m), the scale, else zeros."""
+    """The YAML file has all keys that velodyne_pointcloud reads: elevations (rad), vertical corrections
+    (m), the scale, else zeros."""
     document = yaml.safe_load(
         (protocol / "calibration" / f"{SENSORS[model]}.yaml").read_text(encoding="utf-8")
     )
@@ -69,7 +70,8 @@ def test_ros_file(protocol, timing, data_packet, model):
 
 @sensors
 def test_veloview_file(protocol, timing, model):
-    """The XML file holds the stated elevations (deg), vertical corrections (cm) and distance scale, else zeros."""
+    """The XML file holds the stated elevations (deg), vertical corrections (cm) and distance scale, else
+    zeros."""
     scale_m, lasers = veloview_calibration(protocol / "calibration" / f"{SENSORS[model]}.xml")
     table = timing["beams"][model]
     assert scale_m == 0.002

@@ -132,7 +132,8 @@ def numbers(text):
 
 @pytest.mark.parametrize("name", ["strongest", "last", "hi-res", "dual"])
 def test_records(seen, oracle, name):
-    """Laser, elevation, firing time, distance and reflectivity of all 384 records, and flag, azimuth and kind of all blocks, are those in the bytes."""
+    """Laser, elevation, firing time, distance and reflectivity of all 384 records, and flag, azimuth and
+    kind of all blocks, are those in the bytes."""
     records, shown = oracle.records(GOOD[name]), seen[name]
     assert numbers(shown["laser"]) == [record["laser"] for record in records]
     assert numbers(shown["elevation"]) == [record["elevation_deg"] for record in records]

@@ -64,7 +64,8 @@ def table_leaves(tables, table, base=0):
 
 
 def test_rows_fill_the_position_packet(position_packet):
-    """The rows follow each other without gap or overlap, to the end; those of the other tables are the dtypes themselves."""
+    """The rows follow each other without gap or overlap, to the end; those of the other tables are the
+    dtypes themselves."""
     end = 0
     for row in position_packet["payload"]:
         assert row["offset"] == end, row["name"]
@@ -86,7 +87,8 @@ def test_every_row_names_its_source(data_packet, position_packet):
 
 
 def test_data_dtype_is_the_table(data_packet):
-    """The dtype of the data payload has the fields, offsets and types of data_packet.toml, all 795 of them."""
+    """The dtype of the data payload has the fields, offsets and types of data_packet.toml, all 795 of
+    them."""
     stated = list(table_leaves(data_packet, "payload"))
     assert list(leaves(layout.DATA_PAYLOAD)) == stated
     assert len(stated) == 12 * (2 + 32 * 2) + 3

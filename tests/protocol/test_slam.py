@@ -1,4 +1,5 @@
-"""Configurations of SLAM programs, read by loaders of their formats; their names are held against the sources."""
+"""Configurations of SLAM programs, read by loaders of their formats; their names are held against the
+sources."""
 
 import json
 import re
@@ -53,7 +54,8 @@ def keys_of(name, text):
 
 
 def test_the_folder_is_filled_from_the_templates(protocol, tool_named):
-    """Each file of protocol/slam is a template filled for the default rig, there is no other, and the page links all."""
+    """Each file of protocol/slam is a template filled for the default rig, there is no other, and the page
+    links all."""
     there = {path.name: path.read_text(encoding="utf-8") for path in (protocol / "slam").iterdir()}
     page = there.pop("README.md")
     assert there == tool_named("slam_files").made()
@@ -63,7 +65,8 @@ def test_the_folder_is_filled_from_the_templates(protocol, tool_named):
 
 @pytest.mark.parametrize(("program", "name"), FILES, ids=str)
 def test_names_are_those_of_the_source(program, name):
-    """A loader reads each file, and no parameter has a name that its program does not read, which it would ignore."""
+    """A loader reads each file, and no parameter has a name that its program does not read, which it would
+    ignore."""
     rows = NAMES[program.name]
     keys = keys_of(name, configurations(program, Rig(300.0))[name])
     known = {f"{root}{key}" for root in rows.get("roots", [""]) for key in rows["names"]}
@@ -119,18 +122,21 @@ def test_json_reads_as_written():
 
 
 def test_lua_reads_as_written(tmp_path):
-    """A Lua interpreter that has Cartographer's tables runs the file, and finds our values in what it returns and sets."""
+    """A Lua interpreter that has Cartographer's tables runs the file, and finds our values in what it
+    returns and sets."""
     tshark = shutil.which("tshark")
     if not tshark:
         pytest.skip("tshark, which brings Lua, is not installed")
     text = configurations(programs()["cartographer"], Rig())["cartographer.lua"]
     (tmp_path / "probe.lua").write_text(
         "included = 0; function include(name) included = included + 1 end\n"
-        "function tables() return setmetatable({}, {__index = function(t, k) rawset(t, k, tables()); return rawget(t, k) end}) end\n"
+        "function tables() return setmetatable({}, {__index = function(t, k) rawset(t, k, tables()); "
+        "return rawget(t, k) end}) end\n"
         "MAP_BUILDER, TRAJECTORY_BUILDER, TRAJECTORY_BUILDER_3D, POSE_GRAPH = {}, {}, {}, tables()\n"
         f"local function configuration()\n{text}end\n"
         "local options = configuration()\n"
-        "print('found', included, options.tracking_frame, options.num_point_clouds, options.map_builder == MAP_BUILDER,\n"
+        "print('found', included, options.tracking_frame, options.num_point_clouds, options.map_builder "
+        "== MAP_BUILDER,\n"
         "      TRAJECTORY_BUILDER_3D.num_accumulated_range_data, POSE_GRAPH.constraint_builder.min_score)\n"
     )
     (tmp_path / "empty.pcap").write_bytes(struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1))
@@ -141,7 +147,8 @@ def test_lua_reads_as_written(tmp_path):
 
 @pytest.mark.parametrize("name", ["a-loam", "lego-loam", "hdl-graph-slam"])
 def test_launch_files_read_as_written(name):
-    """A launch file is XML: remaps stand before the launch file that they hold for, parameters behind it, where the last value holds."""
+    """A launch file is XML: remaps stand before the launch file that they hold for, parameters behind it,
+    where the last value holds."""
     (text,) = configurations(programs()[name], Rig(rpm=300.0)).values()
     root = ET.fromstring(text)
     kinds = [child.tag for child in root]
@@ -171,8 +178,8 @@ def pose(place_m, euler_deg):
 def test_extrinsics_have_the_direction_that_each_program_wants():
     """A point that the lidar sees is at the same place for all of them.
 
-    FAST-LIO2 has the lidar in the unit's frame, LIO-SAM and GLIM the unit in the lidar's, DLIO both in the body's, RKO-LIO the
-    unit in its base, the lidar.
+    FAST-LIO2 has the lidar in the unit's frame, LIO-SAM and GLIM the unit in the lidar's, DLIO both in the
+    body's, RKO-LIO the unit in its base, the lidar.
     """
     base_T_lidar, base_T_imu = pose((0.1, -0.2, 0.5), (30, 5, -8)), pose((-0.05, 0.02, 0.1), (-90, 0, 3))
     imu = {"rate_hz": 100, "accel_noise_m_s2_sqrt_hz": 1.2e-3, "gyro_noise_rad_s_sqrt_hz": 0.0}

@@ -54,7 +54,8 @@ def test_beam_table(timing):
     ("model", "tolerance_mm"), [(SensorModel.VLP_16, 0.06), (SensorModel.PUCK_HI_RES, 0.5)]
 )
 def test_all_beams_pass_the_lens(timing, model, tolerance_mm):
-    """The stated lens radius explains every vertical correction of the VLP-16 to the last digit of the table."""
+    """The stated lens radius explains every vertical correction of the VLP-16 to the last digit of the
+    table."""
     radius_mm = timing["beams"]["lens"]["radius_mm"]
     assert radius_mm == pytest.approx(sensor.LENS_RADIUS_M * 1e3)
     table = beams(timing, model)

@@ -163,7 +163,8 @@ CROWN_PARTS = PlantPart.BRANCH_FIRST_ORDER, PlantPart.LEAF
 
 
 def crown():
-    """Branches and leaves in a ball of 2 m about 3 m over the origin, more faces than are taken one by one."""
+    """Branches and leaves in a ball of 2 m about 3 m over the origin, more faces than are taken one by
+    one."""
     rng, twigs = np.random.default_rng(5), 40
 
     def ball(count):
@@ -192,7 +193,8 @@ def bumpy(x, y):
 
 
 class Tiles:
-    """Squares of ground with stems, crowns over some of them, and stones; a `World` that is a medium beyond `near_m`."""
+    """Squares of ground with stems, crowns over some of them, and stones; a `World` that is a medium
+    beyond `near_m`."""
 
     name = ""
     parts = MappingProxyType({"crown": CROWN_PARTS, "stone": (PlantPart.NONE,)})
@@ -359,7 +361,8 @@ def sight_of(medium, axes, far_m, aside_m=0.0, spread=0.0):
 
 
 def march_through(medium, lanes, count, line, far_m, aside_m=0.0, spread=0.0, ahead=None):
-    """Follow a pulse's lanes, `count` of them, through a medium; its middle is `line` (6,), what is `ahead` by `sight_of`."""
+    """Follow a pulse's lanes, `count` of them, through a medium; its middle is `line` (6,), what is
+    `ahead` by `sight_of`."""
     line = np.array(line, "f4")
     ahead = ahead or sight_of(medium, line[None], far_m, aside_m, spread)
     pulse = Pulse(lanes, count, np.float32(medium.near_m), line, np.float32(aside_m), np.float32(spread))

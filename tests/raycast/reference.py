@@ -42,7 +42,8 @@ def flatten(window, shape):
 
 
 def sub_rays(firings, beam, from_m, first, count):
-    """Origins in metres from `from_m` (3,) and directions (k, L, count, 3) of sub-rays from `first` on, as the kernel lays them."""
+    """Origins in metres from `from_m` (3,) and directions (k, L, count, 3) of sub-rays from `first` on, as
+    the kernel lays them."""
     pulses = firings.origin_m, firings.direction, beam_axis_of(firings, beam), from_m
     rays = np.empty((*firings.t_ns.shape, -(-count // ROUND), 6, ROUND), np.float32)
     axes, laid = np.empty((4, 3), np.float32), np.empty((7, ROUND), np.float32)
@@ -58,7 +59,8 @@ def sub_rays(firings, beam, from_m, first, count):
 
 
 class ReferenceScene:
-    """A window as one soup of triangles, (t, 3, 3) float64; a new one for each instant where something moves."""
+    """A window as one soup of triangles, (t, 3, 3) float64; a new one for each instant where something
+    moves."""
 
     def __init__(self, window, shape):
         self._origin_m, self.surfaces = window.origin_m, window.surfaces

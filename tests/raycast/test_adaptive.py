@@ -34,7 +34,8 @@ def test_what_is_agreed_on_is_enough():
 
 
 def test_a_tie_is_not_enough_until_more_rays_would_not_pay():
-    """Half here and half 5 m behind needs more than one round, and not more than 64 sub-rays at a target of 3 cm."""
+    """Half here and half 5 m behind needs more than one round, and not more than 64 sub-rays at a target
+    of 3 cm."""
     assert not asked([20.0] * 4 + [21.8] * 4)
     assert asked([20.0] * 32 + [21.8] * 32)
     assert not asked([20.0] * 32 + [21.8] * 32, target_m=0.015)
@@ -66,7 +67,8 @@ def test_what_is_near_the_threshold_needs_more():
 
 
 def test_a_deep_group_needs_more_than_a_shallow_one():
-    """The error of one echo's range grows as the spread of its ranges, and falls as one over the root of the rays.
+    """The error of one echo's range grows as the spread of its ranges, and falls as one over the root of the
+    rays.
 
     Rays are worth what they buy: their number times the target to the power of 3.5.
     """
@@ -78,7 +80,8 @@ def test_a_deep_group_needs_more_than_a_shallow_one():
 
 
 def test_echoes_are_summed_within_the_resolution():
-    """Three groups of eight: two of them within 1 m are one echo that leads the third, and 2 m apart none leads."""
+    """Three groups of eight: two of them within 1 m are one echo that leads the third, and 2 m apart none
+    leads."""
     one, none = ([20.0] * 8 + [at_m] * 8 + [26.0] * 8 for at_m in (20.9, 22.0))
     assert finest_m(one) < finest_m(none)
 
@@ -94,7 +97,8 @@ STEP_Y_M = (np.arange(64) - 35.1) * 0.02
 
 
 def test_rays_go_where_the_footprint_is_split(walls):
-    """Pulses that meet one wall have a round; the one at a step gets as many as it takes, none more at the default target of 5 cm."""
+    """Pulses that meet one wall have a round; the one at a step gets as many as it takes, none more at the
+    default target of 5 cm."""
     usual, count = (
         walls.cast(lab.level_pulses(STEP_Y_M), np.zeros(1), 100.0, lab.beam("adaptive", **target)).count[:, 0]
         for target in ({}, {"target_m": 0.02})
@@ -106,7 +110,8 @@ def test_rays_go_where_the_footprint_is_split(walls):
 
 
 def test_eights_do_not_depend_on_others(walls):
-    """Eight aligned sequences beside a step have the rays and hits that they have among others, bit by bit."""
+    """Eight aligned sequences beside a step have the rays and hits that they have among others, bit by
+    bit."""
     fine = lab.beam("adaptive", target_m=0.02)
     among = walls.cast(lab.level_pulses(STEP_Y_M), np.zeros(1), 100.0, fine)
     y_m = np.where(np.arange(64) // 8 == 4, STEP_Y_M, 5.0)
@@ -133,7 +138,8 @@ def test_a_finer_target_takes_more_rays_and_no_target_more_than_it_may(walls):
 
 
 def test_grazing_light_is_followed_by_sub_rays(workers):
-    """On a smooth wall a round is enough; met at a grazing angle its footprint is deep, and more are asked for."""
+    """On a smooth wall a round is enough; met at a grazing angle its footprint is deep, and more are asked
+    for."""
     window, shape = lab.upright((10.0, -9.0, 9.0, -9.0, 9.0))
     counts = {}
     for degrees in (0.0, 60.0, 89.7):

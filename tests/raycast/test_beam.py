@@ -19,7 +19,8 @@ def unit_points(pulses, rays, first=0, seed=7, model="fixed"):
 
 
 def times_better_on_an_edge(points):
-    """RMS error of the share beyond a straight edge by random points, over that by points (pulses, rays, 2)."""
+    """RMS error of the share beyond a straight edge by random points, over that by points (pulses, rays,
+    2)."""
     pulses, rays, _ = points.shape
     rng = np.random.default_rng(1)
     tilt, edge = rng.uniform(0, 2 * np.pi, (pulses, 1)), rng.uniform(-1.5, 1.5, (pulses, 1))
@@ -47,12 +48,14 @@ def test_each_sub_ray_alone_is_a_fair_draw_from_the_profile(i):
     ],
 )
 def test_means_over_any_first_sub_rays_are_nearer_than_random_ones(model, rays, times):
-    """The RMS error of the share beyond a straight edge is below that of random points by a factor that grows."""
+    """The RMS error of the share beyond a straight edge is below that of random points by a factor that
+    grows."""
     assert times_better_on_an_edge(unit_points(3000, rays, model=model)) > times
 
 
 def test_support_points_are_turned_and_mirrored():
-    """Pulses have one pattern at angles that are evenly spread, and each of its mirror images half of the time."""
+    """Pulses have one pattern at angles that are evenly spread, and each of its mirror images half of the
+    time."""
     points = unit_points(4000, 8, model="adaptive")
     assert np.ptp(np.linalg.norm(points, axis=-1), axis=0).max() < 1e-5
     angle = np.arctan2(points[..., 1], points[..., 0])
@@ -65,7 +68,8 @@ def test_support_points_are_turned_and_mirrored():
 
 @pytest.mark.parametrize("distance_m", [0.0, 10.0, 50.0])
 def test_the_beam_is_as_wide_as_said(distance_m):
-    """Four standard deviations are spot + divergence * distance, across and up, and directions have unit length."""
+    """Four standard deviations are spot + divergence * distance, across and up, and directions have unit
+    length."""
     firings = lab.pulses(64)
     laid = sub_rays(firings, lab.beam("fixed"), lab.UTM_M, 0, 64)
     origin_m, direction = (array.astype(float) for array in laid)
@@ -84,7 +88,8 @@ def test_the_beam_is_as_wide_as_said(distance_m):
 
 
 def test_offset_displaces_evenly_inside_the_beam():
-    """Along the beam and to both sides a point even in an ellipsoid has the distribution (2 + 3z - z^3) / 4; misses stay misses."""
+    """Along the beam and to both sides a point even in an ellipsoid has the distribution (2 + 3z - z^3) /
+    4; misses stay misses."""
     range_m = np.full((20_000, 2), 20.0, np.float32)
     range_m[:, 1] = np.inf
     displace(range_m, lab.beam("offset"), 5)

@@ -43,7 +43,8 @@ def test_threads_do_not_matter(workers, model):
 @pytest.mark.parametrize(("size", "count"), [(8, 8), (1920, 2)])
 @pytest.mark.parametrize("model", ["none", *WIDE])
 def test_batches_do_not_matter(workers, model, size, count):
-    """Cast by eights, or two blocks in one go and sector by sector over all of them, pulses meet what they meet alone, bit by bit."""
+    """Cast by eights, or two blocks in one go and sector by sector over all of them, pulses meet what they
+    meet alone, bit by bit."""
     scene, beam = lab.opened(workers), lab.beam(model, rays=8)
     pieces = [lab.pulses(size, first=n * size) for n in range(count)]
     alone = lab.joined([scene.cast(piece, lab.NEAR_M, lab.FAR_M, beam) for piece in pieces])

@@ -54,7 +54,8 @@ def test_threads_that_ask_at_once_get_one_device(monkeypatch):
 
 
 def test_what_fails_on_a_worker_is_raised_there(workers, monkeypatch):
-    """Embree reports an error only to the thread on which it happened; there it is asked for, and the run ends."""
+    """Embree reports an error only to the thread on which it happened; there it is asked for, and the run
+    ends."""
     _, shape = lab.upright((10.0, -1.0, 1.0, -1.0, 1.0))
     monkeypatch.setattr(embree, "BUFFER_INDEX", 99)
     with pytest.raises(RunError, match=r"^Embree could not build a shape: invalid argument$"):
@@ -64,7 +65,8 @@ def test_what_fails_on_a_worker_is_raised_there(workers, monkeypatch):
 
 
 def test_a_window_that_fails_leaves_nothing_behind(workers, monkeypatch):
-    """Where Embree cannot build a window, the scene that was begun is given back before the error is raised."""
+    """Where Embree cannot build a window, the scene that was begun is given back before the error is
+    raised."""
     real, released = embree.library(), []
 
     class Watched:
@@ -104,7 +106,8 @@ def under(radius_m, height_m, workers):
 
 @pytest.mark.parametrize("height_m", [2.0, 5.0, 10.0, 30.0])
 def test_a_disc_overhead_hides_its_solid_angle(workers, height_m):
-    """A disc of 10 m hides the share of the sky above 15 degrees that its cone fills, within a ring of rays."""
+    """A disc of 10 m hides the share of the sky above 15 degrees that its cone fills, within a ring of
+    rays."""
     cover = sky_cover(under(10.0, height_m, workers), 0, AT_M, 15.0, 100.0)
     lowest = math.sin(math.radians(15.0))
     share = (1 - height_m / math.hypot(height_m, 10.0)) / (1 - lowest)
@@ -129,7 +132,8 @@ def test_what_is_low_or_far_does_not_count(workers):
 
 
 def test_crowns_overhead_hide_as_much_as_their_leaves_do(workers):
-    """In the wood the share of the sky that is hidden is that of leaf by leaf within 0.02 in the mean, and no crown is built for it."""
+    """In the wood the share of the sky that is hidden is that of leaf by leaf within 0.02 in the mean, and
+    no crown is built for it."""
     x_m, y_m = (place.ravel() for place in np.meshgrid(*2 * [np.arange(2.0, 20.0, 4.0)]))
     places_m = np.column_stack([x_m, y_m, lab.Tiles().height_m(x_m, y_m) + 1.7])
     scenes = [caster(lab.Tiles(near_m, per_tile=16), workers) for near_m in (20.0, math.inf)]

@@ -16,7 +16,8 @@ from vlp16emu.types import NO_SURFACE, Mesh
 
 @pytest.mark.parametrize("share", [1, 4])
 def test_hits_are_those_of_the_slow_twin(workers, share):
-    """Ranges, surfaces and incidence of turned, mirrored and scaled instances at UTM coordinates, of which some each show one surface, equal brute force in float64."""
+    """Ranges, surfaces and incidence of turned, mirrored and scaled instances at UTM coordinates, of which
+    some each show one surface, equal brute force in float64."""
     window = lab.placed(30)
     window = replace(window, first_surface=(window.first_surface // share * (share // 2 or 1)).astype("u4"))
     scenes = lab.opened(workers, window), ReferenceScene(window, lab.soup)
@@ -57,7 +58,8 @@ def test_shapes_are_kept_from_window_to_window(workers):
     ],
 )
 def test_light_begins_at_the_lens_and_ends_at_its_reach(workers, wall_m, reach_m, is_seen):
-    """A wall nearer than the lens or farther than the reach is not seen; one between or just there is, at its distance."""
+    """A wall nearer than the lens or farther than the reach is not seen; one between or just there is, at
+    its distance."""
     scene = lab.opened(workers, *lab.upright((wall_m, -50.0, 50.0, -50.0, 50.0)))
     hits = scene.cast(lab.level_pulses(np.zeros(8)), np.array([0.0419]), reach_m)
     assert hits.range_m[0] == (np.float32(wall_m) if is_seen else np.inf)
@@ -66,7 +68,8 @@ def test_light_begins_at_the_lens_and_ends_at_its_reach(workers, wall_m, reach_m
 @pytest.mark.parametrize("count", [0, 30])
 @pytest.mark.parametrize("model", ["none", "adaptive"])
 def test_where_nothing_stands_all_is_sky(workers, count, model):
-    """An empty window, and meshes without faces, are met by no ray; an adaptive beam ends after its first round."""
+    """An empty window, and meshes without faces, are met by no ray; an adaptive beam ends after its first
+    round."""
     empty = Mesh(np.zeros((0, 3), "f4"), np.zeros((0, 3), "u4"))
     scene = lab.opened(workers, lab.placed(count), lambda _: (empty, empty))
     hits = scene.cast(lab.pulses(8), lab.NEAR_M, lab.FAR_M, lab.beam(model))
@@ -76,7 +79,8 @@ def test_where_nothing_stands_all_is_sky(workers, count, model):
 
 
 def test_rays_at_edges_and_corners_are_decided_in_float64(workers):
-    """Of 240 rays at edges and corners, where Embree's instruction sets differ, each meets the first of the nearest in float64, to 2 um."""
+    """Of 240 rays at edges and corners, where Embree's instruction sets differ, each meets the first of
+    the nearest in float64, to 2 um."""
     window, rng, n = lab.placed(30), np.random.default_rng(8), 240
     corners_m, surfaces = flatten(window, lab.soup)
     share = rng.dirichlet([1.0, 1.0, 1.0], n)
@@ -121,7 +125,8 @@ def test_no_number_of_embree_reaches_a_hit(workers, monkeypatch, model):
 
 
 def test_embree_reads_corners_only_until_a_scene_is_committed(workers, monkeypatch):
-    """With numbers that are none in the arrays of corners that Embree was given, every hit has the same bits."""
+    """With numbers that are none in the arrays of corners that Embree was given, every hit has the same
+    bits."""
     cast, given = (lab.pulses(256), lab.NEAR_M, lab.FAR_M), []
     monkeypatch.setattr(build, "widened", lambda *faces: given.append(widened(*faces)) or given[-1])
     true = (scene := lab.opened(workers)).cast(*cast)
@@ -131,7 +136,8 @@ def test_embree_reads_corners_only_until_a_scene_is_committed(workers, monkeypat
 
 
 def test_the_layout_of_arrays_does_not_matter(workers):
-    """Meshes whose vertices and faces are views with gaps, or stored by columns, are met in the bits of plain ones."""
+    """Meshes whose vertices and faces are views with gaps, or stored by columns, are met in the bits of
+    plain ones."""
 
     def spread(array):
         room = np.zeros((2 * len(array), array.shape[1] + 1), array.dtype)

@@ -38,7 +38,8 @@ def shares(workers, beam):
 
 
 def test_sub_rays_see_through_the_hole_what_the_profile_says(workers):
-    """The share of energy on the wall equals the integral over the hole, across the blurred edge, within error."""
+    """The share of energy on the wall equals the integral over the hole, across the blurred edge, within
+    error."""
     seen = shares(workers, lab.beam("fixed", rays=64))
     assert 0.2 < expected().max() < 0.22
     error = seen.std(1) / np.sqrt(PULSES) + 1e-4
@@ -46,7 +47,8 @@ def test_sub_rays_see_through_the_hole_what_the_profile_says(workers):
 
 
 def test_the_error_of_angle_is_drawn_from_the_same_profile(workers):
-    """With one disturbed ray per pulse, the share of pulses that see the wall is binomial with that probability."""
+    """With one disturbed ray per pulse, the share of pulses that see the wall is binomial with that
+    probability."""
     seen, p = shares(workers, lab.beam("angle")).mean(1), expected()
     assert (np.abs(seen - p) < 4 * np.sqrt(p * (1 - p) / PULSES) + 1e-3).all()
 
@@ -61,7 +63,8 @@ def test_without_spot_and_divergence_the_hole_is_sharp(workers, model):
 
 
 def test_an_adaptive_beam_sees_the_hole_too(workers):
-    """Sub-rays of an adaptive beam see the wall only where its profile passes the hole, all in all as often as they should."""
+    """Sub-rays of an adaptive beam see the wall only where its profile passes the hole, all in all as
+    often as they should."""
     firings = lab.level_pulses(np.repeat([*OFFSETS_M, 0.2], PULSES))
     hits = scene(workers).cast(firings, np.array([0.04]), 100.0, lab.beam("adaptive", rays=8))
     assert (hits.count == 8).all()

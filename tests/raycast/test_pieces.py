@@ -1,4 +1,5 @@
-"""Triangles, wider ones, and shapes in pieces: what is in them, and that light meets what it meets of the whole."""
+"""Triangles, wider ones, and shapes in pieces: what is in them, and that light meets what it meets of the
+whole."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -29,7 +30,8 @@ def triangles(n, *, sharp=1.0):
 
 
 def test_wider_triangles_hold_the_triangle_and_a_margin():
-    """Edges of wider triangles lie `_WIDER_M` outside of their own, within rounding, in their planes; at sharp corners less, as the sine."""
+    """Edges of wider triangles lie `_WIDER_M` outside of their own, within rounding, in their planes; at
+    sharp corners less, as the sine."""
     for sharp in (1.0, 0.02):
         corners_m = triangles(2000, sharp=sharp)
         wider_m = widened(corners_m.reshape(-1, 3), np.arange(6000, dtype="u4").reshape(-1, 3))
@@ -53,7 +55,8 @@ def test_wider_triangles_hold_the_triangle_and_a_margin():
 
 
 def test_triangles_of_no_area_stay_where_they_are():
-    """A triangle whose corners are one point is left as it is, and one that is a line grows by no more than sharp ones do."""
+    """A triangle whose corners are one point is left as it is, and one that is a line grows by no more
+    than sharp ones do."""
     point, line = np.ones((3, 3), "f4"), np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]], "f4")
     both = np.concatenate([point, line])
     wider_m = widened(both, np.arange(6, dtype="u4").reshape(-1, 3))
@@ -94,7 +97,8 @@ def test_pieces_hold_each_face_once():
 
 
 def test_light_meets_pieces_as_it_meets_the_whole(workers):
-    """Ranges, surfaces and incidence of stems and a cone on a slope are those of the slow twin, which knows no pieces."""
+    """Ranges, surfaces and incidence of stems and a cone on a slope are those of the slow twin, which
+    knows no pieces."""
     meshes, place = (ground(), *STEMS, CONE), np.zeros((2, 3, 4))
     place[:, :, :3] = np.eye(3), [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.8]]
     place[:, :, 3] = lab.UTM_M + [[8.0, 0.0, -1.0], [4.0, -12.0, -1.0]]
@@ -129,7 +133,8 @@ def test_boxes_hold_the_faces_of_their_pieces():
 
 @pytest.mark.parametrize("moves", [False, True])
 def test_no_piece_that_light_may_meet_is_left_out(moves):
-    """Places in boxes that are within range of a sensor near the track are in pieces that are kept, and if seen level also in those for level rays."""
+    """Places in boxes that are within range of a sensor near the track are in pieces that are kept, and if
+    seen level also in those for level rays."""
     rng = np.random.default_rng(5)
     window, reach_m, n = lab.placed(300), 6.0, 300
     window.world_T_shape[:, :, 3] = window.origin_m + rng.uniform(-12, 12, (n, 3))
@@ -157,7 +162,8 @@ def test_no_piece_that_light_may_meet_is_left_out(moves):
 
 @pytest.mark.parametrize("model", ["none", "adaptive"])
 def test_pieces_are_left_out_without_loss(workers, monkeypatch, model):
-    """Level pulses, steep ones and both in turn meet what they meet where each piece is built, in every bit."""
+    """Level pulses, steep ones and both in turn meet what they meet where each piece is built, in every
+    bit."""
     world, track_m = lab.Tiles(near_m=9.0), np.array([[10.0, 10.0, 6.0], [12.0, 11.0, 6.0]])
     rng = np.random.default_rng(6)
     beam, mixed = [] if model == "none" else [lab.beam(model)], rng.uniform(-1.5, 1.5, 512)

@@ -24,7 +24,8 @@ def swaying(*, knots=40, lean=0.3, seed=3):
 
 
 def assert_meet_alike(ours, other):
-    """Both casts meet the same surfaces, at the same ranges and incidence within rounding of a moving edge."""
+    """Both casts meet the same surfaces, at the same ranges and incidence within rounding of a moving
+    edge."""
     same = ours.surface == other.surface
     assert same.mean() > 0.995
     hit = np.isfinite(ours.range_m) & same
@@ -35,7 +36,8 @@ def assert_meet_alike(ours, other):
 
 @pytest.mark.parametrize("model", ["none", "fixed", "adaptive"])
 def test_each_pulse_meets_what_moves_where_it_is_at_its_time(workers, model):
-    """Ranges, surfaces and incidence equal brute force in float64, which writes the window out for every instant."""
+    """Ranges, surfaces and incidence equal brute force in float64, which writes the window out for every
+    instant."""
     window, _ = swaying()
     narrow = {"divergence_mrad": (1.0, 0.5)}  # its neighbours are too far apart to be judged by each other
     beam = lab.beam(model, rays=4 if model == "fixed" else 8, **narrow)
@@ -46,7 +48,8 @@ def test_each_pulse_meets_what_moves_where_it_is_at_its_time(workers, model):
 
 
 def test_a_moving_window_stands_still_at_an_instant(workers):
-    """Pulses of one instant, within the span, before it and after it, meet the window that is frozen there."""
+    """Pulses of one instant, within the span, before it and after it, meet the window that is frozen
+    there."""
     window, firings = swaying()
     scene = lab.opened(workers, window)
     for t_ns in (window.sway.start_ns + STEP_NS * 9 // 4, 0, 2**62):
@@ -58,7 +61,8 @@ def test_a_moving_window_stands_still_at_an_instant(workers):
 
 
 def test_a_shear_moves_points_level_by_their_height_over_the_foot():
-    """Half-way between knots of shear 0 and 0.4 a point 5 m over the foot is 1 m aside; the foot is where it was."""
+    """Half-way between knots of shear 0 and 0.4 a point 5 m over the foot is 1 m aside; the foot is where
+    it was."""
     still = lab.placed(1)
     foot_z_m = float(lab.UTM_M[2]) - 4.0
     shear = np.array([[[0.0, 0.0]], [[0.4, -0.2]]])

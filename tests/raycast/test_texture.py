@@ -40,7 +40,8 @@ def places_m():
 
 
 def test_brightness_varies_by_the_texture(places_m):
-    """At 60 degrees of incidence patches deviate 1.5 times as much as asked for, brighter ones by a factor and darker ones by its inverse."""
+    """At 60 degrees of incidence patches deviate 1.5 times as much as asked for, brighter ones by a factor
+    and darker ones by its inverse."""
     factor = factors(places_m, 0.03)
     assert factor.mean() == pytest.approx(1.0, abs=0.003)
     even = np.sqrt(3.0) * np.linspace(-1.0, 1.0, 2001)
@@ -49,7 +50,8 @@ def test_brightness_varies_by_the_texture(places_m):
 
 
 def test_pieces_of_a_surface_differ_in_their_contrast():
-    """Over pieces of 1.6 m the logarithm of the deviation of the patches has a spread near one, as over the surfaces of real rooms."""
+    """Over pieces of 1.6 m the logarithm of the deviation of the patches has a spread near one, as over
+    the surfaces of real rooms."""
     rng = np.random.default_rng(4)
     middles_m = rng.uniform(-FAR_M, FAR_M, (300, 1, 3))
     factor = factors((middles_m + rng.uniform(-0.4, 0.4, (300, 200, 3))).reshape(-1, 3), 0.03).reshape(
@@ -61,7 +63,9 @@ def test_pieces_of_a_surface_differ_in_their_contrast():
 @pytest.mark.parametrize("away_m", [0.0, 1e7])
 @pytest.mark.parametrize(("part", "size_m"), [(PlantPart.NONE, 0.1), (PlantPart.STEM, 0.05)])
 def test_patches_have_the_size_of_what_they_are_on(places_m, away_m, part, size_m):
-    """Places a twentieth of 0.1 m, on bark of 0.05 m, apart are mostly of one patch, places that far apart mostly not, places five times that apart have nothing to do with each other; far from the world's origin too."""
+    """Places a twentieth of 0.1 m, on bark of 0.05 m, apart are mostly of one patch, places that far apart
+    mostly not, places five times that apart have nothing to do with each other; far from the world's
+    origin too."""
     origin_m = np.full(3, away_m)
     step = np.random.default_rng(2).normal(size=places_m.shape)
     step *= size_m / np.linalg.norm(step, axis=1, keepdims=True)
@@ -77,21 +81,24 @@ def test_patches_have_the_size_of_what_they_are_on(places_m, away_m, part, size_
 
 
 def test_a_patch_looks_the_same_from_everywhere(places_m):
-    """From two places 50 m apart the same points are as bright, but for those at a border; another seed gives other patches."""
+    """From two places 50 m apart the same points are as bright, but for those at a border; another seed
+    gives other patches."""
     here, there = (factors(places_m, origin_m=at_m) for at_m in ((0.0, 0.0, 0.0), (40.0, -30.0, 2.0)))
     assert np.isclose(here, there, atol=1e-4).mean() > 0.9999
     assert abs(np.corrcoef(here, factors(places_m, seed=4))[0, 1]) < 0.03
 
 
 def test_nothing_is_brighter_than_white(places_m):
-    """A reflectance of 0.95 never exceeds 1; of a retroreflector nothing grows; without texture nothing changes."""
+    """A reflectance of 0.95 never exceeds 1; of a retroreflector nothing grows; without texture nothing
+    changes."""
     assert (0.95 * factors(places_m, 0.3, reflectance=0.95)).max() <= 1 + 1e-6
     assert factors(places_m, 0.3, reflectance=2.0).max() <= 1
     assert (factors(places_m, 0.0) == 1).all()
 
 
 def test_a_sub_ray_that_meets_nothing_stays_so():
-    """Sub-rays without a hit keep no range and a cosine of 0; the others of the pulse are varied, each by its own surface."""
+    """Sub-rays without a hit keep no range and a cosine of 0; the others of the pulse are varied, each by
+    its own surface."""
     surfaces = np.zeros(2, SURFACE)
     surfaces["texture"], surfaces["relief_m"], surfaces["reflectance"] = (0.1, 0.0), (0.01, 0.0), 0.4
     firings, _ = pulses(np.array([[10.0, 0.0, 0.0]]))
@@ -110,7 +117,8 @@ def test_a_sub_ray_that_meets_nothing_stays_so():
 
 
 def test_relief_moves_what_is_met(places_m):
-    """Ranges on a surface with relief are off by it, one sigma, with mean 0, alike within 1 cm and not at 0.5 m; brightness stays."""
+    """Ranges on a surface with relief are off by it, one sigma, with mean 0, alike within 1 cm and not at
+    0.5 m; brightness stays."""
     surfaces = np.zeros(1, SURFACE)
     surfaces["relief_m"], surfaces["reflectance"] = 0.004, 0.4
 
@@ -137,7 +145,8 @@ def shine(cosine, roughness, reflectance=0.3):
 
 
 def test_gloss_is_the_light_of_the_facets_that_face_the_sensor():
-    """Gloss equals the light of random facets within 1.5 degrees of the pulse, which reflect 4 % of it into a cone four times as large."""
+    """Gloss equals the light of random facets within 1.5 degrees of the pulse, which reflect 4 % of it
+    into a cone four times as large."""
     slope, within_rad = (
         np.random.default_rng(5).normal(0.0, 0.2 / np.sqrt(2.0), (2_000_000, 2)),
         np.radians(1.5),
@@ -154,7 +163,8 @@ def test_gloss_is_the_light_of_the_facets_that_face_the_sensor():
 
 
 def test_gloss_ends_at_white():
-    """A smooth coat makes a surface white where it is seen straight on, and leaves retroreflectors, black and slanted surfaces as they are."""
+    """A smooth coat makes a surface white where it is seen straight on, and leaves retroreflectors, black
+    and slanted surfaces as they are."""
     assert shine(np.array([1.0]), 0.05) == pytest.approx(1.0 / 0.3 - 1.0)
     for reflectance in (0.0, 200.0):
         assert not shine(np.array([1.0]), 0.05, reflectance=reflectance).any()

@@ -34,7 +34,8 @@ def firings(k, index=0, t_ns=0):
 
 
 def pulses(k, range_m, surface=None, cosine=1.0):
-    """Hits of k * 16 pulses that all have the same sub-rays, each met by a surface of its own if none is given."""
+    """Hits of k * 16 pulses that all have the same sub-rays, each met by a surface of its own if none is
+    given."""
     s, n = len(range_m), k * LASERS
     return Hits(
         np.full((k, LASERS), s, np.uint16),

@@ -20,7 +20,8 @@ def wall(noise, k=400, *, index=0, range_m=10.0, reflectance=0.7, seed=1):
 
 
 def test_the_beat_repeats_every_five_pulses():
-    """The range of a wall has five values, by (24 sequence + laser) mod 5, also where a run begins elsewhere."""
+    """The range of a wall has five values, by (24 sequence + laser) mod 5, also where a run begins
+    elsewhere."""
     noise = {"range_beat_m": 0.006, "range_beat_phase_deg": 0.0}
     seen_m = wall(noise, 20, index=7).distance_m[..., 0]
     slot = (24 * np.arange(7, 27)[:, None] + np.arange(16)) % 5
@@ -31,7 +32,8 @@ def test_the_beat_repeats_every_five_pulses():
 
 
 def test_odd_codes_have_their_share():
-    """Over a smooth spread of ranges each laser's share of odd codes is that of the unit, by the binomial law."""
+    """Over a smooth spread of ranges each laser's share of odd codes is that of the unit, by the binomial
+    law."""
     noise = {"odd_codes_spread": 0.15, "range_noise_m": 0.02}
     odd = np.rint(wall(noise, 3000).distance_m[..., 0].astype(float) * 500) % 2
     plain = np.rint(wall({"range_noise_m": 0.02}, 3000).distance_m[..., 0].astype(float) * 500) % 2
@@ -57,7 +59,8 @@ def test_bright_codes_are_coarse_and_dark_ones_sticky():
 
 
 def test_range_noise_is_gaussian_and_reflectivity_has_heavy_tails():
-    """Ranges of a real unit are Gaussian at each laser, by Kolmogorov and Smirnov; changes of reflectivity have a kurtosis of 6.6."""
+    """Ranges of a real unit are Gaussian at each laser, by Kolmogorov and Smirnov; changes of reflectivity
+    have a kurtosis of 6.6."""
     even = Noise(preset="ideal").model_dump() | {"range_noise_m": 0.02, "reflectivity_noise": 4.0}
     plain, real = (wall(even | {"preset": preset}, 3000, reflectance=0.5) for preset in ("ideal", "unit"))
     plain_m, real_m = (of.distance_m[..., 0].astype(float) for of in (plain, real))
@@ -73,7 +76,8 @@ def test_range_noise_is_gaussian_and_reflectivity_has_heavy_tails():
 
 
 def test_neighbours_in_elevation_have_the_gain_that_is_set():
-    """Over many units a laser against its neighbours has the spread that is set within 10 %, one sigma, on any order of the lasers.
+    """Over many units a laser against its neighbours has the spread that is set within 10 %, one sigma, on
+    any order of the lasers.
 
     Independent gains differ by 26 %. One or two lasers have no such neighbours, and the set spread.
     """
@@ -89,7 +93,8 @@ def test_neighbours_in_elevation_have_the_gain_that_is_set():
 
 
 def test_units_differ_in_their_white_errors():
-    """Over many seeds the logarithms of both errors are Gaussian with the spread that is wanted; without it all are alike."""
+    """Over many seeds the logarithms of both errors are Gaussian with the spread that is wanted; without
+    it all are alike."""
     noise = {"range_noise_m": 0.005, "reflectivity_noise_share": 0.043, "unit_spread": 0.2}
     units = [detector(noise, seed=seed).constants for seed in range(400)]
     for values, middle in (
@@ -103,7 +108,8 @@ def test_units_differ_in_their_white_errors():
 
 
 def test_no_returns_wander_through_multiples():
-    """They are the laser's constant or multiples of it, mostly equal to their neighbour, alike over lasers, the same in each revolution."""
+    """They are the laser's constant or multiples of it, mostly equal to their neighbour, alike over
+    lasers, the same in each revolution."""
     noise = {"no_return_reflectivity": True, "no_return_wander": 10.0}
     codes = wall(noise, 4000, range_m=np.inf).reflectivity[..., 0]
     changes = (np.diff(codes.astype(int), axis=0) != 0).mean()
@@ -127,14 +133,16 @@ def test_no_returns_wander_through_multiples():
 
 
 def test_middles_of_no_returns_are_even_in_their_logarithm():
-    """Over many units the mean logarithm over the lasers is even between 1.5 and 20, by Kolmogorov and Smirnov."""
+    """Over many units the mean logarithm over the lasers is even between 1.5 and 20, by Kolmogorov and
+    Smirnov."""
     middles = [np.log(no_return_reflectivity(seed, 256, None)).mean() for seed in range(300)]
     low, high = np.log([1.5, 20.0])
     assert stats.kstest(middles, "uniform", args=(low, high - low)).pvalue > 0.01
 
 
 def test_each_laser_sends_codes_of_its_own():
-    """All up to 30 and 100; of ten codes in a row 7 to 9.5 at 45 and 3.5 to 6.5 at 90, others on each laser; all without a step."""
+    """All up to 30 and 100; of ten codes in a row 7 to 9.5 at 45 and 3.5 to 6.5 at 90, others on each
+    laser; all without a step."""
     fine = np.array([sent_codes(seed, 16, 2.0) for seed in range(20)]).reshape(-1, 100 * CODE_PARTS + 1)
     assert (fine[:, ::CODE_PARTS] == np.arange(101)).all()  # whole numbers pass
     tables = np.c_[fine[:, CODE_PARTS // 4 :: CODE_PARTS], fine[:, -1]]

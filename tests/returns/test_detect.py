@@ -24,7 +24,8 @@ def split(range_m, reflectance, **own):
 
 @pytest.mark.parametrize("max_range_m", [100.0, 131.07])
 def test_range_limits(max_range_m):
-    """What is nearer than the least range, farther than the greatest, or nowhere gives no return; what is just there does."""
+    """What is nearer than the least range, farther than the greatest, or nowhere gives no return; what is
+    just there does."""
     for range_m, is_seen in (
         (0.49, 0),
         (0.5, 1),
@@ -41,7 +42,8 @@ BIASED = {"noise": {"range_bias_m": 0.02}}
 
 
 def test_what_is_measured_beyond_the_greatest_range_is_lost():
-    """An echo that a laser's bias puts beyond reach gives no return, and no reflectivity; noise does so as often to one surface as to two."""
+    """An echo that a laser's bias puts beyond reach gives no return, and no reflectivity; noise does so as
+    often to one surface as to two."""
     bias_m = lone(50.0, 0.7, **BIASED).distance_m[..., 0] - 50.0
     out = lone(99.99, 0.7, **BIASED)
     lost, kept = bias_m > 0.0101, bias_m < 0.0099
@@ -60,7 +62,8 @@ def test_what_is_measured_beyond_the_greatest_range_is_lost():
 
 @pytest.mark.parametrize("far", [9.0, 0.9])
 def test_without_a_lost_echo_the_others_are_what_they_would_be(far):
-    """Where the farther of two echoes, stronger or not, is measured beyond reach, the nearer is strongest and last."""
+    """Where the farther of two echoes, stronger or not, is measured beyond reach, the nearer is strongest
+    and last."""
     seen = []
     for seed in range(20):
         alone = split([30.0, 30.0, np.inf], [0.1, 0.1, 0.0], seed=seed, **BIASED)
@@ -74,7 +77,8 @@ def test_without_a_lost_echo_the_others_are_what_they_would_be(far):
 
 
 def test_lone_echo_is_strongest_and_last():
-    """One echo stands as both, without a second strongest; too near for a distance it shows its reflectivity, too far or none at all does not."""
+    """One echo stands as both, without a second strongest; too near for a distance it shows its
+    reflectivity, too far or none at all does not."""
     out = lone(7.0)
     assert (out.distance_m[..., 0] == out.distance_m[..., 1]).all()
     assert (out.distance_m[..., 2] == 0).all()
@@ -96,12 +100,14 @@ def test_lone_echo_is_strongest_and_last():
     ],
 )
 def test_reflectivity_scale(reflectance, cosine, byte):
-    """The byte is reflectance times cosine in percent up to 100, and grows to 255 at a thousand times white."""
+    """The byte is reflectance times cosine in percent up to 100, and grows to 255 at a thousand times
+    white."""
     assert (lone(7.0, reflectance, cosine).reflectivity[..., 0] == byte).all()
 
 
 def test_truth_is_kept_only_on_request():
-    """Surfaces travel along only when asked for, whatever the noise of ranges, and are `NO_SURFACE` where there is no return."""
+    """Surfaces travel along only when asked for, whatever the noise of ranges, and are `NO_SURFACE` where
+    there is no return."""
     assert lone(7.0).surface is None
     kept = lone(7.0, truth=True)
     assert (kept.surface[..., :2] == 0).all()
@@ -113,7 +119,8 @@ def test_truth_is_kept_only_on_request():
 
 
 def test_two_surfaces_far_apart_are_two_returns():
-    """A beam half on a bright plate and half on one behind gives each at its place; a brighter one behind is strongest and last; a near one is blanked."""
+    """A beam half on a bright plate and half on one behind gives each at its place; a brighter one behind
+    is strongest and last; a near one is blanked."""
     distance_m, reflectivity, surface = split([4.0, 9.0], [0.6, 0.4])
     assert distance_m.tolist() == pytest.approx([4, 9, 9])
     assert reflectivity.tolist() == [30, 20, 20]
@@ -138,7 +145,8 @@ def test_only_what_the_mode_needs(mode, columns):
 
 @pytest.mark.parametrize(("gap_m", "returns"), [(0.3, 1), (0.95, 1), (1.3, 1), (1.5, 2), (1.9, 2), (5.0, 2)])
 def test_step_edge(gap_m, returns):
-    """A beam half on each of two plates gives one return between or on them below the resolution of 1.4 m, and two above it."""
+    """A beam half on each of two plates gives one return between or on them below the resolution of 1.4 m,
+    and two above it."""
     distance_m, _, _ = split([10.0, 10.0 + gap_m], [0.5, 0.5])
     assert len(set(distance_m[:2].tolist())) == returns
     assert (distance_m[:2] >= 10).all()

@@ -47,7 +47,8 @@ def found(range_m, amplitude):
 
 
 def obvious_returns(range_m, reflectance):
-    """Strongest, last and second strongest by the twin, with the heights of all; None where it is a close call."""
+    """Strongest, last and second strongest by the twin, with the heights of all; None where it is a close
+    call."""
     amplitude = reflectance / len(range_m) / range_m**2
     x_m, height, dip = peaks_on_a_grid(range_m, amplitude)
     if (dip < 0.02).any():
@@ -73,7 +74,8 @@ lights = st.lists(st.tuples(st.floats(0, 6), st.floats(0.02, 1.0)), min_size=1, 
 @given(lights)
 @example([(0.0, 1.0), (0.0, 1.0), (6e-16, 1.0)])
 def test_peaks_are_those_of_the_waveform(light):
-    """The kernel finds every peak that a 1 mm grid shows, but for shoulders of 5 %, at its place and height, and no other."""
+    """The kernel finds every peak that a 1 mm grid shows, but for shoulders of 5 %, at its place and
+    height, and no other."""
     range_m, amplitude = 5.0 + np.array(light).T[0], np.array(light).T[1]
     want_m, want, dip = peaks_on_a_grid(range_m, amplitude)
     assume(not (dip < 0.05).any())
@@ -92,7 +94,8 @@ def test_peaks_come_in_order_of_range():
 
 
 def test_two_equal_pulses_part_at_two_sigmas():
-    """Two equal Gaussians have one peak, in the middle, up to two sigmas between them, and two peaks from there on."""
+    """Two equal Gaussians have one peak, in the middle, up to two sigmas between them, and two peaks from
+    there on."""
     for gap_sigmas in (0.5, 1.0, 1.9, 1.99):
         got_m, _ = found(np.array([9.0, 9.0 + gap_sigmas * SIGMA_M]), np.ones(2))
         np.testing.assert_allclose(got_m, [9.0 + gap_sigmas / 2 * SIGMA_M], atol=2e-3)
@@ -106,7 +109,8 @@ sub_rays = st.lists(st.tuples(st.floats(2, 8), st.floats(0.05, 1.0)), min_size=1
 @settings(max_examples=30, deadline=None)
 @given(st.lists(sub_rays, min_size=1, max_size=16))
 def test_returns_are_those_of_the_twin(batch):
-    """Strongest, last and second strongest stand where the waveform on a grid has them: to 4 mm or, on flat tops, 0.1 %."""
+    """Strongest, last and second strongest stand where the waveform on a grid has them: to 4 mm or, on
+    flat tops, 0.1 %."""
     want = [obvious_returns(*np.array(pulse).T) for pulse in batch]
     batch = (batch * 16)[:16]
     out = detect_pulses(detector(), 1, batch)
@@ -140,7 +144,8 @@ anything = st.lists(
 @settings(max_examples=20, deadline=None)
 @given(st.lists(anything, min_size=24, max_size=24), st.booleans(), st.sampled_from([None, 60.0]))
 def test_every_dual_pair_is_lawful(batch, noisy, visibility_m):
-    """Whatever is hit: even blocks hold the last return, odd ones no farther one, 1 m apart if two, and one alone twice."""
+    """Whatever is hit: even blocks hold the last return, odd ones no farther one, 1 m apart if two, and
+    one alone twice."""
     noise = {
         "range_noise_m": 0.0065,
         "range_bias_m": 0.01,

@@ -28,7 +28,8 @@ def lost(out):
 
 
 def test_an_even_wall_is_nearly_whole():
-    """Between equal ranges and codes 0.04 to 0.25 % are lost where it is bright, and more where it is black and near."""
+    """Between equal ranges and codes 0.04 to 0.25 % are lost where it is bright, and more where it is
+    black and near."""
     range_m = np.full((4000, LASERS, 1), 3.0)
     bright, black = (
         np.mean([lost(seen(table(one), range_m, 0, seed=seed)).mean() for seed in range(5)])
@@ -39,9 +40,11 @@ def test_an_even_wall_is_nearly_whole():
 
 
 def test_a_step_of_brightness_costs_a_record():
-    """Units lose 10 to 95 % of the records at a sharp step up by a factor of 9, fewer down, 1 to 4 % at one of 1.5 by its height alone.
+    """Units lose 10 to 95 % of the records at a sharp step up by a factor of 9, fewer down, 1 to 4 % at one
+    of 1.5 by its height alone.
 
-    Lost records up have high codes, at most 100 on matt surfaces; in dual return some are higher in the last return, as on nebula.
+    Lost records up have high codes, at most 100 on matt surfaces; in dual return some are higher in the last
+    return, as on nebula.
     """
     surface = (np.arange(8000) // 10 % 2)[:, None, None] + np.zeros((1, LASERS, 1), int)
     many, few = (
@@ -62,7 +65,8 @@ def test_a_step_of_brightness_costs_a_record():
 
 
 def test_lost_records_exceed_100_at_retroreflectors():
-    """A fifth of the records that are lost where a pulse comes from a wall to a retroreflector, between all on mrpt and 3 of 20 on three units."""
+    """A fifth of the records that are lost where a pulse comes from a wall to a retroreflector, between
+    all on mrpt and 3 of 20 on three units."""
     surface = (np.arange(8000) // 10 % 2)[:, None, None] + np.zeros((1, LASERS, 1), int)
     out = seen(table(0.5, 8.0), np.full((8000, LASERS, 1), 3.0), surface)
     codes = out.reflectivity[10::20, :, 0][lost(out)[10::20]]
@@ -73,7 +77,8 @@ def test_lost_records_exceed_100_at_retroreflectors():
     ("sheet", "least", "most"), [("plants", 0.12, 0.5), ("one", 0.0, 0.004), ("ground", 0.0, 0.004)]
 )
 def test_two_surfaces_in_a_pulse_cost_it(sheet, least, most):
-    """Half of the light each, half a metre apart, lose 0.12 to 0.5 of the records by unit; a slanted surface none, nor two tiles of the ground."""
+    """Half of the light each, half a metre apart, lose 0.12 to 0.5 of the records by unit; a slanted
+    surface none, nor two tiles of the ground."""
     surfaces = table(0.5, 0.5)
     surfaces["part"] = PlantPart.LEAF if sheet == "plants" else PlantPart.NONE
     surfaces["semantic"] = Semantic.GROUND if sheet == "ground" else Semantic.OTHER
@@ -84,7 +89,8 @@ def test_two_surfaces_in_a_pulse_cost_it(sheet, least, most):
 
 
 def test_an_echo_of_the_air_alone_has_one_surface():
-    """In thick fog pulses whose sub-rays meet nothing have returns, and lose few: what is not met has no number to look up."""
+    """In thick fog pulses whose sub-rays meet nothing have returns, and lose few: what is not met has no
+    number to look up."""
     range_m = np.full((500, LASERS, 4), np.inf)
     here = [seen(table(0.5), range_m, NO_SURFACE, noise, visibility_m=10.0) for noise in (LOSSES, None)]
     least, most = ((~lost(out)).mean() for out in here)
@@ -93,7 +99,8 @@ def test_an_echo_of_the_air_alone_has_one_surface():
 
 
 def test_rough_places_lose_less():
-    """Where ranges jump from pulse to pulse, as in trees, two surfaces in a pulse cost a fifth of what they do at an edge, as on real units."""
+    """Where ranges jump from pulse to pulse, as in trees, two surfaces in a pulse cost a fifth of what
+    they do at an edge, as on real units."""
     surfaces = table(0.2, 0.2)
     surfaces["part"] = PlantPart.LEAF
     near_m = 20.0 + np.random.default_rng(1).uniform(0, 1.5, (2000, LASERS, 1))
@@ -117,7 +124,8 @@ def test_blocks_make_the_whole():
 
 
 def test_no_returns_beside_returns_are_raised():
-    """More often the brighter the return is (mrpt, nebula, 2014: 0.01 to 0.1 at 10, 0.33 to 0.82 at 70), by about its code, mostly alone.
+    """More often the brighter the return is (mrpt, nebula, 2014: 0.01 to 0.1 at 10, 0.33 to 0.82 at 70), by
+    about its code, mostly alone.
 
     With a return on one side only, 0.42 to 1.33 % are above 100 on four units, whatever its code.
     """
@@ -138,7 +146,8 @@ def test_no_returns_beside_returns_are_raised():
 
 
 def test_dual_return_loses_single_blocks():
-    """Of pulses with two echoes some are without the odd block alone; pairs without range differ in code now and then."""
+    """Of pulses with two echoes some are without the odd block alone; pairs without range differ in code
+    now and then."""
     range_m = np.broadcast_to(np.repeat([3.0, 9.0], 4), (4000, LASERS, 8))
     out = seen(table(0.2, 0.9), range_m, np.repeat([0, 1], 4))
     strongest, last = out.distance_m[..., 0] == 0, out.distance_m[..., 1] == 0

@@ -39,20 +39,23 @@ def test_noise_is_independent_between_pulses_and_lasers():
     [(0.025, 0.0105), (0.11, 0.0072), (0.25, 0.0059), (0.52, 0.0049), (0.9, 0.0043)],
 )
 def test_noise_grows_on_dark_targets(reflectance, sigma_m):
-    """A unit with 6.2 mm at a reflectivity of 20 shows what a real one does without its beat, from below 4 to above 80."""
+    """A unit with 6.2 mm at a reflectivity of 20 shows what a real one does without its beat, from below 4
+    to above 80."""
     error_m = seen({"range_noise_m": 0.0062}, 4.0, reflectance).distance_m[..., 0] - np.float32(4)
     assert error_m.std() == pytest.approx(sigma_m, rel=0.02)
 
 
 def test_noise_grows_where_light_is_short():
-    """At the detection threshold the noise is the pulse's width over the signal-to-noise ratio, 64 mm at 6."""
+    """At the detection threshold the noise is the pulse's width over the signal-to-noise ratio, 64 mm at
+    6."""
     out = seen({"range_noise_m": 0.0065, "weak_echoes_lost": True}, 40.0, 0.1).distance_m[..., 0]
     sigma_m = 0.299792458 / 2 * 6.0 / 2.35482 / 6
     assert out[out > 0].std() == pytest.approx(np.hypot(sigma_m, 0.0065 * 2**0.25), rel=0.02)
 
 
 def test_bias_is_constant_per_laser_and_gaussian_over_units():
-    """Each laser keeps its error, another seed is another unit, none exceeds the data sheet; over many lasers they are normal but for the cut."""
+    """Each laser keeps its error, another seed is another unit, none exceeds the data sheet; over many
+    lasers they are normal but for the cut."""
     early, late = (
         seen({"range_bias_m": 0.01}, k=8, index=n).distance_m[..., 0] - np.float32(10) for n in (0, 10**6)
     )
@@ -66,7 +69,8 @@ def test_bias_is_constant_per_laser_and_gaussian_over_units():
 
 
 def test_warm_up_fades_exponentially():
-    """Ranges are too long by the drift at power-up, by 1 / e of it one time constant later, and right in the end."""
+    """Ranges are too long by the drift at power-up, by 1 / e of it one time constant later, and right in
+    the end."""
     for since_s, share in ((0, 1.0), (900, np.exp(-1)), (60_000, 0.0)):
         out = seen({"warm_up_m": 0.05}, k=1, t_ns=since_s * 10**9)
         np.testing.assert_allclose(out.distance_m[..., 0] - 10, 0.05 * share, atol=2e-6)
@@ -83,7 +87,8 @@ def test_reflectivity_noise_and_gain():
 
 @pytest.mark.parametrize(("range_m", "reflectance"), [(36, 0.1), (40, 0.1), (44, 0.1), (60, 0.2), (86, 0.5)])
 def test_weak_echoes_are_seen_with_their_probability(range_m, reflectance):
-    """The share of pulses seen is Phi of amplitude less threshold over noise, one half at the range of 10 % (chi-square)."""
+    """The share of pulses seen is Phi of amplitude less threshold over noise, one half at the range of 10
+    % (chi-square)."""
     out = seen({"weak_echoes_lost": True}, float(range_m), reflectance).distance_m[..., 0] > 0
     threshold = 0.1 / 40.0**2
     expected = stats.norm.cdf((reflectance / range_m**2 - threshold) / (threshold / 6)) * out.size
@@ -106,7 +111,8 @@ def test_grazing_and_partly_hit_targets_drop_out():
 
 
 def test_no_returns_show_a_constant_of_their_laser():
-    """Records without a return carry the constant code of their laser, up to 255, if the setting asks for it; else 0."""
+    """Records without a return carry the constant code of their laser, up to 255, if the setting asks for
+    it; else 0."""
     silent = seen({"no_return_reflectivity": True}, np.inf, k=50)
     assert (silent.distance_m == 0).all()
     codes = silent.reflectivity[..., :2]
@@ -119,10 +125,12 @@ def test_no_returns_show_a_constant_of_their_laser():
 
 
 def test_presets_are_what_they_say():
-    """`ideal` has no error, `datasheet` stays within 3 cm at two sigmas, own keys count, and a line names the preset and what it has become."""
+    """`ideal` has no error, `datasheet` stays within 3 cm at two sigmas, own keys count, and a line names
+    the preset and what it has become."""
     section = Noise(preset="typical", range_bias_m=0.0)
     assert section.summary == (
-        "typical: 6.5 mm white, 0 mm bias per laser, 0.02 deg, 1.5 counts and 3 % on reflectivity, weak echoes lost"
+        "typical: 6.5 mm white, 0 mm bias per laser, 0.02 deg, 1.5 counts and 3 % on reflectivity, weak "
+        "echoes lost"
     )
     ideal = Noise(preset="ideal")
     assert not any(ideal.model_dump(exclude={"preset"}).values())

@@ -18,7 +18,8 @@ def through(range_m, **weather):
 
 
 def test_extinction_of_fog_and_rain():
-    """Thick fog is grey and follows Koschmieder, haze takes less at 903 nm than in visible light, and 10 mm/h of rain some 5 dB per km."""
+    """Thick fog is grey and follows Koschmieder, haze takes less at 903 nm than in visible light, and 10
+    mm/h of rain some 5 dB per km."""
     assert fog_extinction_per_m(100) == pytest.approx(3.912 / 100)
     assert fog_extinction_per_m(10_000) == pytest.approx(3.912e-4 * (903 / 550) ** -1.3)
     visibilities = np.geomspace(10, 1e5, 200)

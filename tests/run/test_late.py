@@ -60,7 +60,8 @@ def test_after_a_stop_packets_keep_the_pace_and_the_delay():
 
 
 def test_after_a_stop_packets_are_skipped_until_now():
-    """Stopped for 5 s with `skip`, late packets are dropped and counted by kind, and the next ones are in time."""
+    """Stopped for 5 s with `skip`, late packets are dropped and counted by kind, and the next ones are in
+    time."""
     sending = Sending(Late.SKIP)
     for i in range(8000):
         if i == 100:
@@ -94,7 +95,8 @@ def test_lateness_within_the_tolerance_neither_drops_nor_delays(late):
 
 
 def test_an_engine_that_is_too_slow_falls_behind_once_and_never_bursts():
-    """At 0.8 x real time the whole stream is one time behind, and its delay a quarter of what it simulates."""
+    """At 0.8 x real time the whole stream is one time behind, and its delay a quarter of what it
+    simulates."""
     sending = Sending(Late.PACE)
     for i in range(10_000):
         made_ns = round(i * PERIOD_NS / 0.8)
@@ -121,7 +123,8 @@ def test_two_stops_far_apart_are_two_times():
 
 
 def test_a_slow_engine_is_asked_to_go_on_further_ahead():
-    """With `skip`, an engine that gives nothing but late packets for 0.25 s goes on ahead of now, further each time until one is in time."""
+    """With `skip`, an engine that gives nothing but late packets for 0.25 s goes on ahead of now, further
+    each time until one is in time."""
     from_ns, ahead_ns = [0], []
 
     def go_on_from(due_ns):
@@ -151,7 +154,8 @@ def test_a_slow_engine_is_asked_to_go_on_further_ahead():
 
 
 def test_the_first_packet_after_a_gap_is_punctual():
-    """Stopped for 5 s while a packet waits, that one leaves late, and the next one that is not skipped on time."""
+    """Stopped for 5 s while a packet waits, that one leaves late, and the next one that is not skipped on
+    time."""
     sending = Sending(Late.SKIP)
     sending.send(0)
     pacer = sending.pacer

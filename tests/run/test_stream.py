@@ -66,7 +66,8 @@ def threads():
 
 @pytest.mark.parametrize("look_ahead", [1, 7, 2048])
 def test_all_packets_arrive_in_order(look_ahead):
-    """Whatever the buffer's size, a sink gets the very packets, in their order, and the report counts them."""
+    """Whatever the buffer's size, a sink gets the very packets, in their order, and the report counts
+    them."""
     packets = make_packets(300)
     with MemorySink() as sink:
         report = stream(iter(packets), sink, look_ahead=look_ahead)
@@ -88,7 +89,8 @@ def test_packets_leave_in_real_time():
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a thread has a priority of its own on Linux alone")
 def test_threads_that_compute_give_way():
-    """The thread that computes and one that it starts are nicer by 3 than the one that sends, which stays as it was."""
+    """The thread that computes and one that it starts are nicer by 3 than the one that sends, which stays
+    as it was."""
     before, nice = os.getpriority(os.PRIO_PROCESS, 0), []
 
     def note():
@@ -107,7 +109,8 @@ def test_threads_that_compute_give_way():
 
 
 def test_errors_and_ctrl_c_end_a_stream():
-    """What the engine raises comes after the packets before it, and a sink that fails ends the stream and its endless engine.
+    """What the engine raises comes after the packets before it, and a sink that fails ends the stream and its
+    endless engine.
 
     Ctrl-C ends it with a report of what was sent, and no packets are a factor of 0.
     """
@@ -149,7 +152,8 @@ def test_stop_event_ends_even_a_stream_that_waits_for_its_engine():
 
 
 def test_stop_event_ends_a_stream_whose_receivers_wait_for_a_world():
-    """A stream that is stopped before its first packet, while what begins beside it waits for a world, has a report."""
+    """A stream that is stopped before its first packet, while what begins beside it waits for a world, has
+    a report."""
     stop, sink = threading.Event(), MemorySink()
 
     class Waiting(StreamPart):
@@ -162,7 +166,8 @@ def test_stop_event_ends_a_stream_whose_receivers_wait_for_a_world():
 
 
 def test_stop_event_and_switch_interval_are_left_as_they_were():
-    """A stream that ends by itself does not set the caller's event; the interpreter's switch interval is short while it sends, and as before afterwards."""
+    """A stream that ends by itself does not set the caller's event; the interpreter's switch interval is
+    short while it sends, and as before afterwards."""
     stop = threading.Event()
     assert not stream(make_packets(3), MemorySink(), stop=stop).interrupted
     assert not stop.is_set()
@@ -179,7 +184,8 @@ def test_stop_event_and_switch_interval_are_left_as_they_were():
 
 
 def test_a_slow_engine_is_reported_at_once():
-    """An engine that pauses for 0.2 s after the buffer has run dry is notified once, while the stream runs."""
+    """An engine that pauses for 0.2 s after the buffer has run dry is notified once, while the stream
+    runs."""
     times, sink = [], MemorySink()
 
     def pausing():
@@ -201,7 +207,8 @@ def test_a_slow_engine_is_reported_at_once():
 
 
 def test_a_packet_that_does_not_come_is_notified_before_it_comes():
-    """An engine that stands still is notified while the stream waits for it, and is one time with its delay."""
+    """An engine that stands still is notified while the stream waits for it, and is one time with its
+    delay."""
     notified = threading.Event()
 
     def stuck():
@@ -230,7 +237,8 @@ def test_the_timer_slack_is_put_back():
 
 
 def test_streams_that_overlap_leave_the_switch_interval_as_it_was():
-    """It stays short until the last of two streams ends, whichever begins first, and is then as before both."""
+    """It stays short until the last of two streams ends, whichever begins first, and is then as before
+    both."""
     before_s, first, second = sys.getswitchinterval(), prompt(), prompt()
     first.__enter__()
     short_s = sys.getswitchinterval()
@@ -273,7 +281,8 @@ class Noted(StreamPart):
 
 
 def test_parts_are_called_in_their_order_and_end_in_the_reverse_order():
-    """Each part gets the packet of the part before it, in the states that the base names; the last ends first."""
+    """Each part gets the packet of the part before it, in the states that the base names; the last ends
+    first."""
     sink, notes = MemorySink(), []
     made = Stream(make_packets(1), dict.fromkeys(PacketKind, sink), Pacer(FAST))
     for name in "ab":

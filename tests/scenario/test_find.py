@@ -11,7 +11,8 @@ CHECKOUT = Path(__file__).resolve().parents[2] / "scenes"
 
 
 def test_a_name_leads_to_the_scene_of_the_checkout():
-    """In a checkout a scene's name, with _ or -, means the file in `scenes/`, never a stale copy in the package."""
+    """In a checkout a scene's name, with _ or -, means the file in `scenes/`, never a stale copy in the
+    package."""
     assert find("birch_walk") == CHECKOUT / "birch_walk.toml"
     assert find("birch-walk") == find("birch_walk")
 
@@ -85,7 +86,8 @@ height_m = 5
 
 
 def test_all_files_of_a_scene_are_named(tmp_path):
-    """Poses and their times, waypoints, stems, species, heights and each mesh are found, and no other text."""
+    """Poses and their times, waypoints, stems, species, heights and each mesh are found, and no other
+    text."""
     scene = tmp_path / "scene.toml"
     scene.write_text(KITTI)
     names = ("poses.txt", "times.txt", "stems.csv", "species.toml", "ground.asc", "hut.obj", "/srv/well.obj")

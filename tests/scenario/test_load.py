@@ -43,7 +43,8 @@ def written(folder: Path, text: str) -> Path:
 
 
 def test_a_file_is_read_as_it_is_meant(tmp_path):
-    """A mark of UTF-8 is no fault, `length_m = 30` is 30.0, and a scenario cannot be changed once it is read."""
+    """A mark of UTF-8 is no fault, `length_m = 30` is 30.0, and a scenario cannot be changed once it is
+    read."""
     marked = tmp_path / "scene.toml"
     marked.write_text(SCENE, encoding="utf-8-sig")
     scenario = load(str(marked), ["duration_s=5"])
@@ -83,7 +84,8 @@ def test_a_setting_takes_the_place_of_what_it_rules_out(settings, own_keys):
     ],
 )
 def test_a_setting_is_taken_as_it_is_meant(tmp_path, settings, same):
-    """Words in any case, whole numbers with a point, and a preset's name for its table are what they stand for."""
+    """Words in any case, whole numbers with a point, and a preset's name for its table are what they stand
+    for."""
     scene = str(written(tmp_path, WALK + "stems_per_ha = 500\n"))
     assert load(scene, settings) == load(scene, same)
 
@@ -101,7 +103,8 @@ def test_all_missing_keys_are_reported_at_once(tmp_path):
 
 
 def test_a_scene_is_named_by_its_file(tmp_path):
-    """The title is the file's name unless it is given, and a file that is wrong by itself is named, whatever is set."""
+    """The title is the file's name unless it is given, and a file that is wrong by itself is named,
+    whatever is set."""
     scene = written(tmp_path, WALK.replace('title = "A walk"\n', "") + "stems_per_ha = 500\n")
     assert load(scene).title == "scene"
     assert load(scene.rename(tmp_path / "my_walk.toml")).title == "my_walk"

@@ -10,7 +10,8 @@ TABLES = {"scene": schema(), **schema()["$defs"]}
 
 
 def test_the_schema_speaks_the_files_language():
-    """It is JSON of its draft with the key `schema`, the limits of rpm and the kinds of motion; every table forbids keys that it does not name."""
+    """It is JSON of its draft with the key `schema`, the limits of rpm and the kinds of motion; every
+    table forbids keys that it does not name."""
     assert json.loads(json.dumps(schema()))["$schema"] == "https://json-schema.org/draft/2020-12/schema"
     tree = schema()
     assert tree["properties"]["schema"] == {

@@ -1,4 +1,5 @@
-"""Tables of the scene file: the sensor, its rig, the finish and the files of the user's things, where a person goes, and presets."""
+"""Tables of the scene file: the sensor, its rig, the finish and the files of the user's things, where a
+person goes, and presets."""
 
 import numpy as np
 import pytest
@@ -18,7 +19,8 @@ def sensor(*settings):
 
 
 def test_beams_are_spread_evenly_over_the_field_of_view():
-    """Beams make equal steps from the lowest up, a single one looks at the middle, a list keeps its order; without a model it is a VLP-16."""
+    """Beams make equal steps from the lowest up, a single one looks at the middle, a list keeps its order;
+    without a model it is a VLP-16."""
     free = sensor(FREE, "sensor.beams=64", "sensor.vertical_fov_deg=[-25, 15]")
     np.testing.assert_allclose(free.beam_elevations_deg, np.linspace(-25, 15, 64), atol=1e-12)
     assert sensor(FREE, "sensor.beams=1", "sensor.vertical_fov_deg=[-10, 4]").beam_elevations_deg == (-3.0,)
@@ -42,7 +44,8 @@ def test_a_unit_is_like_the_first_unless_it_says_otherwise():
 
 
 def test_a_preset_of_its_own_takes_the_place_of_the_firsts():
-    """Beside a unit with the errors of a real rotor another one turns evenly, and a third has what it gives itself."""
+    """Beside a unit with the errors of a real rotor another one turns evenly, and a third has what it
+    gives itself."""
     like, even, own = rig(
         "{}", '{preset="steady"}', '{preset="unit", hum_deg=0.01}', sensor=["preset='unit'", "rpm=300"]
     )
@@ -53,7 +56,8 @@ def test_a_preset_of_its_own_takes_the_place_of_the_firsts():
 
 
 def test_what_no_two_have_in_common_is_not_taken_over():
-    """Name, address, ports and serial number count on from those of `[sensor]`; a unit with a start azimuth does not lock its phase."""
+    """Name, address, ports and serial number count on from those of `[sensor]`; a unit with a start
+    azimuth does not lock its phase."""
     _, third = rig("{}", "{}", sensor=["address='10.1.0.5'", "data_port=3000", "serial_number='0041'"])
     assert (third.name, third.address, third.serial_number) == ("unit_3", "10.1.0.7", "0043")
     assert (third.data_port, third.position_port) == (3002, 8310)
@@ -93,7 +97,8 @@ def scene(tmp_path):
 
 
 def test_files_lie_beside_the_scene(scene, tmp_path, monkeypatch):
-    """A relative path is from the folder of the scene, in a setting of any form from the current one; an absolute one stays as it is."""
+    """A relative path is from the folder of the scene, in a setting of any form from the current one; an
+    absolute one stays as it is."""
     world = load(scene()).world
     assert (world.stem_list, world.dem.file) == (str(tmp_path / "lists/plot.csv"), "/srv/ground.npy")
     monkeypatch.chdir("/")
@@ -117,7 +122,8 @@ AMPLITUDES = set(Gait.model_fields) - {"preset", "step_hz", "variation"}
     [(Gait, {"preset": "natural"}), (Imu, {"preset": "ideal"}), (Terrain, {"relief": "rolling"})],
 )
 def test_a_table_without_keys_is_its_default_preset(section, word):
-    """What the default preset gives are the defaults; a preset that does not exist, or is no word, is an error of its key."""
+    """What the default preset gives are the defaults; a preset that does not exist, or is no word, is an
+    error of its key."""
     assert section.model_validate(word) == section()
     (key,) = word
     for unknown in ("brisk", 3, ["flat"]):
@@ -127,7 +133,8 @@ def test_a_table_without_keys_is_its_default_preset(section, word):
 
 
 def test_gaits_are_what_their_names_say():
-    """Without gait no amplitude is left; the paper's has two sines; each amplitude of the strong gait exceeds the natural one."""
+    """Without gait no amplitude is left; the paper's has two sines; each amplitude of the strong gait
+    exceeds the natural one."""
     moving = {
         preset: {name for name in AMPLITUDES if getattr(Gait(preset=preset), name)} for preset in Gait.presets
     }
@@ -153,7 +160,8 @@ def test_own_keys_go_over_the_preset():
 
 
 def test_reliefs_are_in_order_of_height_and_of_roughness():
-    """Hilly ground has the highest hills, rough ground the roughest soil and the most mounds, flat ground the least of all."""
+    """Hilly ground has the highest hills, rough ground the roughest soil and the most mounds, flat ground
+    the least of all."""
     flat, rolling, hilly, rough = (Terrain(relief=relief) for relief in ("flat", "rolling", "hilly", "rough"))
     assert flat.hill_rms_m == 0 < rolling.hill_rms_m < rough.hill_rms_m < hilly.hill_rms_m
     assert flat.rough_rms_m < rolling.rough_rms_m <= hilly.rough_rms_m < rough.rough_rms_m

@@ -16,7 +16,8 @@ NAMES = list(scene_files())
 
 
 def test_the_plot_is_where_its_receiver_is():
-    """The origin of `own_plot` in UTM zone 33N and its latitude and longitude are one place by PROJ, within a metre."""
+    """The origin of `own_plot` in UTM zone 33N and its latitude and longitude are one place by PROJ,
+    within a metre."""
     pyproj = pytest.importorskip("pyproj")
     scenario = load("own_plot")
     to_map = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:25833", always_xy=True)
@@ -26,7 +27,8 @@ def test_the_plot_is_where_its_receiver_is():
 
 @pytest.mark.parametrize("path", SCENES, ids=NAMES)
 def test_a_walk_is_as_long_as_its_scene(path):
-    """Packets may be asked for to the end of a scene, and at each second of it the first sensor is somewhere."""
+    """Packets may be asked for to the end of a scene, and at each second of it the first sensor is
+    somewhere."""
     emulator = Emulator(load(str(path)))
     emulator.packets(0.0, emulator.scenario.duration_s)
     t_ns = emulator.scenario.start_ns + np.arange(0, int(emulator.scenario.duration_s)) * S_NS
@@ -39,7 +41,8 @@ FEW = ("stems_per_ha=15", "regeneration.stems_per_ha=0", "shrubs.per_ha=0", "sto
 
 @pytest.mark.parametrize("path", SCENES, ids=NAMES)
 def test_a_scene_gives_valid_packets(path):
-    """Data packets of a revolution in a scene's world, with few trees, decode, in the scene's mode and with returns in the sensor's range."""
+    """Data packets of a revolution in a scene's world, with few trees, decode, in the scene's mode and
+    with returns in the sensor's range."""
     settings, kind = ["sensor.max_range_m=8.0"], load(str(path)).world.kind
     if kind != "hall":  # a small window, all of faces, is enough
         settings += ["world.near_m=8", "motion={kind='static', x_m=10.0, y_m=10.0, height_m=1.5}"]

@@ -1,4 +1,5 @@
-"""Columns and codes in `scenes/OUTPUTS.md`, and stem lists in `scenes/README.md`, are those of the program."""
+"""Columns and codes in `scenes/OUTPUTS.md`, and stem lists in `scenes/README.md`, are those of the
+program."""
 
 import re
 from pathlib import Path
@@ -40,7 +41,8 @@ def test_the_columns_of_the_inventory_are_given_in_their_order():
 
 
 def test_the_columns_of_a_stem_list_are_given_with_their_limits():
-    """Every name that a column may have is given, with its limits in its own unit and whether it must be there."""
+    """Every name that a column may have is given, with its limits in its own unit and whether it must be
+    there."""
     given = {name: row for row in table("Stem lists", file="README.md") for name in names(row[0])}
     read = {name: (column, factor) for column in _COLUMNS.values() for name, factor in column.units.items()}
     assert set(given) == {*read}
@@ -93,7 +95,8 @@ def test_the_fields_of_the_tables_are_given(number, table_):
 
 
 def test_labels_and_their_numbers_are_given():
-    """Every class and part is in its table under its number, each part with its leaf or wood, and every species."""
+    """Every class and part is in its table under its number, each part with its leaf or wood, and every
+    species."""
     for number, labels in ((3, Semantic), (4, PlantPart)):
         assert {int(row[0]): row[1] for row in table("Labels", number)} == {
             int(x): x.name.lower() for x in labels

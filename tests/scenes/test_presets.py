@@ -42,7 +42,8 @@ def grown(name, reach_m=45.0):
 
 @EACH
 def test_a_scene_has_the_density_and_basal_area_of_its_table(name):
-    """Around the walk stems per hectare and basal area are those that the scene asks for, as far as a hectare can show."""
+    """Around the walk stems per hectare and basal area are those that the scene asks for, as far as a
+    hectare can show."""
     section = load(name).world
     _, trees, ground_m2 = grown(name)
     canopy = trees[trees["storey"] == 0]
@@ -76,7 +77,8 @@ def test_a_scene_has_all_that_its_table_names(name):
 
 
 def test_the_reference_forest_has_a_leaf_area_index_of_about_four():
-    """Crowns around the benchmark's walk carry 4.0 +- 0.3 m2 of leaves per m2 of ground, from 600 stems per hectare.
+    """Crowns around the benchmark's walk carry 4.0 +- 0.3 m2 of leaves per m2 of ground, from 600 stems per
+    hectare.
 
     On 2.5 ha: among the trees of 2 ha it goes from 4.1 to 4.3 from place to place.
     """
@@ -94,7 +96,8 @@ def test_any_number_beside_a_preset_takes_its_place(tmp_path):
     """Keys of the scene replace those of the preset, in tables one by one, and leave the others."""
     world = scene(
         tmp_path,
-        "preset = 'old_growth'\nseason = 'leaf_off'\nshrubs = { per_ha = 7 }\nregeneration.height_m = [1.0, 2.0]",
+        "preset = 'old_growth'\nseason = 'leaf_off'\nshrubs = { per_ha = 7 }\nregeneration.height_m = "
+        "[1.0, 2.0]",
     )
     base = presets()["old_growth"]
     assert world.season == "leaf_off"
@@ -112,7 +115,8 @@ def test_a_basal_area_beside_a_preset_takes_the_place_of_its_density(tmp_path):
 
 
 def test_another_pattern_beside_a_preset_replaces_it_whole(tmp_path):
-    """A pattern of another kind brings nothing of the preset's pattern along; of the same kind it changes single keys."""
+    """A pattern of another kind brings nothing of the preset's pattern along; of the same kind it changes
+    single keys."""
     assert scene(tmp_path, "preset = 'plantation'\npattern = { kind = 'random' }").pattern.kind == "random"
     rows = scene(tmp_path, "preset = 'plantation'\npattern = { azimuth_deg = 90.0 }").pattern
     assert (rows.kind, rows.azimuth_deg, rows.tree_spacing_m) == ("plantation", 90.0, 1.6)

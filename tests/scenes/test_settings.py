@@ -27,7 +27,8 @@ def test_the_page_is_as_its_script_makes_it(tool):
 
 
 def test_every_key_is_on_the_page(tool):
-    """Each section of the schema has its heading, and each key a line there or a link to the section that has the same line."""
+    """Each section of the schema has its heading, and each key a line there or a link to the section that
+    has the same line."""
     tables, said = tool.tables(), {}
     assert set(tables) == {"", *schema()["$defs"]}
     assert len({table.title for table in tables.values()}) == len(tables)

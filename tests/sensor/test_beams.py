@@ -14,7 +14,8 @@ def free(**settings):
 
 
 def test_elevations_and_rings_are_those_of_the_data_sheet():
-    """The VLP-16's lasers look from -15 to 15 degrees in steps of 2, rings counted from below; lasers of one elevation keep their order."""
+    """The VLP-16's lasers look from -15 to 15 degrees in steps of 2, rings counted from below; lasers of
+    one elevation keep their order."""
     assert np.sort(BEAM_TABLES[SensorModel.VLP_16].elevation_deg).tolist() == list(range(-15, 16, 2))
     assert BEAM_TABLES[SensorModel.VLP_16].ring.tolist() == [
         0,
@@ -58,7 +59,8 @@ def test_a_free_sensor_fires_evenly_once_per_step(beams, resolution_deg, rpm):
 
 
 def test_free_beams_pass_through_the_lens():
-    """With a lens off the axis each line meets the horizontal plane there; without one it begins at the centre."""
+    """With a lens off the axis each line meets the horizontal plane there; without one it begins at the
+    centre."""
     elevation_deg = [-25.0, -3.0, 0.0, 15.0]
     table = free(elevations_deg=elevation_deg, lens_radius_m=0.05)
     height_m = table.vertical_offset_m + 0.05 * np.tan(np.radians(elevation_deg))

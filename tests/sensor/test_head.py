@@ -64,7 +64,8 @@ def test_tilted_body_turns_rays_and_offsets(head):
 
 
 def test_the_beam_axis_is_where_the_beam_moves(head):
-    """It is the direction's derivative by the rotor's angle at unit length, level in the sensor, and left out unless wanted."""
+    """It is the direction's derivative by the rotor's angle at unit length, level in the sensor, and left
+    out unless wanted."""
     yaw, pitch, roll = 0.4, 0.2, -0.1
     aimed, line = (head.aim(0, 8, pose(yaw, pitch, roll), beam_axis=wide) for wide in (True, False))
     assert line.beam_axis is None
@@ -80,7 +81,8 @@ def test_the_beam_axis_is_where_the_beam_moves(head):
 
 
 def test_angle_errors_turn_the_beams_and_nothing_else(head):
-    """A laser looks by its own errors higher and farther round; rotor, encoder and times know nothing of it."""
+    """A laser looks by its own errors higher and farther round; rotor, encoder and times know nothing of
+    it."""
     unit = replace(
         head, beams=with_angle_errors(head.beams, elevation_error_deg=0.03, azimuth_error_deg=0.05, seed=3)
     )

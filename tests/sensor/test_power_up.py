@@ -18,7 +18,8 @@ HALL = {
 
 
 def test_units_differ_in_their_state():
-    """Over many seeds rotors stand anywhere (KS), clocks are within 2 ppm of nominal or up to 20 off, and no MAC address comes twice."""
+    """Over many seeds rotors stand anywhere (KS), clocks are within 2 ppm of nominal or up to 20 off, and
+    no MAC address comes twice."""
     units = [powered_up(Sensor(), seed) for seed in range(400)]
     assert stats.kstest([unit.start_azimuth_deg / 360 for unit in units], "uniform").pvalue > 0.01
     assert min(unit.powered_for_s for unit in units) >= 60
@@ -41,7 +42,8 @@ def test_what_is_set_is_kept_and_a_steady_unit_begins_with_the_run():
 
 @pytest.mark.parametrize("connected", [True, False])
 def test_stamps_are_on_no_lattice_of_whole_seconds(connected):
-    """The first stamp is no whole second, and no number of packet periods past one, with GPS or without (real units: none)."""
+    """The first stamp is no whole second, and no number of packet periods past one, with GPS or without
+    (real units: none)."""
     for seed in range(1, 6):
         engine = Engine.of(load({**HALL, "seed": seed, "gps": {"connected": connected}}))
         unit = engine.parts.units[0]
@@ -53,13 +55,15 @@ def test_stamps_are_on_no_lattice_of_whole_seconds(connected):
 
 
 def test_a_start_with_a_fraction_of_a_second_is_kept():
-    """An instant that is given to the microsecond is that of the first pulse; with `steady` a whole second is too."""
+    """An instant that is given to the microsecond is that of the first pulse; with `steady` a whole second
+    is too."""
     assert load(HALL, ["start_utc=2026-05-20T09:00:00.25Z"]).start_ns % 10**9 == 250_000_000
     assert load(HALL, ["sensor.preset=steady"]).start_ns % 10**9 == 0
 
 
 def test_position_packets_begin_anywhere_in_their_pattern():
-    """The first one comes within 11 ms, its number and its identification are the unit's own, and both count on."""
+    """The first one comes within 11 ms, its number and its identification are the unit's own, and both
+    count on."""
     firsts = []
     for seed in range(1, 9):
         engine = Engine.of(load({**HALL, "seed": seed}))

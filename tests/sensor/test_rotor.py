@@ -24,7 +24,8 @@ def angles_deg(count):
 
 @pytest.mark.parametrize("rpm", [61, 300, 420, 600, 1140, 3599])
 def test_any_whole_speed_is_exact_after_years(rpm):
-    """The angle is the exact fraction of the manual's rpm * 6 per second, years later too, and at speeds without whole turns in a second."""
+    """The angle is the exact fraction of the manual's rpm * 6 per second, years later too, and at speeds
+    without whole turns in a second."""
     rotor = rotor_of(rpm)
     elapsed_ns = np.array([1, 999_999_999, 59 * 10**9 + 1, 10 * 365 * 86_400 * 10**9 + 1_234_567_891])
     exact = [float(Fraction(int(ns) * rpm * 6, 10**9) % 360) for ns in elapsed_ns]
@@ -32,7 +33,8 @@ def test_any_whole_speed_is_exact_after_years(rpm):
 
 
 def test_readings_without_errors_are_true_and_others_in_the_circle():
-    """Without errors the reading is the angle itself, bit by bit; errors at the wrap lead to readings in [0, 360)."""
+    """Without errors the reading is the angle itself, bit by bit; errors at the wrap lead to readings in
+    [0, 360)."""
     angle_deg = angles_deg(1000)
     assert (Encoder(1).read(angle_deg, np.arange(len(angle_deg)), *EVEN) == angle_deg).all()
     reading = Encoder(5, noise_deg=0.02).read(np.zeros(1000), np.arange(1000), *EVEN)
@@ -42,7 +44,8 @@ def test_readings_without_errors_are_true_and_others_in_the_circle():
 
 
 def test_noise_is_white_and_as_wide_as_set():
-    """Reading errors are normal with the sigma that was set, not correlated with their neighbours, and cut at the limit."""
+    """Reading errors are normal with the sigma that was set, not correlated with their neighbours, and cut
+    at the limit."""
     error = Encoder(3, noise_deg=0.005).read(np.full(20_000, 180.0), np.arange(20_000), *EVEN) - 180.0
     assert stats.kstest(error / 0.005, "norm").pvalue > 0.01
     assert abs(np.corrcoef(error[1:], error[:-1])[0, 1]) < 0.02
@@ -74,7 +77,8 @@ def test_errors_belong_to_the_firing_sequence(errors):
 
 @pytest.mark.parametrize("cycles", [1, 2])
 def test_errors_of_the_turn_are_sines_of_the_angle(cycles):
-    """The error once, or twice, per revolution is a sine of the angle with the amplitude and phase that were set."""
+    """The error once, or twice, per revolution is a sine of the angle with the amplitude and phase that
+    were set."""
     angle_deg = np.linspace(1.0, 359.0, 500)
     error = (
         Encoder(1, **{("once", "twice")[cycles - 1]: (0.06, 40.0)}).read(
@@ -99,7 +103,8 @@ def test_the_reading_is_that_of_the_last_tick(rpm):
 
 
 def test_units_differ_by_their_spread():
-    """Without `rotation_spread` a unit is as set; with it amplitudes are even within that share, phases anywhere (KS)."""
+    """Without `rotation_spread` a unit is as set; with it amplitudes are even within that share, phases
+    anywhere (KS)."""
     assert Encoder.of_unit(Sensor(rotation_spread=0.0), 3).once == (0.06, 40.0)
     units = [Encoder.of_unit(Sensor(preset="unit", rotation_spread=0.45), seed) for seed in range(400)]
     for amplitude_deg, waves in ((0.06, [u.once for u in units]), (0.0078, [u.twice for u in units])):
@@ -109,7 +114,8 @@ def test_units_differ_by_their_spread():
 
 
 def test_a_motor_swings_about_its_speed():
-    """It begins where a steady one does, is ahead by the integral of its speed, comes back after a period, and rests where it stands."""
+    """It begins where a steady one does, is ahead by the integral of its speed, comes back after a period,
+    and rests where it stands."""
     swing = Swing(amplitude_ns=50_000.0, period_ns=1e9, phase_rad=0.5)
     steady, swinging = (rotor_of(angle_deg=10.0, swings=swings) for swings in ((), (swing,)))
     t_ns = np.arange(0, 10**9 + 1, 10**6)
@@ -125,7 +131,8 @@ def test_a_motor_swings_about_its_speed():
 
 
 def test_an_encoder_of_lines_reads_as_real_ones_do():
-    """Codes modulo five and twenty and steps between blocks have the shares of real units, and on a line readings are exact."""
+    """Codes modulo five and twenty and steps between blocks have the shares of real units, and on a line
+    readings are exact."""
     clock_ns = 110_592 * np.arange(60_000)
     read_deg = Encoder(1, noise_deg=0.00145, hum_deg=0.0019, **LINES).read(
         angles_deg(60_000), np.arange(60_000), clock_ns, 600.0
@@ -150,7 +157,8 @@ def test_an_encoder_of_lines_reads_as_real_ones_do():
 
 
 def test_no_unit_has_steps_that_real_units_lack():
-    """Each of 60 units has a variance of steps within that of real ones (0.518 to 0.567 over an even ruler's, widened by half), and hardly a step of 37.
+    """Each of 60 units has a variance of steps within that of real ones (0.518 to 0.567 over an even ruler's,
+    widened by half), and hardly a step of 37.
 
     No speed is further off than the slowest real one's, by 0.16 %.
     """
@@ -183,7 +191,8 @@ TEN_O_CLOCK_NS = 1_780_000_000 * 10**9 // HOUR_NS * HOUR_NS
     [(300, 0.375, 0.5, 0.15), (500, 0.625, 1.0, 0.06), (600, 0.625, 1.0, 0.43), (1200, 1.25, 2.0, 0.93)],
 )
 def test_the_two_speeds_between_lines_are_those_of_real_units(rpm, slow, fast, share):
-    """Hundredths of a degree in 2.304 us, and the share of the faster, at the speeds at which units were recorded."""
+    """Hundredths of a degree in 2.304 us, and the share of the faster, at the speeds at which units were
+    recorded."""
     true_cdeg = rpm * 6 * 2.304e-4
     low, high, slow_share = (float(x) for x in _speeds(np.array(float(rpm))))
     assert (low * true_cdeg, high * true_cdeg) == pytest.approx((slow, fast))
@@ -191,7 +200,8 @@ def test_the_two_speeds_between_lines_are_those_of_real_units(rpm, slow, fast, s
 
 
 def test_a_locked_clock_shows_the_utc_hour():
-    """It rolls over with the UTC hour; by its rate it is right at each even second, ahead at odd ones, and never steps."""
+    """It rolls over with the UTC hour; by its rate it is right at each even second, ahead at odd ones, and
+    never steps."""
     clock = Clock((ClockSpan(0, None, 0.5),))
     t_ns = np.arange(0, 4 * 10**9, 10**7)
     ahead_ns = clock.reading_ns(t_ns) - t_ns
@@ -211,6 +221,7 @@ def test_a_locked_clock_shows_the_utc_hour():
     ],
 )
 def test_free_clock_counts_from_power_up(error_ppm, since_ns, shown_ns):
-    """Without GPS the counter is zero until power-up and again every hour, and fast by its error: 20 ppm are 72 ms an hour."""
+    """Without GPS the counter is zero until power-up and again every hour, and fast by its error: 20 ppm
+    are 72 ms an hour."""
     clock = Clock((ClockSpan(TEN_O_CLOCK_NS + 123, 0, error_ppm),))
     assert clock.reading_ns(TEN_O_CLOCK_NS + 123 + np.array(since_ns)).tolist() == list(shown_ns)

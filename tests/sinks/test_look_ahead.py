@@ -52,7 +52,8 @@ class Numbered:
 @pytest.mark.parametrize("capacity", [8, 64, 500])
 @pytest.mark.parametrize("cuts", [[40], [40, 40], [90, 60], [60, 90], [299]])
 def test_what_is_made_anew_follows_what_is_sent_without_a_gap(cuts, capacity):
-    """From each cut on packets are of a later generation; none is lost, none comes twice, also where all had been computed."""
+    """From each cut on packets are of a later generation; none is lost, none comes twice, also where all
+    had been computed."""
     packets, stop = Numbered(300), threading.Event()
     with LookAhead(packets, capacity, stop) as ahead:
         ahead.fill()

@@ -66,7 +66,8 @@ def test_a_packet_takes_one_wake_up():
 
 
 def test_late_packets_catch_up_without_a_burst():
-    """After a pause of 45 ms n packets take at least 0.94 of their time less 10 ms, until deadlines are ahead again."""
+    """After a pause of 45 ms n packets take at least 0.94 of their time less 10 ms, until deadlines are
+    ahead again."""
     clock = Clock()
     left_ns, late_ns = leave(clock, clock.pacer(), range(0, 1000 * PERIOD_NS, PERIOD_NS), {10: 45_000_000})
     assert late_ns[10] > 43_000_000
@@ -97,7 +98,8 @@ def test_kinds_and_units_keep_their_own_spacing():
 
 
 def test_deadlines_are_exact():
-    """A delay is added to all deadlines to come, after 24 h they are exact to the nanosecond, and elapsed times are reported, zeros before."""
+    """A delay is added to all deadlines to come, after 24 h they are exact to the nanosecond, and elapsed
+    times are reported, zeros before."""
     clock = Clock()
     pacer = clock.pacer(2.0)
     first_ns, before_ns = pacer.deadline_ns(0), pacer.deadline_ns(10**9)
@@ -127,7 +129,8 @@ def test_speed_scales_time(speed, wall_ns):
 
 
 def test_histogram_agrees_with_numpy():
-    """Quantiles lie within 1.6 % of those of the sorted list, the maximum is exact, small values too; an hour of lateness has fewer than 1400 bins."""
+    """Quantiles lie within 1.6 % of those of the sorted list, the maximum is exact, small values too; an
+    hour of lateness has fewer than 1400 bins."""
     late_ns = np.random.default_rng(5).lognormal(10, 2, 20_001).astype(int)
     histogram = LatenessHistogram()
     for ns in late_ns:

@@ -50,7 +50,8 @@ def test_file_holds_the_frames_in_sending_order(tmp_path):
 
 
 def test_result_has_size_and_hash_of_the_file(tmp_path):
-    """They are those of the file, also when read after closing; two pieces hold the records of one file, whose identifications count on over 65535."""
+    """They are those of the file, also when read after closing; two pieces hold the records of one file,
+    whose identifications count on over 65535."""
     path = tmp_path / "out.pcap"
     with PcapSink(path) as sink:
         for packet in make_packets(10):
@@ -109,7 +110,8 @@ def test_killed_program_leaves_all_packets_it_had_sent(tmp_path):
 
 
 def test_an_interrupt_ends_a_valid_capture(tmp_path):
-    """Ctrl-C that arrives as an exception keeps the packets before it, NMEA is a programming error, and nothing is left of a longer earlier file."""
+    """Ctrl-C that arrives as an exception keeps the packets before it, NMEA is a programming error, and
+    nothing is left of a longer earlier file."""
     with pytest.raises(KeyboardInterrupt), PcapSink(tmp_path / "out.pcap") as sink:  # noqa: PT012
         sink.send(make_packets(1)[0])
         raise KeyboardInterrupt
@@ -124,7 +126,8 @@ def test_an_interrupt_ends_a_valid_capture(tmp_path):
 
 
 def test_full_disk_keeps_whole_packets_and_says_how_many(tmp_path):
-    """If only part of a record has room, the error names the file that ends with the packet before it; the earlier stays."""
+    """If only part of a record has room, the error names the file that ends with the packet before it; the
+    earlier stays."""
     path = tmp_path / "out.pcap"
     path.write_bytes(b"earlier")
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -145,7 +148,8 @@ def test_full_disk_keeps_whole_packets_and_says_how_many(tmp_path):
 
 @pytest.mark.parametrize("where", ["", "missing/out.pcap"])
 def test_path_that_cannot_be_opened_is_bad_input(tmp_path, where):
-    """A folder, or a file in a folder that is not there, is refused when the sink is made, with exit code 2."""
+    """A folder, or a file in a folder that is not there, is refused when the sink is made, with exit code
+    2."""
     with pytest.raises(OutputError, match=r"directory; expected a file that can be written") as caught:
         PcapSink(tmp_path / where)
     assert caught.value.exit_code == 2

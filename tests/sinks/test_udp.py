@@ -47,7 +47,8 @@ def test_loopback_is_the_default():
 
 
 def test_nobody_listening_does_not_end_the_stream():
-    """Sending on goes well where every datagram is answered by port unreachable; who listens then gets what comes next."""
+    """Sending on goes well where every datagram is answered by port unreachable; who listens then gets
+    what comes next."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as closed:
         closed.bind((LOOPBACK, 0))
         port = closed.getsockname()[1]
@@ -92,7 +93,8 @@ def test_foreign_source_address_is_refused():
     """Sending as a sensor from an address that this machine does not have names address, port and reason."""
     with pytest.raises(
         OutputError,
-        match=r"192\.0\.2\.201:2368: Cannot assign requested address; expected .*: sudo ip addr add 192\.0\.2\.201/24",
+        match=r"192\.0\.2\.201:2368: Cannot assign requested address; expected .*: sudo ip addr add "
+        r"192\.0\.2\.201/24",
     ):
         UdpSink([replace(FACTORY_LINK, source="192.0.2.201")], as_sensor=True)
     for name in "", "\udcff":  # the system takes the empty name for any interface; the other is no text
@@ -101,7 +103,8 @@ def test_foreign_source_address_is_refused():
 
 
 def test_port_in_use_is_refused():
-    """Sending as a sensor needs its port; where another program has it, the error names it and nothing stays open."""
+    """Sending as a sensor needs its port; where another program has it, the error names it and nothing
+    stays open."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         with suppress(OSError):  # then somebody else has it, which does as well
             other.bind(("127.0.0.9", 8308))
@@ -112,7 +115,8 @@ def test_port_in_use_is_refused():
 
 
 def test_what_cannot_be_sent_is_an_error():
-    """A datagram that the system refuses ends the run and reports what had been sent before; NMEA by Ethernet is a programming error."""
+    """A datagram that the system refuses ends the run and reports what had been sent before; NMEA by
+    Ethernet is a programming error."""
     with UdpSink() as sink:
         sink.send(Packet(PacketKind.DATA, 0, bytes(1206)))
         with pytest.raises(

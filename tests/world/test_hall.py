@@ -58,7 +58,8 @@ def test_everything_has_a_surface_of_its_own_and_a_name():
 
 @pytest.mark.parametrize("diameter_m", [0.05, 0.35, 3.0])
 def test_pole_is_round_to_a_twentieth_of_a_millimetre(diameter_m):
-    """Seen along the radius from all around, a pole's surface is right within 0.05 mm and on average within 2 um."""
+    """Seen along the radius from all around, a pole's surface is right within 0.05 mm and on average
+    within 2 um."""
     pole = HallPole(name="pole", foot_m=(0.0, 0.0, 0.0), diameter_m=diameter_m, height_m=2.0)
     solid = solid_of(pole)
     assert solid.is_watertight

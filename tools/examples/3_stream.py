@@ -25,5 +25,6 @@ with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as driver:
             f"{packets} packets of {len(payload)} bytes, the last one at {stamp_us / 1e6:.3f} s past the hour"
         )
         print(
-            f"truth of its first record: {live.truth(payload)[0]['range_m']:.3f} m; web interface at {live.http}"
+            f"truth of its first record: {live.truth(payload)[0]['range_m']:.3f} m; web interface at "
+            f"{live.http}"
         )

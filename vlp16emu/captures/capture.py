@@ -130,7 +130,10 @@ class Datagram(NamedTuple):
 
 
 def is_capture_name(name: str | Path) -> bool:
-    """Return whether a name ends in .pcap, .pcapng or .cap, or in these with a rotation number or compression suffix."""
+    """Return whether a name ends in .pcap, .pcapng or .cap.
+
+    A rotation number and a compression suffix may follow.
+    """
     return _ENDING.search(str(name)) is not None
 
 
@@ -210,7 +213,10 @@ class Capture:
         return Datagram(self.frames, frame.stamp_ns, *lengths, at, *ports, *parts, link_type)
 
     def _is_repeat(self, datagram: Datagram) -> bool:
-        """Count a packet if its sender has just sent the same payload to that port: time stamps make payloads unique."""
+        """Count a packet if its sender has just sent the same payload to that port.
+
+        Time stamps make payloads unique.
+        """
         payload = datagram.payload
         if len(payload) != POSITION_BYTES and not (len(payload) == DATA_BYTES and payload.startswith(_FLAG)):
             return False
@@ -226,7 +232,10 @@ class Capture:
 
 
 def _is_plain(link_type: int, frame: bytes) -> bool:
-    """Return whether a frame is complete UDP over IPv4 without options, VLAN tags or a tunnel, as nearly all are."""
+    """Return whether a frame is complete UDP over IPv4, as nearly all are.
+
+    It has no IP options, VLAN tags or tunnel.
+    """
     return (
         link_type == _ETHERNET
         and frame[12:15] == b"\x08\x00\x45"
@@ -237,7 +246,10 @@ def _is_plain(link_type: int, frame: bytes) -> bool:
 
 
 def _merged(datagram: Datagram | None) -> Iterable[Datagram]:
-    """Yield a datagram, or each data packet in it if the network card has merged several (UDP GRO of Linux)."""
+    """Yield a datagram, or each data packet in it.
+
+    A network card may have merged several (UDP GRO of Linux).
+    """
     if datagram is None:
         return ()
     payload = datagram.payload
@@ -341,7 +353,10 @@ def not_a_capture(path: Path, head: bytes) -> CaptureError:
 
 
 class CapturedUnit(NamedTuple):
-    """A sensor, identified by its address and data port; if two sensors share these, by its MAC address too."""
+    """A sensor, identified by its address and data port.
+
+    If two sensors share these, the MAC address identifies them too.
+    """
 
     source: bytes  # IP address, 4 bytes, or 16 of IPv6
     data_port: int
@@ -401,7 +416,9 @@ def units_in(path: Path, *, required: bool = False) -> list[CapturedUnit]:
 
 
 def chosen_unit(path: Path, unit: str | None, *, where: str = "unit") -> CapturedUnit | None:
-    """Find one sensor of a capture; None if it is the only sender of packets of that length and no unit is named.
+    """Find one sensor of a capture.
+
+    It is None if it is the only sender of packets of that length and no unit is named.
 
     Parameters
     ----------
@@ -456,7 +473,10 @@ def _units_and_others(path: Path, *, required: bool = False) -> tuple[list[Captu
 
 
 def _macs(streams: dict[bytes, _Stream], least: float) -> list[bytes]:
-    """Return the MAC addresses of sensors that send at the same time; empty if one sensor replaces another."""
+    """Return the MAC addresses of sensors that send at the same time.
+
+    It is empty if one sensor replaces another.
+    """
     busy = {mac: stream for mac, stream in streams.items() if stream.packets >= least}
     if len(busy) > 1 and max(one.first for one in busy.values()) < min(one.last for one in busy.values()):
         return sorted(busy)

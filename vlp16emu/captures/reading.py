@@ -238,7 +238,10 @@ class CaptureReader:
 
 
 def _rpm(azimuth_cdeg: U2, modes: U1) -> float:
-    """Return the mean rotor speed over packets, from the azimuths (n, 12) of their blocks and return modes (n,)."""
+    """Return the mean rotor speed over packets.
+
+    It follows from the azimuths (n, 12) of their blocks and the return modes (n,).
+    """
     turned_cdeg = turning_ns = 0
     for mode in np.unique(modes):
         # In dual return, blocks 0 and 1 share their azimuth.

@@ -214,8 +214,8 @@ def forest(
     stems: Annotated[
         Path | None,
         Option(
-            "Write the stems of those trees, and the branches of those within the radius, as circles along their axes,"
-            " with radii, for QSM and taper.",
+            "Write the stems of those trees, and the branches of those within the radius, as circles "
+            "along their axes, with radii, for QSM and taper.",
             "OUT.csv",
         ),
     ] = None,
@@ -367,7 +367,8 @@ def _print_accuracy(measured: "Accuracy") -> None:
     more = 4 * errors.pulses  # an interval shrinks with the root of the number of pulses
     halve = f"--pulses {more} halves them" if more <= _MOST_PULSES else "no more pulses can be evaluated"
     print(
-        f"  95 %: interval of an error for all pulses of the scene; {halve}. ? is an interval wider than a factor of ten.\n"
+        f"  95 %: interval of an error for all pulses of the scene; {halve}. ? is an interval wider than "
+        "a factor of ten.\n"
         "  +-: half of the range of repeated run times."
     )
 
@@ -402,8 +403,10 @@ def _digits(value: float) -> int:
 def _print_foliage(levels: "Sequence[LevelOfDetail]") -> None:
     """Print the means of each world; differences from the explicit world beyond chance are marked."""
     print(
-        "\nWorlds cast leaf by leaf to some distance, means over all pulses without noise; a pulse without a return\n"
-        "has a range of sensor.max_range_m. +- is half of the 95 % interval of the difference from the explicit\n"
+        "\nWorlds cast leaf by leaf to some distance, means over all pulses without noise; a pulse "
+        "without a return\n"
+        "has a range of sensor.max_range_m. +- is half of the 95 % interval of the difference from the "
+        "explicit\n"
         "world, ! marks a difference beyond it; chance alone marks one in 20."
     )
     lines = [["world", "us per pulse", *levels[-1].means]]

@@ -18,7 +18,8 @@ CaptureFile = Annotated[
 Settings = Annotated[
     list[str] | None,
     Option(
-        "Change a value of the scene, for instance sensor.rpm=1200. Files are found from the current folder. May be repeated.",
+        "Change a value of the scene, for instance sensor.rpm=1200. Files are found from the current "
+        "folder. May be repeated.",
         "KEY=VALUE",
         "--set",
     ),
@@ -59,7 +60,8 @@ class RunOptions(EmulatorOptions):
 TrajectoryFile = Annotated[
     Path | None,
     Option(
-        "For a capture: the folder of `record --truth`, for the true trajectory, or any trajectory in TUM format.",
+        "For a capture: the folder of `record --truth`, for the true trajectory, or any trajectory in "
+        "TUM format.",
         "DIR|FILE.tum",
     ),
 ]
@@ -72,8 +74,9 @@ UnitName = Annotated[
 WhichClock = Annotated[
     str | None,
     Option(
-        "Clock of all stamps: the sensor's, in the hour nearest to the capture's stamps (sensor) or in the hour of the GPS sentences "
-        "(gps), or the recording host's (host). By default the sensor's if it is locked to GPS, else the host's.",
+        "Clock of all stamps: the sensor's, in the hour nearest to the capture's stamps (sensor) or in "
+        "the hour of the GPS sentences (gps), or the recording host's (host). By default the sensor's if "
+        "it is locked to GPS, else the host's.",
         words=("sensor", "gps", "host"),
         shown=False,
     ),

@@ -22,7 +22,8 @@ def verify(
     file: Annotated[
         Path,
         Option(
-            "Capture with VLP-16 packets: pcap or pcapng, also .gz, .bz2, .xz, .zst; with --for a bag of any sensor.",
+            "Capture with VLP-16 packets: pcap or pcapng, also .gz, .bz2, .xz, .zst; with --for a bag of "
+            "any sensor.",
             name="FILE.pcap",
         ),
     ],
@@ -31,8 +32,9 @@ def verify(
     slam: Annotated[
         str | None,
         Option(
-            "Check a bag (.mcap, .bag or a folder of ROS 2) for a SLAM program instead, such as fast-lio2 or kiss-icp, or all of "
-            "them: what it would read wrong, and which of its parameters to set.",
+            "Check a bag (.mcap, .bag or a folder of ROS 2) for a SLAM program instead, such as "
+            "fast-lio2 or kiss-icp, or all of them: what it would read wrong, and which of its "
+            "parameters to set.",
             "NAME",
             "--for",
         ),
@@ -155,7 +157,8 @@ def compare(
     print(f"{len(apart)} of {len(rows)} statistics differ by more than real units do")
     if both := sum(all(row.unlike) for row in rows):
         print(
-            f"{both} are like no real unit in both captures (*): the real ones show rooms and streets, not foliage"
+            f"{both} are like no real unit in both captures (*): the real ones show rooms and streets, "
+            "not foliage"
         )
     print_file(plot)
 

@@ -248,7 +248,8 @@ def _unit(unit: "UnitSent") -> str:
 def _turn(turn: "Turn") -> str:
     turns = round(turn.revolutions, 1)
     return (
-        f"{turns:.12g} revolution{'' if turns == 1 else 's'} of {count(round(turn.sequences_per_revolution))} firing "
+        f"{turns:.12g} revolution{'' if turns == 1 else 's'} of "
+        f"{count(round(turn.sequences_per_revolution))} firing "
         f"sequences, {turn.azimuth_step_deg:.4g} deg apart"
     )
 

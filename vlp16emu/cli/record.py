@@ -25,8 +25,9 @@ def record(
     out: Annotated[
         str,
         Option(
-            "File to write, classic pcap (.pcap, .cap, .dump or no ending); overwritten if it exists. - is standard output; the report "
-            "then goes to stderr. With .mcap (ROS 2), .bag (ROS 1), or a slash at its end (new folder, ROS 2) a bag, with the truth in it.",
+            "File to write, classic pcap (.pcap, .cap, .dump or no ending); overwritten if it exists. - "
+            "is standard output; the report then goes to stderr. With .mcap (ROS 2), .bag (ROS 1), or a "
+            "slash at its end (new folder, ROS 2) a bag, with the truth in it.",
             name="OUT",
         ),
     ],
@@ -67,8 +68,8 @@ def decode(
     frame: Annotated[
         str,
         Option(
-            "Axes of the points: x forward, y left, as ROS drivers have them (sensor); or x right, y forward, as the manual "
-            "of Velodyne and VeloView do (manual).",
+            "Axes of the points: x forward, y left, as ROS drivers have them (sensor); or x right, y "
+            "forward, as the manual of Velodyne and VeloView do (manual).",
             words=("sensor", "manual"),
         ),
     ] = "sensor",

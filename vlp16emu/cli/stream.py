@@ -34,8 +34,9 @@ Strict = Annotated[bool, Option("Exit with 1 if packets were late by more than 5
 KeepUp = Annotated[
     bool | None,
     Option(
-        "Before the first packet, measure this machine for some seconds, and use the best beam and reach that leave a "
-        "fifth of its time free; a line names them. On by default at a terminal, except for live poses or a prepared run.",
+        "Before the first packet, measure this machine for some seconds, and use the best beam and reach "
+        "that leave a fifth of its time free; a line names them. On by default at a terminal, except for "
+        "live poses or a prepared run.",
         name="--keep-up/--no-keep-up",
     ),
 ]
@@ -49,15 +50,16 @@ def stream(
     prepare: Annotated[
         bool,
         Option(
-            "Compute the whole run into a temporary file before the first packet is sent; then the engine cannot be "
-            "too slow. It needs 3.4 GB for an hour of single return."
+            "Compute the whole run into a temporary file before the first packet is sent; then the "
+            "engine cannot be too slow. It needs 3.4 GB for an hour of single return."
         ),
     ] = False,
     view: Annotated[
         bool,
         Option(
-            "Show the last sweeps, the state of the stream and the settings of the sensor in the browser. A process of "
-            "lower priority serves this page, and no packet waits for it. Needs the extra 'viewer'."
+            "Show the last sweeps, the state of the stream and the settings of the sensor in the "
+            "browser. A process of lower priority serves this page, and no packet waits for it. Needs "
+            "the extra 'viewer'."
         ),
     ] = False,
     view_port: Annotated[

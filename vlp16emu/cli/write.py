@@ -195,7 +195,8 @@ def dataset(
     dry_run: Annotated[
         bool,
         Option(
-            "Print number of walks, size and hours, measured in short runs on this machine, and write nothing.",
+            "Print number of walks, size and hours, measured in short runs on this machine, and write "
+            "nothing.",
             name="--dry-run",
         ),
     ] = False,
@@ -230,7 +231,8 @@ def _print_estimate(estimate: "DatasetEstimate") -> None:
         "size": f"{_gigabytes(estimate.bytes)}, {_gigabytes(estimate.free_bytes)} are free",
         "CPU time": _duration(3600 * estimate.cpu_hours),
         "run time": f"{_duration(3600 * estimate.hours)} at least, on {_quantity(estimate.cores, 'core')}",
-        "measured": f"{len(estimate.probes)} of {_quantity(estimate.kinds, 'pair')} of stand and sensor, on this machine",
+        "measured": f"{len(estimate.probes)} of {_quantity(estimate.kinds, 'pair')} of stand and sensor, "
+        "on this machine",
     }
     print_rows(f"{count(estimate.missing)} of {_quantity(estimate.walks, 'walk')} to be made", rows)
     if estimate.probes:
@@ -337,7 +339,8 @@ def view(
     truth: Annotated[
         Path | None,
         Option(
-            "For a capture: the folder of `record --truth DIR --truth-returns`, for positions in the world and labels.",
+            "For a capture: the folder of `record --truth DIR --truth-returns`, for positions in the "
+            "world and labels.",
             "DIR",
         ),
     ] = None,

@@ -158,7 +158,9 @@ class Live(StreamPart):
     def packets(
         self, count: int, *, unit: int = 1, kind: str = "data", timeout_s: float = 30.0
     ) -> list[bytes]:
-        """Wait for `count` sent packets and return their payloads in order of sending; no packet is returned twice.
+        """Wait for `count` sent packets and return their payloads in order of sending.
+
+        No packet is returned twice.
 
         Only the last 2048 packets are kept. After `set` and `fault` the packets are those that the change
         affects.
@@ -206,7 +208,9 @@ class Live(StreamPart):
         return rows
 
     def scans(self, *, unit: int = 1) -> Iterator[Scan]:
-        """Yield whole revolutions of a sensor, decoded from its packets as they are sent, until the stream ends.
+        """Yield whole revolutions of a sensor, until the stream ends.
+
+        They are decoded from its packets as they are sent.
 
         Scans have labels if the stream has truth; their times are times of the scene. A reader that is more
         than 2048 packets behind goes on with the newest packet. Incomplete and corrupt data packets are
@@ -219,11 +223,16 @@ class Live(StreamPart):
         return cut_scans(self._chunks(lane), lambda t_ns: sensor.world_T_sensor(np.array([t_ns]))[0])
 
     def set(self, *, unit: int = 1, **settings: object) -> None:
-        """Change settings of a sensor as its web interface does: keys of the event `setting`; errors as `fault`."""
+        """Change settings of a sensor as its web interface does: keys of the event `setting`.
+
+        Errors are those of `fault`.
+        """
         self.fault("setting", unit=unit, **settings)
 
     def fault(self, kind: str, *, unit: int = 1, **keys: object) -> None:
-        """Inject an event of `[[events]]` into a sensor, and return when the packets that it affects are sent.
+        """Inject an event of `[[events]]` into a sensor.
+
+        Returns when the packets that it affects are sent.
 
         Parameters
         ----------
@@ -287,7 +296,10 @@ class Live(StreamPart):
         return first + sum(packet.due_ns < self._not_before_ns for packet in lane.since(first))
 
     def _wait(self, lane: _Lane, count: Callable[[], int], timeout_s: float | None = None) -> None:
-        """Wait until `count()` packets are sent, the stream ends, or the timeout passes; the caller holds the lock."""
+        """Wait until `count()` packets are sent, the stream ends, or the timeout passes.
+
+        The caller holds the lock.
+        """
 
         def is_there() -> bool:
             wanted = count()
@@ -297,7 +309,10 @@ class Live(StreamPart):
         self._changed.wait_for(is_there, timeout_s)
 
     def _chunks(self, lane: _Lane) -> Iterator[Chunk]:
-        """Yield the points of packets as they are sent; packets that are no longer kept leave a jump of the clock."""
+        """Yield the points of packets as they are sent.
+
+        Packets that are no longer kept leave a jump of the clock.
+        """
         number = 0
         is_over = False
         while not is_over:

@@ -80,8 +80,8 @@ class PointOptions(Span):
     labels: Annotated[
         str | None,
         Option(
-            "Classes of data sets: for-instance, digiforests, asprs or semantickitti. Also consecutive numbers of trees, "
-            "height above the ground and the viewpoint.",
+            "Classes of data sets: for-instance, digiforests, asprs or semantickitti. Also consecutive "
+            "numbers of trees, height above the ground and the viewpoint.",
             "SCHEME",
         ),
     ] = None
@@ -89,7 +89,8 @@ class PointOptions(Span):
         TruthPlace | None,
         Option(
             "For a scene: also write the files of `record --truth` to this folder. For a capture: folder "
-            "that `record --truth-returns` has written, for --truth and --labels; by default the folder of --trajectory.",
+            "that `record --truth-returns` has written, for --truth and --labels; by default the folder "
+            "of --trajectory.",
             "DIR",
             "--truth-folder",
             parse=Path,
@@ -104,7 +105,8 @@ class PictureLook(Options):
     colour: Annotated[
         str | None,
         Option(
-            "natural, class, part, species, instance, range, reflectivity, ring or time; the last four for a capture.",
+            "natural, class, part, species, instance, range, reflectivity, ring or time; the last four "
+            "for a capture.",
             "LAYER",
             shown="natural, for a capture reflectivity",
         ),
@@ -128,8 +130,8 @@ class PictureLook(Options):
     view: Annotated[
         str,
         Option(
-            "slant, all points from a slant; sweep, one revolution from vertically above with circles of range; or "
-            "image, one revolution as rows of lasers over the azimuth.",
+            "slant, all points from a slant; sweep, one revolution from vertically above with circles of "
+            "range; or image, one revolution as rows of lasers over the azimuth.",
             words=("slant", "sweep", "image"),
         ),
     ] = "slant"
@@ -162,7 +164,8 @@ class DatasetOptions(Options):
     workers: Annotated[
         int | None,
         Option(
-            "Processes on this machine, by default one per core; 0 uses only this process. Never changes a byte.",
+            "Processes on this machine, by default one per core; 0 uses only this process. Never changes "
+            "a byte.",
             "N",
             ge=0,
             le=1024,
@@ -171,8 +174,8 @@ class DatasetOptions(Options):
     scheduler: Annotated[
         str | None,
         Option(
-            "Dask scheduler whose workers make the walks, in place of processes on this machine: tcp://HOST:PORT, or its "
-            "scheduler file. Never changes a byte. Needs the extra 'cluster'.",
+            "Dask scheduler whose workers make the walks, in place of processes on this machine: "
+            "tcp://HOST:PORT, or its scheduler file. Never changes a byte. Needs the extra 'cluster'.",
             "ADDRESS",
         ),
     ] = None
@@ -200,8 +203,9 @@ class ScoreInputs(Options):
     alignment: Annotated[
         str,
         Option(
-            "Alignment of the poses to the ground truth; nothing else is moved: by the first pose (start), as odometry begins "
-            "anywhere; as a whole (se3), or with rotation about the vertical only (yaw); or none.",
+            "Alignment of the poses to the ground truth; nothing else is moved: by the first pose "
+            "(start), as odometry begins anywhere; as a whole (se3), or with rotation about the vertical "
+            "only (yaw); or none.",
             None,
             "--align",
             words=("start", "none", "yaw", "se3"),

@@ -1,4 +1,7 @@
-"""Outlook of a stream: whether this machine keeps up with a scene, and with which beams and ranges it would."""
+"""Outlook of a stream: whether this machine keeps up with a scene.
+
+It also says with which beams and ranges it would.
+"""
 
 import math
 import time

@@ -114,7 +114,10 @@ def needs(engine: Engine, *, audited: bool) -> list[Need]:
 
 
 def surroundings(engine: Engine) -> dict[str, Any]:
-    """Return the surroundings within range of the sensor at the start: kind of the world, species, and counts by kind of object."""
+    """Return the surroundings within range of the sensor at the start.
+
+    They are the kind of the world, species, and counts by kind of object.
+    """
     window = window_of(engine.parts, engine.scenario.start_ns, engine.batching, 0)
     named = (getattr(key, "species", None) for key in window.shapes)
     placed = Counter[str](tiles=0, trees=0)
@@ -164,7 +167,10 @@ def stages(engine: Engine, repeats: int) -> list[Stage]:
 def _stages_at(
     engine: Engine, unit: Unit, geometry: Geometry, first: int, count: int, repeats: int
 ) -> dict[str, float]:
-    """Return the processor time of the stages over `count` firing sequences from number `first`, in seconds."""
+    """Return the processor time of the stages, in seconds.
+
+    It covers `count` firing sequences from number `first`.
+    """
     head = unit.head
     sensor = engine.scenario.sensor
     world = engine.parts.world

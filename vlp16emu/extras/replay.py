@@ -1,4 +1,7 @@
-"""Replay of captures at their own pace, and of runs that are recorded before they are sent, so that the engine cannot be too slow."""
+"""Replay of captures at their own pace.
+
+Runs are recorded before they are sent in the same way, so that the engine cannot be too slow.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
@@ -230,7 +233,9 @@ def prepared(
 
 
 def packets_of(links: Sequence[Link], path: Path) -> Iterator[Packet]:
-    """Yield all packets of a capture that the emulator has made, due at the stamps of their frames, in whole microseconds.
+    """Yield all packets of a capture that the emulator has made.
+
+    They are due at the stamps of their frames, in whole microseconds.
 
     `links` belong to the units of the packets. Raises CaptureError if the file is damaged.
     """

@@ -32,7 +32,8 @@ from vlp16emu.kernels.cache import KernelCache, user_kernels
 
 Kernel = TypeVar("Kernel", bound=Callable[..., object])
 NumbaObject = Any
-"""An object of numba or llvmlite, which ship no types: a kernel, the type of an argument, a value in LLVM's code."""
+"""An object of numba or llvmlite, which ship no types: a kernel, the type of an argument, a value in LLVM's
+code."""
 
 
 class Row(TypedDict):

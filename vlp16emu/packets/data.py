@@ -22,7 +22,9 @@ _SECOND_STRONGEST = 2
 
 
 def pack_data(returns: Returns, mode: ReturnMode, model: SensorModel, unit: int = 0) -> list[Packet]:
-    """Pack whole packets of a unit of the rig, k / 24 or k / 12 of them; other parameters and errors as in `data_payloads`.
+    """Pack whole packets of a unit of the rig, k / 24 or k / 12 of them.
+
+    Other parameters and errors are those of `data_payloads`.
 
     `due_ns` is the end of a packet's last firing sequence: 1327.104 us after its first pulse, or 663.552 us
     in dual return, if no sequence is left out.
@@ -84,7 +86,9 @@ def data_payloads(returns: Returns, mode: ReturnMode, model: SensorModel) -> U1:
 
 
 def timestamp_us(clock_ns: _Time) -> _Time:
-    """Microseconds past the hour of the sensor's clock, any shape, as in both kinds of packet: floored, below 3.6e9.
+    """Microseconds past the hour of the sensor's clock, any shape.
+
+    As in both kinds of packet, they are floored and below 3.6e9.
 
     Real units floor a time that is exact in nanoseconds: their steps are 1327 and 1328 us with a mean
     of 1327.10. Source: 63-9243 Rev D, section 9.3.1 and appendix G (the counter).

@@ -160,7 +160,9 @@ def points_in(
 def faults_in(
     fields: NDArray[np.void], factory: int | None = None, model: SensorModel | None = None
 ) -> list[Fault]:
-    """Find packets that are not from a VLP-16, or from another model than the others; return the first fault of each.
+    """Find packets that are not from a VLP-16, or from another model than the others.
+
+    Return the first fault of each.
 
     Parameters
     ----------
@@ -193,7 +195,9 @@ def faults_in(
 
 
 def scan_starts(azimuth_deg: F8, t_ns: I8 | None = None) -> I8:
-    """Find the starts of scans (m,) in azimuths (n,) of points or blocks: the first, each wrap, and after a jump of time.
+    """Find the starts of scans (m,) in azimuths (n,) of points or blocks.
+
+    They are the first, each wrap, and those after a jump of time.
 
     With times (n,) a decrease of the azimuth is a wrap only if the rotor can complete the revolution in the
     time between.

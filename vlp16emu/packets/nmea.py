@@ -16,7 +16,9 @@ _MINUTE_DECIMALS = 7  # decimals in echoes of real units; 0.2 mm on the ground
 
 
 def rmc(fix: GnssFix) -> bytes:
-    """Write the sentence of one whole second: 13 fields of NMEA 0183 v2.3, checksum, CR, LF (63-9243 Rev D, section 7.4).
+    """Write the sentence of one whole second (63-9243 Rev D, section 7.4).
+
+    It has 13 fields of NMEA 0183 v2.3, checksum, CR and LF.
 
     If `fix.valid` is false, the status is V and the mode letter N, with the last known numbers.
     """

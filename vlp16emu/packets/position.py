@@ -67,7 +67,10 @@ _SCHEDULES: dict[PositionRate, _Schedule] = {
 
 
 def positions_from_ns(rate: PositionRate, start_ns: int, phase: float) -> int:
-    """Return the instant from which position packets are counted: `phase` of their pattern has passed at `start_ns`."""
+    """Return the instant from which position packets are counted.
+
+    At `start_ns`, `phase` of their pattern has passed.
+    """
     return start_ns - int(phase * _SCHEDULES[rate].cycle_ns)
 
 
@@ -84,7 +87,10 @@ def position_due_ns(rate: PositionRate, seed: int, start_ns: int, first: int, co
 
 
 def first_position_packet(rate: PositionRate, seed: int, start_ns: int, t_ns: int) -> int:
-    """Find the first position packet that is sent at or after `t_ns` UTC; other parameters as in `position_due_ns`."""
+    """Find the first position packet that is sent at or after `t_ns` UTC.
+
+    Other parameters as in `position_due_ns`.
+    """
     schedule = _SCHEDULES[rate]
     # With any jitter, a packet planned before this instant is sent before t_ns.
     cycle, rest_ns = divmod(t_ns - start_ns - schedule.jitter_ns, schedule.cycle_ns)

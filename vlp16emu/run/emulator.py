@@ -204,7 +204,9 @@ class Emulator:
             yield truth
 
     def packets(self, start_s: float = 0.0, stop_s: float | None = None) -> Iterator[Packet]:
-        """Return the packets due from `start_s` until before `stop_s` after the first pulse, in order of sending.
+        """Return the packets of a span, in order of sending.
+
+        They are due from `start_s` until before `stop_s` after the first pulse.
 
         Raises ScenarioError if the sensor has no packets; TrajectoryError if the span begins before the first
         pulse, or if the walk ends before the span.
@@ -224,7 +226,9 @@ class Emulator:
     def scans(
         self, *, start_s: float = 0.0, duration_s: float | None = None, unit: int = 1, truth: bool = False
     ) -> Iterator[Scan]:
-        """Yield whole revolutions of a sensor, directly from the engine: distances are not on the 2 mm grid of packets.
+        """Yield whole revolutions of a sensor, directly from the engine.
+
+        Distances are not on the 2 mm grid of packets.
 
         Parameters
         ----------
@@ -240,7 +244,10 @@ class Emulator:
         return SCANS.load()(self.engine, self.number(unit), span_s, truth=truth)
 
     def world_T_sensor(self, t_ns: NDArray[np.int64], *, unit: int = 1) -> NDArray[np.float64]:
-        """Return poses (n, 4, 4) of a sensor at instants (n,) UTC; they transform `Scan.xyz_m` to the world."""
+        """Return poses (n, 4, 4) of a sensor at instants (n,) UTC.
+
+        They transform `Scan.xyz_m` to the world.
+        """
         return self.parts.units[self.number(unit)].world_T_sensor(t_ns)
 
     def record(
@@ -251,7 +258,9 @@ class Emulator:
         stop: Event | None = None,
         **options: Unpack[RecordKeys],
     ) -> Recording:
-        """Write data and position packets into a pcap file, in the frames of a real sensor, or a robot's topics into a bag.
+        """Write data and position packets into a pcap file, or a robot's topics into a bag.
+
+        Frames in a pcap file are those of a real sensor.
 
         Parameters
         ----------

@@ -27,7 +27,9 @@ BESIDE = Part[Callable[[Engine, Collection[PacketKind]], MorePackets]]("vlp16emu
 
 
 class PacketFeed:
-    """Iterator over the packets of a run in order of sending, which can skip ahead or continue with other events.
+    """Iterator over the packets of a run in order of sending.
+
+    It can skip ahead, or continue with other events.
 
     Parameters
     ----------
@@ -74,7 +76,10 @@ class PacketFeed:
         self._from_ns = due_ns
 
     def begin_again(self, from_ns: int, engine: Engine) -> None:
-        """Continue from a UTC time, or from the present packet if that is earlier, with another engine; between packets."""
+        """Continue from a UTC time, or from the present packet if that is earlier, with another engine.
+
+        Between packets.
+        """
         before = self._packets
         self.engine = engine
         if isinstance(
@@ -95,7 +100,10 @@ class PacketFeed:
         return iter(self._beside.among(packets, seconds_to_ns(start_s), seconds_to_ns(self._stop_s)))
 
     def _after(self, from_ns: int, there: AbstractSet[tuple[int, PacketKind]]) -> Iterator[Packet]:
-        """Yield packets due from a UTC time on, without packets of `there` due at that time, which have been sent."""
+        """Yield packets due from a UTC time on.
+
+        Packets of `there` that are due at that time have been sent, and are left out.
+        """
         for packet in self._from(self._since_s(from_ns)):
             if packet.due_ns > from_ns or (packet.unit, packet.kind) not in there:
                 yield packet

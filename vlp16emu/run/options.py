@@ -115,7 +115,10 @@ def declared(name: str, annotation: object, default: object = MISSING) -> Declar
 
 
 class Options:
-    """Base of frozen dataclasses of options; raises InputError, with the field's name, for a value that is not valid."""
+    """Base of frozen dataclasses of options.
+
+    Raises InputError, with the field's name, for a value that is not valid.
+    """
 
     def __post_init__(self) -> None:
         for one in options_of(type(self)):
@@ -207,7 +210,8 @@ class BagOptions(Options):
     slam: Annotated[
         str | None,
         Option(
-            "Also write the configuration of a SLAM program for the bag, such as fast-lio2 or kiss-icp, or all of them.",
+            "Also write the configuration of a SLAM program for the bag, such as fast-lio2 or kiss-icp, "
+            "or all of them.",
             "NAME",
             "--for",
         ),
@@ -215,8 +219,8 @@ class BagOptions(Options):
     tf: Annotated[
         str,
         Option(
-            "Child frame of the true pose in /tf of a bag: a separate frame, so that a SLAM program can move base_link (slam), or "
-            "base_link, to view clouds without a SLAM program (truth).",
+            "Child frame of the true pose in /tf of a bag: a separate frame, so that a SLAM program can "
+            "move base_link (slam), or base_link, to view clouds without a SLAM program (truth).",
             words=("slam", "truth"),
         ),
     ] = "slam"
@@ -251,15 +255,16 @@ class SendOptions(Options):
     to: Annotated[
         str | None,
         Option(
-            "Receiver; may be a broadcast address. PORT is for data packets. By default it is this machine, 127.0.0.1, "
-            "and with --interface all stations on that network, 255.255.255.255.",
+            "Receiver; may be a broadcast address. PORT is for data packets. By default it is this "
+            "machine, 127.0.0.1, and with --interface all stations on that network, 255.255.255.255.",
             "HOST[:PORT]",
         ),
     ] = None
     data_port: Annotated[
         int | None,
         Option(
-            "Receiver's port for data packets, instead of sensor.data_port; 0 for a free port for each sensor.",
+            "Receiver's port for data packets, instead of sensor.data_port; 0 for a free port for each "
+            "sensor.",
             "PORT",
             ge=0,
             le=LAST_PORT,
@@ -273,8 +278,9 @@ class SendOptions(Options):
     late: Annotated[
         str,
         Option(
-            "Treatment of packets late by more than 50 ms: send them at the sensor's spacing, so the stream stays late (pace), or "
-            "drop them until the stream is in time (skip). Neither sends bursts.",
+            "Treatment of packets late by more than 50 ms: send them at the sensor's spacing, so the "
+            "stream stays late (pace), or drop them until the stream is in time (skip). Neither sends "
+            "bursts.",
             words=("pace", "skip"),
         ),
     ] = "pace"
@@ -294,7 +300,8 @@ class SendOptions(Options):
     now: Annotated[
         bool,
         Option(
-            "Move time stamps and sentences by whole seconds into the present, for drivers that trust GPS time."
+            "Move time stamps and sentences by whole seconds into the present, for drivers that trust "
+            "GPS time."
         ),
     ] = False
 
@@ -355,7 +362,9 @@ class ReplayKeys(SendKeys, total=False):
 
 
 def host_and_port(text: str, option: str, expected: str, scheme: str = "") -> tuple[str, int]:
-    """Return host and port of HOST:PORT after a scheme, IPv6 addresses in brackets; without a scheme the host may be empty.
+    """Return host and port of HOST:PORT after a scheme, IPv6 addresses in brackets.
+
+    Without a scheme the host may be empty.
 
     Raises InputError with `option` in front if it is malformed.
     """
@@ -373,8 +382,8 @@ class Http(Options):
     at: Annotated[
         str,
         Option(
-            "Serve the sensor's web interface, which the stream follows; for a rig on this port and the next ones. "
-            "PORT alone is on 127.0.0.1.",
+            "Serve the sensor's web interface, which the stream follows; for a rig on this port and the "
+            "next ones. PORT alone is on 127.0.0.1.",
             "HOST:PORT",
             "--http",
         ),
@@ -406,7 +415,8 @@ class PosesIn(Options):
     where: Annotated[
         str | None,
         Option(
-            'Address for live poses, for a scene with motion.kind = "live"; the stream waits for the first one.',
+            'Address for live poses, for a scene with motion.kind = "live"; the stream waits for the '
+            "first one.",
             "udp://HOST:PORT",
             "--pose-in",
         ),
@@ -428,8 +438,8 @@ class Outlets(Options):
     gps_out: Annotated[
         str | None,
         Option(
-            "Play the GPS receiver of the scene on a serial port, 9600 8N1: a device, or a URL of pyserial such as "
-            "socket://127.0.0.1:5000.",
+            "Play the GPS receiver of the scene on a serial port, 9600 8N1: a device, or a URL of "
+            "pyserial such as socket://127.0.0.1:5000.",
             "PORT",
         ),
     ] = None
@@ -439,7 +449,8 @@ class Outlets(Options):
     imu_out: Annotated[
         str | None,
         Option(
-            "Also send the samples of the inertial unit ([imu]), each at its time; on a serial port with 921600 8N1.",
+            "Also send the samples of the inertial unit ([imu]), each at its time; on a serial port with "
+            "921600 8N1.",
             "udp://HOST:PORT|serial:PORT",
         ),
     ] = None
@@ -452,8 +463,8 @@ class GpsIn(Options):
     port: Annotated[
         str,
         Option(
-            "Take pulse and sentences from a real GPS receiver, 9600 8N1, which then sets the sensor's clock: a device, "
-            "or a URL of pyserial.",
+            "Take pulse and sentences from a real GPS receiver, 9600 8N1, which then sets the sensor's "
+            "clock: a device, or a URL of pyserial.",
             "PORT",
             "--gps-in",
         ),

@@ -107,7 +107,10 @@ def record(
 
 
 def _paths(emulator: "Emulator", path: Path, *, split: bool) -> list[Path]:
-    """Return the files to write, with `split` one for each unit: `walk_1.pcap` and so on after `walk.pcap`."""
+    """Return the files to write.
+
+    With `split` there is one for each unit: `walk_1.pcap` and so on after `walk.pcap`.
+    """
     if split and path == STDOUT:
         raise OutputError("-", "one standard output for the captures of all units", "the name of a file")
     units = range(1, len(emulator.parts.units) + 1)

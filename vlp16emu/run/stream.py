@@ -355,7 +355,10 @@ class Stream:
             part.sent(packet)
 
     def _watch(self, engine_speed: float | None) -> None:
-        """Say if the awaited packet is late by more than the tolerance; its delay is added when it is sent."""
+        """Say if the awaited packet is late by more than the tolerance.
+
+        Its delay is added when it is sent.
+        """
         if self._next_due_ns is None:
             return
         deadline_ns = self.pacer.deadline_ns(self._next_due_ns)

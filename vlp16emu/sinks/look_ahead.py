@@ -88,7 +88,9 @@ class LookAhead:
                 self._changed.wait(_POLL_S)
 
     def take(self, waiting: Callable[[float | None], None] = lambda _: None) -> Packet | None:
-        """Next packet; None at the end or when `stop` is set. While it waits, it calls `waiting` with the engine's speed every 50 ms.
+        """Return the next packet; None at the end or when `stop` is set.
+
+        While it waits, it calls `waiting` with the engine's speed every 50 ms.
 
         Raises
         ------
@@ -110,7 +112,9 @@ class LookAhead:
         return None
 
     def redo(self, due_ns: int, restart: Callable[[int], None]) -> None:
-        """Compute again the packets due from `due_ns` on that are not taken yet; from any thread. No effect after the last packet.
+        """Compute again the packets due from `due_ns` on that are not taken yet; from any thread.
+
+        It has no effect after the last packet.
 
         `restart` makes the packet iterator start again at a due time; the computing thread calls it.
         """
@@ -131,7 +135,9 @@ class LookAhead:
         return self._left or self._stop.is_set()
 
     def _wait_for_room(self, packet: Packet | None) -> None:
-        """Wait until a share of the full buffer has been taken, after the last packet all of it; holds the lock.
+        """Wait until a share of the full buffer has been taken, after the last packet all of it.
+
+        The lock is held.
 
         It also ends at a stop, or if the buffer must be computed again.
         """

@@ -34,7 +34,9 @@ the first."""
 
 @contextmanager
 def prompt() -> Iterator[None]:
-    """Make the calling thread wake promptly from sleeps and get the interpreter soon; restore the state afterwards.
+    """Make the calling thread wake promptly from sleeps and get the interpreter soon.
+
+    Restore the state afterwards.
 
     Linux's timer slack delays wake-ups by up to 50 us to save power. On other systems sleeps end as late as
     the system decides, and the report of a stream shows it.
@@ -121,7 +123,10 @@ class Lateness:
 
 
 class LatenessHistogram:
-    """Histogram of lateness with bins proportional to it: a few hundred numbers for a stream of any length."""
+    """Histogram of lateness with bins proportional to it.
+
+    It has a few hundred numbers for a stream of any length.
+    """
 
     def __init__(self) -> None:
         self._counts = Counter[int]()

@@ -1,4 +1,5 @@
-"""Accuracy measured on small scenes: settings, pulses, errors, how sure they are, and the audit beside a run."""
+"""Accuracy measured on small scenes: settings, pulses, errors, how sure they are, and the audit beside a
+run."""
 
 import hashlib
 import math
@@ -92,7 +93,8 @@ SMALL = (
 
 
 def test_worlds_are_compared_by_means(monkeypatch):
-    """Each distance, that of the scene among them, is a setting; beyond the reach nothing departs, and the explicit one is last."""
+    """Each distance, that of the scene among them, is a setting; beyond the reach nothing departs, and the
+    explicit one is last."""
     monkeypatch.setattr("vlp16emu.extras.accuracy.sweep._NEAR_M", (9.0, math.inf))
     found = measure_foliage(load("birch_walk", [*SMALL, "world.near_m=5.5"]), pulses=256)
     names = [f"world.near_m={near_m}" for near_m in ("5.5", "9", "inf")]
@@ -116,7 +118,8 @@ def test_two_returns_are_known():
 
 @pytest.mark.parametrize(("leaves_off", "departs"), [(0.0, False), (3.0, True)])
 def test_a_departure_is_seen_and_chance_is_not(leaves_off, departs):
-    """Means whose difference is beyond the chance between groups depart; of what chance alone moves few do."""
+    """Means whose difference is beyond the chance between groups depart; of what chance alone moves few
+    do."""
     rng = np.random.default_rng(5)
     found = 0
     for _ in range(100):
@@ -241,7 +244,8 @@ def test_last_returns_and_nothing_are_judged_as_such():
 
 @pytest.mark.parametrize(("sigma", "least"), [(0.5, 0.86), (0.8, 0.80)])
 def test_the_interval_holds_the_true_rmse_as_often_as_it_says(sigma, least):
-    """Some 95 % of intervals hold the RMSE of errors that are alike within clusters, 92 % where tails are heavy; here 3 sigma less."""
+    """Some 95 % of intervals hold the RMSE of errors that are alike within clusters, 92 % where tails are
+    heavy; here 3 sigma less."""
     rng = np.random.default_rng(2)
     held, trials, size, clusters = 0, 50, 12, 60
     true_m = np.sqrt(np.exp(2 * -4.0 + 2 * sigma**2) / 2)  # E[x^2] of lognormal scale times half of uniform's
@@ -278,7 +282,8 @@ def test_a_tally_says_what_errors_of_all_pulses_say():
 
 
 def test_clusters_that_err_alike_leave_no_doubt():
-    """Eight clusters of one mean square have an interval that is that square's root, however it is rounded; seven have none."""
+    """Eight clusters of one mean square have an interval that is that square's root, however it is
+    rounded; seven have none."""
     for off_m in np.arange(1, 33) / 64:
         tally, answer, got = Tally(), detections_of(*[30.0] * 7), detections_of(*[30.0 + off_m] * 7)
         for _ in range(8):
@@ -290,7 +295,8 @@ def test_clusters_that_err_alike_leave_no_doubt():
 
 
 def test_choices_name_the_quickest_that_is_good_enough():
-    """For each wanted error the quickest setting within it is named, once, with the least error it is good for; no beam error is."""
+    """For each wanted error the quickest setting within it is named, once, with the least error it is good
+    for; no beam error is."""
     rows = [
         row("errant", 0.5, 0.001, "angle"),
         row("one", 1.0, 0.15),
@@ -305,7 +311,8 @@ BATCHING = Batching(16, 55_296)
 
 @pytest.mark.parametrize("moves", [False, True])
 def test_groups_are_spread_over_the_run(moves):
-    """Each of equal spans of time has its group, whatever is drawn, and a group is of the segment it is given with."""
+    """Each of equal spans of time has its group, whatever is drawn, and a group is of the segment it is
+    given with."""
     blocks = 4 * BATCHING.segment
     drawn = list(draw_groups(BATCHING, blocks, 4096, 7, moves=moves))
     groups = [group for _, of_segment in drawn for group in of_segment]

@@ -31,7 +31,8 @@ def joined(groups):
 
 
 def test_intervals_contain_the_truth_as_often_as_they_say():
-    """For each error, at least 88 % of the intervals of 150 heavy-tailed samples of 32 groups contain the error of all."""
+    """For each error, at least 88 % of the intervals of 150 heavy-tailed samples of 32 groups contain the
+    error of all."""
     draw = np.random.default_rng(4)
     everything = groups_of(draw, 2000, sigma=0.6)
     truth = errors_of(joined(everything), 1.0)
@@ -55,14 +56,16 @@ def test_four_times_the_pulses_halve_an_interval():
 
 
 def test_an_error_that_was_not_seen_has_an_upper_limit():
-    """With none of n pulses lost, the share is at most about 3.7 / n (the exact binomial limit), and not 0."""
+    """With none of n pulses lost, the share is at most about 3.7 / n (the exact binomial limit), and not
+    0."""
     low, high = intervals_of(groups_of(np.random.default_rng(6), 64, lost=0.0), 1.0)["invented"]
     assert low == 0.0
     assert high == pytest.approx(3.69 / (64 * PULSES), rel=0.1)
 
 
 def test_too_few_groups_and_too_heavy_tails_have_none():
-    """From seven groups nothing is concluded; and if one group has nearly all errors, not the order of magnitude."""
+    """From seven groups nothing is concluded; and if one group has nearly all errors, not the order of
+    magnitude."""
     groups = groups_of(np.random.default_rng(7), 8, sigma=0.3)
     assert set(intervals_of(groups[:7], 1.0).values()) == {None}
     assert intervals_of(groups, 1.0)["range_rmse_m"] is not None

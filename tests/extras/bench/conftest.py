@@ -20,7 +20,8 @@ INFO = DeviceInfo("11001000000001", SensorModel.VLP_16, bytes.fromhex("607688380
 
 
 class Engine:
-    """Stands for the stream: keeps what it is given, and turns its rotor by 20 rpm towards it at each look."""
+    """Stands for the stream: keeps what it is given, and turns its rotor by 20 rpm towards it at each
+    look."""
 
     def __init__(self):
         self.settings, self.changes, self.resets = DeviceSettings(), [], []

@@ -1,4 +1,5 @@
-"""Settings of a running sensor, those that survive a restart, and its converters against the formulas of the manual, applied the other way."""
+"""Settings of a running sensor, those that survive a restart, and its converters against the formulas of
+the manual, applied the other way."""
 
 import json
 import math
@@ -18,7 +19,8 @@ OTHERS = DeviceSettings(
 
 
 def test_saved_settings_survive_the_run(make, tmp_path):
-    """The next run starts with every field of a JSON table of those saved; what was not saved is the factory's."""
+    """The next run starts with every field of a JSON table of those saved; what was not saved is the
+    factory's."""
     file = tmp_path / "saved.json"
     _, device = make(saved=file)
     device.adopt(lambda _: OTHERS)
@@ -77,7 +79,8 @@ def boards(**changes):
 
 
 def test_a_healthy_sensor_reads_as_real_units_do():
-    """Rails, input, high voltage and temperatures of a warm unit stay within 1 % of those on record, and move slightly."""
+    """Rails, input, high voltage and temperatures of a warm unit stay within 1 % of those on record, and
+    move slightly."""
     real_bottom = {"i_out": 2087, "pwr_1_2v": 986, "lm20_temp": 1037, "pwr_5v": 2056, "pwr_2_5v": 2047,
                    "pwr_3_3v": 2706, "pwr_v_in": 891, "pwr_1_25v": 0}  # fmt: skip
     real_top = {"hv": 2628, "ad_temp": 602, "lm20_temp": 1018, "pwr_5v": 2078, "pwr_2_5v": 2047, "pwr_3_3v": 2687,
@@ -93,7 +96,8 @@ def test_a_healthy_sensor_reads_as_real_units_do():
 
 
 def test_boards_warm_up_over_the_first_minutes():
-    """From 25 degrees at power-up, over more than half of the way after two minutes, to 51 and 53 after ten."""
+    """From 25 degrees at power-up, over more than half of the way after two minutes, to 51 and 53 after
+    ten."""
     readings = [
         [celsius(board["lm20_temp"]) for board in boards(powered_for_s=s)] for s in (0.0, 120.0, 600.0)
     ]

@@ -59,7 +59,8 @@ def speeds_rpm(payloads):
 
 
 def test_packets_of_a_field_of_view_stay_the_same_where_others_are_left_out():
-    """A live run that was too slow for some blocks goes on with packets of the run without gaps, and most of them."""
+    """A live run that was too slow for some blocks goes on with packets of the run without gaps, and most
+    of them."""
     run = emulator(setting(0.0, fov_deg=[90, 214]))
     unit, block, geometry = (
         run.parts.units[0],
@@ -83,7 +84,8 @@ def test_packets_of_a_field_of_view_stay_the_same_where_others_are_left_out():
 
 
 def test_another_speed_is_reached_by_a_ramp():
-    """From 600 to 900 rpm the rotor runs up by 300 rpm per second, without a jump of its angle, and stays there."""
+    """From 600 to 900 rpm the rotor runs up by 300 rpm per second, without a jump of its angle, and stays
+    there."""
     payloads, due_ns = data_of(emulator(setting(0.4, rpm=900)).packets(0.0, 2.0))
     speed, at_s = speeds_rpm(payloads), due_ns / S_NS - 0.0007
     expected = 600.0 + 300.0 * np.clip(at_s - 0.4, 0.0, 1.0)
@@ -94,7 +96,8 @@ def test_another_speed_is_reached_by_a_ramp():
 
 
 def test_return_modes_follow_each_other():
-    """Packets are single, then dual, then single return, each at its rate and in its own mode; no pulse is left out."""
+    """Packets are single, then dual, then single return, each at its rate and in its own mode; no pulse is
+    left out."""
     run = emulator(setting(0.4, return_mode="dual"), setting(0.8, return_mode="last"))
     payloads, due_ns = data_of(run.packets(0.0, 1.2))
     for begin_s, mode, per_s in ((0.0, 0x37, 753.5), (0.4, 0x39, 1507.0), (0.8, 0x38, 753.5)):
@@ -106,7 +109,8 @@ def test_return_modes_follow_each_other():
 
 
 def test_a_field_of_view_fills_packets_from_inside_it():
-    """Azimuths of 90 to 180 degrees alone are sent, in whole packets, a quarter as many, in order of time; from 350 to 9 the sector goes through 0."""
+    """Azimuths of 90 to 180 degrees alone are sent, in whole packets, a quarter as many, in order of time;
+    from 350 to 9 the sector goes through 0."""
     payloads, due_ns = data_of(emulator(setting(1.0, fov_deg=[90, 179])).packets(1.0, 2.0))
     azimuth, _ = blocks_of(payloads[due_ns > 1.002 * S_NS])
     assert azimuth.min() >= 9000
@@ -136,7 +140,8 @@ def test_a_span_gives_the_packets_of_the_whole_run():
 
 
 def test_a_power_cycle_is_silent_and_resets_the_clock():
-    """Nothing leaves while the power is off; then the clock counts from 0, unsaved settings are lost, and it locks after its window."""
+    """Nothing leaves while the power is off; then the clock counts from 0, unsaved settings are lost, and
+    it locks after its window."""
     run = emulator(setting(0.5, rpm=1200), {"kind": "power_cycle", "at_s": 1.0, "off_s": 0.5}, window_s=1.0)
     packets = list(run.packets(0.0, 3.0))
     since_ns = np.array([packet.due_ns for packet in packets]) - run.scenario.start_ns
@@ -154,7 +159,8 @@ def test_a_power_cycle_is_silent_and_resets_the_clock():
 
 
 def test_a_stopped_motor_sends_one_azimuth():
-    """The rotor runs down from 300 rpm to a halt within 1 s and up again afterwards, and is found where it halted."""
+    """The rotor runs down from 300 rpm to a halt within 1 s and up again afterwards, and is found where it
+    halted."""
     stop = {"kind": "motor_stop", "at_s": 0.1, "duration_s": 1.3}
     payloads, due_ns = data_of(emulator(stop, rpm=300).packets(0.0, 2.8))
     speed = speeds_rpm(payloads)
@@ -165,7 +171,8 @@ def test_a_stopped_motor_sends_one_azimuth():
 
 
 def test_a_wobble_is_a_sine_of_the_speed():
-    """The speed differs from the one set by a sine of the amplitude and period that are given, for as long as it lasts."""
+    """The speed differs from the one set by a sine of the amplitude and period that are given, for as long
+    as it lasts."""
     wobble = {"kind": "rpm_wobble", "at_s": 0.4, "duration_s": 1.0, "amplitude_rpm": 60.0, "period_s": 0.5}
     run = emulator(wobble, azimuth_noise_deg=0.0, eccentricity_deg=0.0)
     payloads, due_ns = data_of(run.packets(0.0, 1.8))
@@ -176,7 +183,8 @@ def test_a_wobble_is_a_sine_of_the_speed():
 
 
 def test_phase_is_pulled_in_and_held_through_a_change_of_speed():
-    """At each UTC second the rotor is at the angle that is set, within 0.02 degrees, before and after another speed."""
+    """At each UTC second the rotor is at the angle that is set, within 0.02 degrees, before and after
+    another speed."""
     run = emulator(
         setting(0.2, phase_lock_deg=77.0), setting(3.5, rpm=900), azimuth_noise_deg=0.0, eccentricity_deg=0.0
     )
@@ -200,7 +208,8 @@ def test_a_dead_laser_has_no_returns():
 
 
 def test_a_dirty_window_takes_its_share_of_the_light_twice():
-    """Reflectivity in the sector is that of a clean window times the transmission squared; elsewhere it is the same."""
+    """Reflectivity in the sector is that of a clean window times the transmission squared; elsewhere it is
+    the same."""
     dirty = {"kind": "dirty_window", "at_s": 0.0, "sector_deg": [40, 80], "transmission": 0.5}
     (clean, _), (dimmed, _) = (data_of(run.packets(0.0, 0.5)) for run in (emulator(), emulator(dirty)))
     azimuth, _ = blocks_of(clean)
@@ -222,7 +231,8 @@ def test_a_free_clock_steps_and_drifts():
 
 
 def test_pulses_without_sentences_set_the_part_below_a_second():
-    """After a loss of power minutes and seconds count from it, and stamps begin anew with the edge of each pulse."""
+    """After a loss of power minutes and seconds count from it, and stamps begin anew with the edge of each
+    pulse."""
     lost, missing = (
         {"kind": "power_cycle", "at_s": 0.2, "off_s": 0.3},
         {"kind": "missing_sentence", "at_s": 0.0},
@@ -248,7 +258,8 @@ def test_packets_know_their_first_pulse():
 
 
 def test_a_late_start_reads_the_encoder_only_at_borders(monkeypatch):
-    """With a field of view the first packet after an hour is found with fewer than six readings per revolution; the next start needs none of them again."""
+    """With a field of view the first packet after an hour is found with fewer than six readings per
+    revolution; the next start needs none of them again."""
     unit = load_unit(setting(0.5, fov_deg=[90, 200]), duration_s=7200.0, **{"sensor.preset": "unit"})
     read = []
     whole = Head.read
@@ -265,7 +276,8 @@ def test_a_late_start_reads_the_encoder_only_at_borders(monkeypatch):
 
 @pytest.mark.parametrize("fov_deg", [[90, 200], [350, 9], [7, 7], [10, 9], [0, 358]])
 def test_counts_are_those_of_the_readings(fov_deg):
-    """Packets that are counted are those whose firing sequences are in the field of view, one by one, through stops, ramps and restarts."""
+    """Packets that are counted are those whose firing sequences are in the field of view, one by one,
+    through stops, ramps and restarts."""
     events = (
         setting(0.2, fov_deg=fov_deg),
         setting(2.0, rpm=1200),
@@ -286,7 +298,8 @@ def test_counts_are_those_of_the_readings(fov_deg):
 
 
 def test_counting_takes_each_change_of_settings_once(monkeypatch):
-    """Faults that count packets are set up by bisection: of a thousand changes of the field of view each is counted once, however many faults ask."""
+    """Faults that count packets are set up by bisection: of a thousand changes of the field of view each
+    is counted once, however many faults ask."""
     changes = [setting(0.1 * n, fov_deg=[n % 90, 200]) for n in range(1000)]
     timeline = load_unit(*changes, duration_s=200.0).timeline
     counted = []
@@ -300,7 +313,8 @@ def test_counting_takes_each_change_of_settings_once(monkeypatch):
 
 
 def test_a_setting_while_the_sensor_starts_holds_from_power_up():
-    """Speed, return mode and field of view that are set without power are those of the first packet after it; what was set before it is lost."""
+    """Speed, return mode and field of view that are set without power are those of the first packet after
+    it; what was set before it is lost."""
     run = emulator(
         setting(0.1, rpm=900),
         {"kind": "power_cycle", "at_s": 0.3, "off_s": 0.5},

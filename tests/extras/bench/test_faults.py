@@ -39,7 +39,8 @@ def clean():
 
 
 def sent(*events, start_s=0.0, stop_s=1.5, **settings):
-    """Packets of a run to which events happen, in order of sending; light is cast again only where the scene is another."""
+    """Packets of a run to which events happen, in order of sending; light is cast again only where the
+    scene is another."""
     run = emulator(*events, **settings)
     begin_ns = run.scenario.start_ns
 
@@ -79,7 +80,8 @@ EVERY = (
 
 @pytest.mark.parametrize("cut_s", [0.25, 0.61, 0.99, 1.02])
 def test_faults_do_not_depend_on_the_span(cut_s):
-    """All faults at once: what comes before a time and after it are the whole run; so is a span that one thread casts anew."""
+    """All faults at once: what comes before a time and after it are the whole run; so is a span that one
+    thread casts anew."""
     whole, after = sent(*EVERY), sent(*EVERY, start_s=cut_s)
     assert sent(*EVERY, stop_s=cut_s) + after == whole
     part = list(emulator(*EVERY, threads=1).packets(cut_s, cut_s + 0.1))
@@ -98,7 +100,8 @@ def test_faults_depend_on_the_seed_and_on_their_place():
 
 @pytest.mark.parametrize("packets", ["data", "position", "both"])
 def test_a_share_of_packets_is_lost(clean, packets):
-    """Of each chosen kind so many are missing as the share says, within 4 sigma; the others are the same to the bit."""
+    """Of each chosen kind so many are missing as the share says, within 4 sigma; the others are the same
+    to the bit."""
     kept = sent({"kind": "drop", "at_s": 0.5, "share": 0.3, "packets": packets})
     assert all(packet in clean for packet in kept)
     for kind in (DATA, POSITION):
@@ -110,7 +113,8 @@ def test_a_share_of_packets_is_lost(clean, packets):
 
 
 def test_a_run_of_packets_is_lost(clean):
-    """With a count just so many of a kind are missing, one after the other, and the frames' numbers leave a gap."""
+    """With a count just so many of a kind are missing, one after the other, and the frames' numbers leave
+    a gap."""
     kept = sent({"kind": "drop", "at_s": 0.5, "count": 12, "packets": "both"})
     for kind in (DATA, POSITION):
         lost = [packet for packet in of(clean, kind) if packet not in kept]
@@ -120,7 +124,8 @@ def test_a_run_of_packets_is_lost(clean):
 
 
 def test_duplicates_follow_their_packet(clean):
-    """A fifth of the packets comes twice, the second time 3 ms later, with the same bytes and the same number."""
+    """A fifth of the packets comes twice, the second time 3 ms later, with the same bytes and the same
+    number."""
     twice = Counter(
         sent({"kind": "duplicate", "at_s": 0.5, "share": 0.2, "after_s": 0.003, "packets": "both"})
     )
@@ -135,7 +140,8 @@ def test_duplicates_follow_their_packet(clean):
 
 @pytest.mark.parametrize(("by", "settings"), [(1, {}), (3, {}), (1, {"sensor.return_mode": "dual"})])
 def test_a_packet_comes_behind_later_ones(by, settings):
-    """One data packet comes right behind the one that follows it by so many; position packets and dual return too."""
+    """One data packet comes right behind the one that follows it by so many; position packets and dual
+    return too."""
     fault = {"kind": "reorder", "at_s": 0.1, "by": by, "count": 1, "packets": "both"}
     clean, moved = (sent(*events, stop_s=0.3, **settings) for events in ((), (fault,)))
     for kind in (DATA, POSITION):
@@ -146,7 +152,8 @@ def test_a_packet_comes_behind_later_ones(by, settings):
 
 
 def test_a_delay_moves_sending_and_nothing_else(clean):
-    """Packets of half a second leave 50 ms later, with the stamps that they had; those that follow overtake the last ones."""
+    """Packets of half a second leave 50 ms later, with the stamps that they had; those that follow
+    overtake the last ones."""
     late = of(sent({"kind": "delay", "at_s": 0.5, "duration_s": 0.5, "by_s": 0.05}), DATA)
     due_ns = {packet.payload: packet.due_ns for packet in of(clean, DATA)}
     behind = Counter((packet.due_ns - due_ns[packet.payload]) // MS_NS for packet in late)
@@ -156,7 +163,8 @@ def test_a_delay_moves_sending_and_nothing_else(clean):
 
 
 def test_jitter_is_a_queue(clean):
-    """Delays of all sizes up to the greatest, without a change of order; where packets are far apart they are uniform."""
+    """Delays of all sizes up to the greatest, without a change of order; where packets are far apart they
+    are uniform."""
     late = of(sent({"kind": "jitter", "at_s": 0.2, "up_to_s": 0.02}), DATA)
     before = of(clean, DATA)[: len(late)]
     assert [packet.payload for packet in late] == [packet.payload for packet in before]
@@ -169,7 +177,8 @@ def test_jitter_is_a_queue(clean):
 
 
 def test_so_many_bits_are_flipped(clean):
-    """Each corrupted packet differs in as many bits as wanted, anywhere in its payload, and leaves at its time."""
+    """Each corrupted packet differs in as many bits as wanted, anywhere in its payload, and leaves at its
+    time."""
     bad = sent({"kind": "corrupt", "at_s": 0.0, "bits": 5, "packets": "both"})
     places = []
     for a, b in zip(clean, bad, strict=True):
@@ -191,7 +200,8 @@ def test_cut_payloads(clean):
 
 
 def test_a_hanging_sensor_repeats_one_payload(clean):
-    """For its time each packet of the kind has the bytes of the first one; numbers of position packets go on."""
+    """For its time each packet of the kind has the bytes of the first one; numbers of position packets go
+    on."""
     frozen = sent({"kind": "freeze", "at_s": 0.5, "duration_s": 0.5, "packets": "both"})
     for kind in (DATA, POSITION):
         before, after = of(clean, kind), of(frozen, kind)
@@ -234,7 +244,8 @@ def test_events_that_cannot_be_are_refused(settings, line):
 
 @pytest.mark.parametrize("now", [False, True])
 def test_a_stream_sends_the_same(now):
-    """What a stream sends is what a recording holds, in its order; moved into the present too, where cut packets stay as they are."""
+    """What a stream sends is what a recording holds, in its order; moved into the present too, where cut
+    packets stay as they are."""
     run, sink = emulator(*EVERY), MemorySink()
     feed = PacketFeed(run.engine, 0.0, 0.4)
     Stream(feed, dict.fromkeys(PacketKind, sink), Pacer(1.0), now=now).run()

@@ -59,7 +59,8 @@ OFF = event("power_cycle", 3.0, off_s=2.5)
     ],
 )
 def test_the_state_follows_pulses_and_sentences(happening, settings, expected):
-    """Locked are steady pulses with sentences that name the second before them; each event ends that as the manual says."""
+    """Locked are steady pulses with sentences that name the second before them; each event ends that as
+    the manual says."""
     assert states(disturbed(happening, **settings)) == [(-1.0, LOCKED), *expected]
 
 
@@ -72,7 +73,8 @@ def test_the_state_follows_pulses_and_sentences(happening, settings, expected):
     ],
 )
 def test_the_buffer_holds_the_last_sentence_that_came(happening, seconds):
-    """From 0.35 s after its second on, later if it is late; the last one stays, and after power-up there is none."""
+    """From 0.35 s after its second on, later if it is late; the last one stays, and after power-up there
+    is none."""
     made = disturbed(happening)
     found = {at_s: made.second_ns(START_NS + round(1000 * at_s) * MS_NS) for at_s in seconds}
     assert found == {at_s: None if n is None else START_NS + n * S_NS for at_s, n in seconds.items()}
@@ -89,7 +91,8 @@ def test_a_sentence_says_what_happens_to_it():
 
 @pytest.mark.parametrize("characters", [1, 2, 5, 40])
 def test_as_many_characters_are_garbled_as_wanted(characters):
-    """The sentence keeps its length and its end; so many characters differ, and its checksum is wrong for each seed."""
+    """The sentence keeps its length and its end; so many characters differ, and its checksum is wrong for
+    each seed."""
     made = disturbed(event("wrong_sentence", 0.0, characters=characters))
     good, seen = disturbed().sentence(fix(2), 1), set()
     for seed in range(40):
@@ -118,7 +121,8 @@ def test_as_many_characters_are_garbled_as_wanted(characters):
     ],
 )
 def test_the_state_at_any_instant_is_one_of_the_steps(events, window_s):
-    """The steps of the state have the state by the rule at each instant: every 100 ms, and at and before each step."""
+    """The steps of the state have the state by the rule at each instant: every 100 ms, and at and before
+    each step."""
     made = disturbed(*events, pps_window_s=window_s)
     steps_ns = {t_ns for t_ns, _ in made.pps.steps if abs(t_ns - START_NS) < 60 * S_NS}
     for t_ns in [START_NS + ms * MS_NS for ms in range(-5_000, 40_000, 100)] + [

@@ -48,7 +48,8 @@ def off_ns(line, second):
 
 
 def test_pulses_and_sentences_lock_after_the_window():
-    """Absent, and time since power-up, without a receiver; synchronizing for the window; then locked to UTC, over midnight too."""
+    """Absent, and time since power-up, without a receiver; synchronizing for the window; then locked to
+    UTC, over midnight too."""
     line = made()
     assert (line.state_at(host(0)), line.sentence) == (PpsState.ABSENT, b"")
     assert line.clock_ns(host(0)) == 7 * S_NS + 321
@@ -70,7 +71,8 @@ def test_pulses_and_sentences_lock_after_the_window():
     ],
 )
 def test_half_a_receiver_leaves_the_clock_where_it_was(whole, alone, states):
-    """Pulses alone never lock, the state is absent 1.5 s after the last pulse, and synchronizing 5 s after the last sentence."""
+    """Pulses alone never lock, the state is absent 1.5 s after the last pulse, and synchronizing 5 s after
+    the last sentence."""
     line = made()
     feed(line, whole)
     for second in alone:
@@ -81,7 +83,8 @@ def test_half_a_receiver_leaves_the_clock_where_it_was(whole, alone, states):
 
 
 def test_a_garbled_sentence_and_a_bad_pulse_are_errors():
-    """A wrong checksum, and a pulse in the middle of a second, are errors until the next good ones; other sentences are ignored."""
+    """A wrong checksum, and a pulse in the middle of a second, are errors until the next good ones; other
+    sentences are ignored."""
     line = made()
     feed(line, range(6))
     line.receive(sentence(5).replace(b"N", b"S", 1), host(5.5))
@@ -106,7 +109,8 @@ def test_void_sentences_set_the_clock_unless_valid_ones_are_required(requires_va
 
 
 def test_a_receiver_that_searches_is_no_error():
-    """A sentence of status V with empty fields, as after a cold start, neither sets the clock nor is an error."""
+    """A sentence of status V with empty fields, as after a cold start, neither sets the clock nor is an
+    error."""
 
     def searching(_second, *, valid):
         fields = ("", "V", "", "", "", "", "", "", "", "", "", "N")
@@ -119,7 +123,8 @@ def test_a_receiver_that_searches_is_no_error():
 
 
 def test_stamps_do_not_show_how_late_a_line_was_looked_at():
-    """Pulses that are seen up to 1 ms late move the clock by an eighth of that at most, and their mean stays in it."""
+    """Pulses that are seen up to 1 ms late move the clock by an eighth of that at most, and their mean
+    stays in it."""
     line = made()
     feed(line, range(10), jitter_ns=MS_NS)
     steps = []
@@ -132,7 +137,8 @@ def test_stamps_do_not_show_how_late_a_line_was_looked_at():
 
 
 def test_without_a_line_the_sentence_is_the_pulse():
-    """Where no pulse comes, the second began as long before its sentence as is set, and the state locks all the same."""
+    """Where no pulse comes, the second began as long before its sentence as is set, and the state locks
+    all the same."""
     line = made(is_pulsed=False)
     for second in range(8):
         line.receive(sentence(second), host(second + 0.45))
@@ -150,7 +156,8 @@ def test_noise_on_the_line_is_bounded():
 
 
 def test_packets_carry_the_clock_state_and_sentence_of_the_line():
-    """Stamps are those of the first pulse on the receiver's time, evenly apart whatever the host's delay; position packets echo."""
+    """Stamps are those of the first pulse on the receiver's time, evenly apart whatever the host's delay;
+    position packets echo."""
     line = made()
     feed(line, range(10))
     delays_ns = [0, 300_000, 20_000, 4 * MS_NS]

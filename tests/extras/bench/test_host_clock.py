@@ -29,7 +29,8 @@ def test_a_preset_has_the_spacing_of_real_captures(preset, low_us, high_us):
 
 
 def test_hosts_differ_in_their_clocks():
-    """Over many seeds the rate is within -15 to 20 ppm for most, and the offset within some milliseconds, before or behind."""
+    """Over many seeds the rate is within -15 to 20 ppm for most, and the offset within some milliseconds,
+    before or behind."""
     clocks = [HostClock(CaptureClock(), seed, START_NS) for seed in range(200)]
     ppm, ahead_ms = np.array([(clock._ppm, clock._ahead_ms) for clock in clocks]).T
     assert 0.8 < ((ppm > -15) & (ppm < 20)).mean() < 1.0
@@ -38,7 +39,8 @@ def test_hosts_differ_in_their_clocks():
 
 
 def test_a_piece_has_the_stamps_of_the_whole():
-    """They follow from the packet, so a recording in two pieces has those of one; an ideal host changes nothing."""
+    """They follow from the packet, so a recording in two pieces has those of one; an ideal host changes
+    nothing."""
     whole, piece = stamps_ns(preset="quiet_pc"), stamps_ns(PACKETS[777:], preset="quiet_pc")
     np.testing.assert_array_equal(whole[777:], piece)
     assert stamps_ns(PACKETS[:10], preset="ideal").tolist() == [packet.due_ns for packet in PACKETS[:10]]

@@ -50,7 +50,8 @@ def bench(monkeypatch):
 
 
 def test_a_hundred_settings_are_two_changes(bench):
-    """The first is followed at once; the 99 that come before its packets are made ahead are one change, where those packets end."""
+    """The first is followed at once; the 99 that come before its packets are made ahead are one change,
+    where those packets end."""
     bench.device.change(lambda settings: replace(settings, rpm=300))
     assert bench.stream.changed.acquire(timeout=60)
     for number in range(99):
@@ -68,7 +69,8 @@ def test_a_hundred_settings_are_two_changes(bench):
 
 
 def test_a_restart_among_settings_loses_those_before_it(bench):
-    """Settings before and after a restart, in one change: power is lost once, and what was set since holds from power-up."""
+    """Settings before and after a restart, in one change: power is lost once, and what was set since holds
+    from power-up."""
     bench.device.change(lambda settings: replace(settings, rpm=300))
     assert bench.stream.changed.acquire(timeout=60)
     bench.device.change(lambda settings: replace(settings, rpm=1200))
@@ -82,7 +84,8 @@ def test_a_restart_among_settings_loses_those_before_it(bench):
 
 
 def test_a_flood_of_poses_is_one_pose():
-    """If 100 datagrams wait, every second of them noise, only the last pose is handed on, and the noise is counted."""
+    """If 100 datagrams wait, every second of them noise, only the last pose is handed on, and the noise is
+    counted."""
     put, there = [], threading.Event()
 
     def take(*pose):
@@ -101,7 +104,8 @@ def test_a_flood_of_poses_is_one_pose():
 
 
 def test_characters_that_come_one_by_one_are_taken_together(monkeypatch):
-    """A receiver that sends byte by byte is listened to once in a while; each time all that has come is read at once."""
+    """A receiver that sends byte by byte is listened to once in a while; each time all that has come is
+    read at once."""
     reader, waited = object.__new__(GpsReader), []
     looks = iter([(b"$GP", False, 1), (b"RMC", False, 2), None])
     heard = []

@@ -36,7 +36,8 @@ def data(made_ns):
 
 @pytest.mark.parametrize("now_ns", [1_795_000_000_123_456_789, 1_795_003_599_999_000_000, 3 * S_NS])
 def test_stamps_are_those_of_the_clock(now_ns):
-    """Stamp and age of the first packet make the time at which it leaves, in the second after now; later ones follow."""
+    """Stamp and age of the first packet make the time at which it leaves, in the second after now; later
+    ones follow."""
     clock = Clock(now_ns)
     packets = [data(1_779_000_000 * S_NS + 250_000_000 + step * 10_000_000) for step in range(3)]
     present = Present(clock_ns=clock)

@@ -83,7 +83,8 @@ def test_a_run_may_be_cut_anywhere(hall, packets):
 
 
 def test_nothing_is_made_before_its_time(hall, packets, monkeypatch):
-    """When a packet is taken, no sentence of a later one has been made, and no sample more than 20 ms ahead."""
+    """When a packet is taken, no sentence of a later one has been made, and no sample more than 20 ms
+    ahead."""
     asked_ns = [0]
     fix, read = hall.engine.receiver.fix, hall.parts.imu.read
     monkeypatch.setattr(hall.engine.receiver, "fix", lambda t_ns: asked_ns.append(t_ns) or fix(t_ns))

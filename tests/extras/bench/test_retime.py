@@ -26,7 +26,8 @@ def position(sentence=None, stamp_us=3_598_250_000):
 
 
 def test_a_position_packet_is_moved_over_midnight():
-    """Two seconds later are the hour's beginning, and in the sentence the next year, with a right checksum."""
+    """Two seconds later are the hour's beginning, and in the sentence the next year, with a right
+    checksum."""
     packet = moved(position(), 2)
     assert stamp_ns(packet) == 250_000_000
     fields = decode_position(packet.payload)
@@ -45,7 +46,8 @@ def test_a_move_there_and_back_changes_nothing():
 
 
 def test_the_date_of_another_clock_is_put_right():
-    """Where the capture's clock was a day off the receiver's, the sentence comes to the hour at which it is sent."""
+    """Where the capture's clock was a day off the receiver's, the sentence comes to the hour at which it
+    is sent."""
     sent_ns = parse_rmc(with_checksum(SENTENCE)).t_ns + 100 * 86_400_000_000_000
     fields = decode_position(moved(position(), 99 * 86_400, sent_ns).payload)
     assert parse_rmc(fields.sentence).t_ns == sent_ns

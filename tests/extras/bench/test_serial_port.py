@@ -60,7 +60,8 @@ def device(tmp_path):
 
 @pytest.mark.parametrize(("line", "felt"), [("rts", "cts"), ("dtr", "dsr")])
 def test_pulses_are_on_the_line(line, felt):
-    """The line is low when the port opens, high by a pulse, low after it, and low when the stream ends in a pulse."""
+    """The line is low when the port opens, high by a pulse, low after it, and low when the stream ends in
+    a pulse."""
     port = SerialPort("loop://", 9600, "--gps-out", line)
     opened = port.use(lambda opened: opened)
     seen = [getattr(opened, felt)]
@@ -77,7 +78,8 @@ def test_pulses_are_on_the_line(line, felt):
 
 
 def test_a_device_that_comes_back_is_found(device, monkeypatch):
-    """While it is away sentences are dropped, and the next one after its return is the first that comes out."""
+    """While it is away sentences are dropped, and the next one after its return is the first that comes
+    out."""
     monkeypatch.setattr("vlp16emu.extras.bench.outlets._RETRY_S", 0.05)
     sent = []
 
@@ -106,7 +108,8 @@ def test_a_device_that_comes_back_is_found(device, monkeypatch):
 
 
 def test_a_port_that_takes_no_more_holds_up_nobody_and_takes_no_core(device):
-    """Without a reader sending goes on at once, memory stays bounded, every lost packet is counted, and waiting costs next to nothing."""
+    """Without a reader sending goes on at once, memory stays bounded, every lost packet is counted, and
+    waiting costs next to nothing."""
     with SerialSink(SerialPort(str(device.path), 9600, "--gps-out")) as sink:
         begun_s = time.monotonic()
         for _ in range(10_000):  # 0.8 MB, into a buffer of 4 KB

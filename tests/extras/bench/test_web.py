@@ -1,4 +1,5 @@
-"""The web interface as bytes on the line, its documents against their schemas, its forms, and clients as drivers and scripts are."""
+"""The web interface as bytes on the line, its documents against their schemas, its forms, and clients as
+drivers and scripts are."""
 
 import json
 import re
@@ -37,7 +38,8 @@ def get(path, *lines):
 
 @pytest.mark.parametrize("name", DOCUMENTS)
 def test_a_document_is_as_its_schema_says(web, name):
-    """Each document has all keys of its schema, no other, with their types; also with other settings and another state."""
+    """Each document has all keys of its schema, no other, with their types; also with other settings and
+    another state."""
     schema = f"{name.partition('.')[0]}.schema.json"
     check(web.client.get(f"/cgi/{name}"), schema)
     web.device.adopt(lambda settings: replace(settings, **OTHERS))
@@ -47,7 +49,8 @@ def test_a_document_is_as_its_schema_says(web, name):
 
 
 def test_settings_are_written_as_units_do(web):
-    """Numbers of speed and field of view, texts of ports and phase, words with a capital: the factory's settings."""
+    """Numbers of speed and field of view, texts of ports and phase, words with a capital: the factory's
+    settings."""
     assert web.client.get("/cgi/settings.json") == {
         "laser": "On",
         "returns": "Strongest",
@@ -98,7 +101,8 @@ def test_the_info_is_the_units_own(make):
         ("setting start=3", "'start': unknown key, expected rpm or returns or laser"),
         *((f"setting {body}", "expected key=value") for body in ("rpm", "", "&".join(["rpm=300"] * 17))),
         ("setting/fov start=360", "start: found 360, expected a whole number from 0 to 359"),
-        *((f"setting/host addr={host}", "the IPv4 address of a host, or 255.255.255.255") for host in ("0.0.0.0", "a.org")),
+        *((f"setting/host addr={host}", ("the IPv4 address of a host, or "
+                                        "255.255.255.255")) for host in ("0.0.0.0", "a.org")),
         ("setting/host dport=0", "dport: found 0"),
         ("setting/host tport=65536", "tport: found 65536"),
         ("setting/net mask=255.0.255.0", "a network mask"),
@@ -125,7 +129,8 @@ def test_a_bad_value_is_ignored(web, form, words):
     ("save", "reset"), [("submit", "reset_system"), ("data=submit", "data=reset_system")]
 )
 def test_save_and_reset(web, save, reset):
-    """Bare words and form data do the same: what is saved is there after a reset, in a file too, what is not is lost."""
+    """Bare words and form data do the same: what is saved is there after a reset, in a file too, what is
+    not is lost."""
     web.client.post("/cgi/setting", "rpm=300")
     assert web.client.post("/cgi/save", save) == (204, b"")
     web.client.post("/cgi/setting", "rpm=1200")
@@ -136,7 +141,8 @@ def test_save_and_reset(web, save, reset):
 
 
 def test_what_the_stream_cannot_follow_is_an_error(web):
-    """A receiver that is out of reach gives 500 with the reason, and is not set; a reset that cannot be followed sets nothing either."""
+    """A receiver that is out of reach gives 500 with the reason, and is not set; a reset that cannot be
+    followed sets nothing either."""
 
     def refused(_before, settings, **_):
         raise OutputError(f"destination {settings.host}", "out of reach", "an address in reach")
@@ -172,15 +178,22 @@ def test_what_cannot_be_saved_is_an_error(web):
         get("/", "Connection: close"),
         get("/nothing", "Connection: close"),
         b"POST /cgi/setting HTTP/1.1\r\nHost: x\r\nContent-Length: 7\r\nConnection: close\r\n\r\nrpm=300",
-        b"POST /cgi/setting HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 7\r\nConnection: close\r\n\r\nrpm=300",
-        b"POST /cgi/setting HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 7\r\nConnection: close\r\n\r\nrpm=abc",
+        (
+            b"POST /cgi/setting HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 7\r\nConnection: "
+            b"close\r\n\r\nrpm=300"
+        ),
+        (
+            b"POST /cgi/setting HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 7\r\nConnection: "
+            b"close\r\n\r\nrpm=abc"
+        ),
         b"PUT / HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n",
         b"\x00\x01\r\n\r\n",
         b"GET / HTTP/1.0\r\n\r\n",
     ],
 )
 def test_every_answer_has_its_length_and_leaves_in_one_piece(speak, sent):
-    """HTTP/1.1, `Content-Length: ` in this spelling with the true length, a type, no chunks; one segment; then the line is closed."""
+    """HTTP/1.1, `Content-Length: ` in this spelling with the true length, a type, no chunks; one segment;
+    then the line is closed."""
     (segment,) = speak(sent)
     head, _, body = segment.partition(b"\r\n\r\n")
     lines = head.decode().split("\r\n")
@@ -224,7 +237,8 @@ def test_paths_and_methods_that_are_none(web, method, path, status, allow):
 
 
 def test_a_sensor_that_starts_answers_nothing(web, speak):
-    """After a reset, until it is up, lines are closed without a byte, those that were open too; then it answers again."""
+    """After a reset, until it is up, lines are closed without a byte, those that were open too; then it
+    answers again."""
     web.client.get("/cgi/info.json")
     assert web.client.post("/cgi/reset", "reset_system")[0] == 204
     web.engine.is_up = False
@@ -306,7 +320,8 @@ class Nebula:
         self._address, self.asked = address, []
 
     def request(self, method, endpoint, body=""):
-        """Ask, and return as much of a body as `Content-Length: ` says, in no other spelling; the status is not looked at."""
+        """Ask, and return as much of a body as `Content-Length: ` says, in no other spelling; the status
+        is not looked at."""
         self.asked.append((endpoint, body))
         form = f"Content-Type: application/x-www-form-urlencoded\r\nContent-Length: {len(body)}\r\n"
         head = (
@@ -324,7 +339,8 @@ class Nebula:
         return answer[length.end() :]
 
     def configure(self, wanted):
-        """Read the snapshot, and send one form of one key for each item that differs, in the order of the items."""
+        """Read the snapshot, and send one form of one key for each item that differs, in the order of the
+        items."""
         tree = json.loads(self.request("GET", "/cgi/snapshot.hdl"))
         for key, value in wanted.items():
             if self.item(tree, key) != value:
@@ -338,7 +354,8 @@ class Nebula:
 
 
 def test_nebula_configures_every_item(web):
-    """One form per item that differs, in its order; read back they are all set; a second time there is nothing to set."""
+    """One form per item that differs, in its order; read back they are all set; a second time there is
+    nothing to set."""
     nebula = Nebula(web.address)
     nebula.configure(WANTED)
     assert nebula.asked == [
@@ -391,7 +408,8 @@ CLIENTS = {"http.client": lambda web, path, body: web.client.post(path, body), "
 @pytest.mark.parametrize("client", CLIENTS)
 @pytest.mark.parametrize(("form", "values"), FORMS.items())
 def test_a_form_sets_its_values(web, client, form, values):
-    """Each is answered 204 without body, changes what it names and nothing else, and the stream hears of it once."""
+    """Each is answered 204 without body, changes what it names and nothing else, and the stream hears of
+    it once."""
     if client == "curl" and not shutil.which("curl"):
         pytest.skip("curl is not installed")
     path, body = form.split()

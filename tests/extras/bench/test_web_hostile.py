@@ -1,4 +1,5 @@
-"""What the web interface does with requests that are wrong, too long, too slow, too many, from elsewhere, or any bytes at all.
+"""What the web interface does with requests that are wrong, too long, too slow, too many, from elsewhere, or
+any bytes at all.
 
 200 examples of random bytes; with `pytest --hypothesis-profile=long` 10 000.
 """
@@ -41,7 +42,8 @@ def status_of(segments):
     ],
 )
 def test_no_file_can_be_reached(web, speak, path):
-    """Whatever a path says, it names one of the documents or nothing: no file of this machine, and none of the program."""
+    """Whatever a path says, it names one of the documents or nothing: no file of this machine, and none of
+    the program."""
     web.device.save()
     said = b"".join(speak(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n".encode()))
     assert b"HTTP/1.1 404 " in said
@@ -71,7 +73,8 @@ def test_no_file_can_be_reached(web, speak, path):
     ],
 )
 def test_what_is_no_request_is_refused(web, speak, sent, status):
-    """Bytes that are no HTTP, heads and bodies that are too long or ambiguous: one answer that arrives, and the line is closed."""
+    """Bytes that are no HTTP, heads and bodies that are too long or ambiguous: one answer that arrives,
+    and the line is closed."""
     assert status_of(speak(sent, shut=True)) == status
     assert web.device.settings == DeviceSettings()
     assert lives(web)
@@ -88,7 +91,8 @@ def test_a_body_of_the_greatest_length_is_read(web, speak):
 
 @pytest.mark.parametrize("begin", [b"", b"GET / HT", FORM, FORM + b"Content-Length: 7\r\n\r\nrpm"])
 def test_a_slow_client_is_hung_up_on(web, monkeypatch, begin):
-    """A request that is not there in time closes its line, also where a byte comes now and then; others are answered meanwhile."""
+    """A request that is not there in time closes its line, also where a byte comes now and then; others
+    are answered meanwhile."""
     monkeypatch.setattr("vlp16emu.extras.bench.web.LONGEST_S", 0.3)
     begin_s = time.perf_counter()
     with socket.create_connection(web.address, timeout=0.02) as line:
@@ -109,7 +113,8 @@ MANY_AT_ONCE = b"GET /cgi/snapshot.hdl HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n" * 10
 
 
 def test_a_client_that_reads_nothing_is_hung_up_on(web, monkeypatch):
-    """Requests without end, whose answers nobody takes, fill the line and no more: the server leaves it in time."""
+    """Requests without end, whose answers nobody takes, fill the line and no more: the server leaves it in
+    time."""
     monkeypatch.setattr("vlp16emu.extras.bench.web.LONGEST_S", 0.3)
     with socket.socket() as line:
         line.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
@@ -180,7 +185,8 @@ def test_connections_are_bounded(make, monkeypatch):
     ],
 )
 def test_pages_of_other_sites_set_nothing(web, speak, lines, status):
-    """A form of another origin, or to a name that leads here, is refused; tools, which send no origin, and addresses are not."""
+    """A form of another origin, or to a name that leads here, is refused; tools, which send no origin, and
+    addresses are not."""
     head = "\r\n".join(
         ["POST /cgi/setting HTTP/1.1", *lines, "Content-Length: 7", "Connection: close", "", "rpm=300"]
     )
@@ -189,7 +195,8 @@ def test_pages_of_other_sites_set_nothing(web, speak, lines, status):
 
 
 def test_names_are_taken_where_others_may_come(web, speak):
-    """On an interface that is not this machine's alone the sensor may have a name; forms of other origins are refused there too."""
+    """On an interface that is not this machine's alone the sensor may have a name; forms of other origins
+    are refused there too."""
     web.server.is_private = False
     form = b"POST /cgi/setting HTTP/1.1\r\nHost: sensor\r\n%sContent-Length: 7\r\nConnection: close\r\n\r\nrpm=300"
     assert status_of(speak(form % b"Origin: http://site.example\r\n")) == 403
@@ -197,7 +204,8 @@ def test_names_are_taken_where_others_may_come(web, speak):
 
 
 def test_every_origin_may_read_only_as_a_tool(web):
-    """No answer allows pages of other origins to read it, and the page itself loads from nowhere and is framed by none."""
+    """No answer allows pages of other origins to read it, and the page itself loads from nowhere and is
+    framed by none."""
     for path in ("/", *DOCUMENTS):
         _, headers, body = web.client.ask("GET", path, headers={"Origin": "http://site.example"})
         assert not [name for name in headers if name.lower().startswith("access-control")]
@@ -228,7 +236,8 @@ TOKENS = st.sampled_from(
 @MANY
 @given(sent=st.one_of(st.binary(max_size=300), st.lists(TOKENS, max_size=12).map(b"".join)))
 def test_any_bytes_are_answered_or_hung_up_on(web, sent):
-    """Whatever comes, the line is closed in time, what is said are whole answers, and the next client is served."""
+    """Whatever comes, the line is closed in time, what is said are whole answers, and the next client is
+    served."""
     begin_s = time.perf_counter()
     said = b""
     with socket.create_connection(web.address, timeout=LONGEST_S) as line:

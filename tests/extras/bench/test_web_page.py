@@ -53,7 +53,8 @@ def page(web, browser):
 
 
 def test_the_page_shows_the_state(web, page):
-    """Model, serial number, speed, pulse, laser, temperatures and voltages are those of the documents; all settings are filled in."""
+    """Model, serial number, speed, pulse, laser, temperatures and voltages are those of the documents; all
+    settings are filled in."""
     names = ("model", "serial", "mac", "rpm", "motor", "laser", "pps", "position", "phase", "lock")
     assert [page.text(name) for name in names] == [
         *("VLP-16", "11001000000001", "60-76-88-38-00-01", "600", "On, set to 600", "On", "Locked"),
@@ -80,7 +81,8 @@ def test_the_page_shows_the_state(web, page):
 
 
 def test_the_form_sends_what_was_changed(web, page):
-    """All changed fields are set by one press, the phase in 0.01 degree; unchanged ones are not sent. The speed goes to its number by steps."""
+    """All changed fields are set by one press, the phase in 0.01 degree; unchanged ones are not sent. The
+    speed goes to its number by steps."""
     values = {
         "[name=rpm]": "900", "[name=returns]": "Dual", "[name=laser]": "Off", "[name=start]": "350", "[name=end]": "10",
         "[name=enabled]": "On", "[name=offset]": "123.45", "[name=dport]": "3000",
@@ -115,7 +117,8 @@ def test_a_refused_value_is_shown_with_its_reason(web, page):
 
 
 def test_save_and_reset_are_buttons(web, page):
-    """A value that is being typed stays; a saved setting is there after the reset; one that was set since is not."""
+    """A value that is being typed stays; a saved setting is there after the reset; one that was set since
+    is not."""
     page.type("[name=end]", "90")
     web.client.post("/cgi/setting", "rpm=300")
     page.wait("document.querySelector('[name=rpm]').value == 300")  # set from elsewhere, and shown

@@ -66,7 +66,8 @@ def world_points(emulator, duration_s=0.1):
 
 
 def test_points_of_the_lidar_lie_in_the_depth(hall, seen, tool_named):
-    """Through a bent lens on an arm, points of the lidar off edges differ from the depth by less than a millimetre in the median."""
+    """Through a bent lens on an arm, points of the lidar off edges differ from the depth by less than a
+    millimetre in the median."""
     found = tool_named("images").compared(seen, *world_points(hall))
     assert len(found.difference_m) > 800
     assert np.median(np.abs(found.difference_m)) < 0.001
@@ -74,7 +75,8 @@ def test_points_of_the_lidar_lie_in_the_depth(hall, seen, tool_named):
 
 
 def test_points_of_a_walk_lie_in_the_depth_of_a_forest(tmp_path, kept_woods, tool_named):
-    """From a walking person among birches, the median difference off edges is below 5 mm, and leaf, stem and ground are labelled."""
+    """From a walking person among birches, the median difference off edges is below 5 mm, and leaf, stem
+    and ground are labelled."""
     walk = Emulator("birch_walk", {**THIN, "camera.width_px": 320, "camera.height_px": 240}, ideal=True)
     write_images(walk, tmp_path / "images", duration_s=0.1)
     found = tool_named("images").compared(tmp_path / "images", *world_points(walk, 0.3))
@@ -91,7 +93,8 @@ def test_points_of_a_walk_lie_in_the_depth_of_a_forest(tmp_path, kept_woods, too
 
 
 def test_a_row_of_a_rolling_shutter_is_that_of_its_time(kept_woods):
-    """Each row of a rolling shutter shows what an image of one instant shows at that row's time; rows differ by the readout."""
+    """Each row of a rolling shutter shows what an image of one instant shows at that row's time; rows
+    differ by the readout."""
     settings = {**THIN, **SMALL, "camera.readout_s": 0.1}
     walk = Emulator("birch_walk", settings, ideal=True)
     still = walk.changed({"camera.readout_s": 0.0})
@@ -127,7 +130,8 @@ def test_an_image_depends_on_its_time_alone(seen, hall, tmp_path):
 
 
 def test_more_samples_smooth_colours_alone(hall, seen, tmp_path):
-    """Four rays for a colour change the colours of edges; depth and labels stay those of the pixel's middle."""
+    """Four rays for a colour change the colours of edges; depth and labels stay those of the pixel's
+    middle."""
     write_images(hall, tmp_path / "images", duration_s=0.1, samples=2)
     smooth, rough = files_of(tmp_path / "images"), files_of(seen)
     for layer in ("depth", "semantic", "part", "instance"):
@@ -167,7 +171,8 @@ def colmap_pixels(folder, number, world_m):
 
 
 def test_poses_of_all_forms_reproject_known_points(hall, seen):
-    """Corners of the hall's crate have the same pixel by cameras.json, TUM, COLMAP and nerfstudio, and its label there."""
+    """Corners of the hall's crate have the same pixel by cameras.json, TUM, COLMAP and nerfstudio, and its
+    label there."""
     x, y, z = (
         np.array([-6.0, -5.0, 0.5]) + np.array(np.meshgrid(*[(-0.5, 0.5)] * 3)).reshape(3, -1).T * [2, 1, 1]
     ).T
@@ -195,7 +200,8 @@ def test_poses_of_all_forms_reproject_known_points(hall, seen):
 
 
 def test_a_level_camera_has_a_level_horizon(tmp_path):
-    """Without tilt, the depth of the hall's floor is the same along a row, and a person's camera looks where the person goes."""
+    """Without tilt, the depth of the hall's floor is the same along a row, and a person's camera looks
+    where the person goes."""
     level = Emulator("static_bench", SMALL, ideal=True)
     write_images(level, tmp_path / "images", duration_s=0.1)
     _, _, (shot,) = read_images(tmp_path / "images")
@@ -292,7 +298,8 @@ def test_a_damaged_folder_is_named(seen, tmp_path):
 
 
 def test_the_command_writes_them(tmp_path, capsys):
-    """The verb takes span, depth and settings, and prints what it wrote; a bad option is refused with exit code 2."""
+    """The verb takes span, depth and settings, and prints what it wrote; a bad option is refused with exit
+    code 2."""
     words = [
         "images",
         "static_bench",

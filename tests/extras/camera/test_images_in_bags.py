@@ -60,7 +60,8 @@ def bench(tmp_path_factory):
 
 @pytest.mark.parametrize("name", ["run.mcap", "run.bag", "of_capture.bag"])
 def test_bags_have_the_images_of_the_folder(bench, name):
-    """Bags of a run, and of its capture with a folder, have each layer with its pixels, stamp, intrinsics and frame."""
+    """Bags of a run, and of its capture with a folder, have each layer with its pixels, stamp, intrinsics
+    and frame."""
     emulator, place = bench
     if name.startswith("run"):
         emulator.record(place / name, duration_s=0.25)
@@ -98,7 +99,8 @@ def test_bags_have_the_images_of_the_folder(bench, name):
 
 
 def test_the_frame_of_the_camera_is_in_tf(bench):
-    """From the world by odometry and /tf_static, the camera's pose is that of the folder, optical axis ahead and 5 degrees down."""
+    """From the world by odometry and /tf_static, the camera's pose is that of the folder, optical axis
+    ahead and 5 degrees down."""
     emulator, place = bench
     emulator.record(place / "tf.mcap", duration_s=0.25)
     found = messages(place / "tf.mcap")

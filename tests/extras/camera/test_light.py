@@ -9,7 +9,8 @@ from vlp16emu.extras.camera.light import linear, sky, sun_direction, tone_map
 
 
 def spencer(when: datetime, latitude_deg: float, longitude_deg: float) -> np.ndarray:
-    """East, north, up to the sun by Fourier series (J. W. Spencer, Search 2(5), 1971, as in NOAA's solar calculator)."""
+    """East, north, up to the sun by Fourier series (J. W. Spencer, Search 2(5), 1971, as in NOAA's solar
+    calculator)."""
     hours = when.hour + when.minute / 60
     g = 2 * np.pi / 365 * (when.timetuple().tm_yday - 1 + (hours - 12) / 24)
     fourier = (
@@ -49,7 +50,8 @@ def test_the_sun_stands_where_another_formula_has_it(when, latitude_deg, longitu
 
 
 def test_the_sky_is_bluest_above_and_bright_about_the_sun():
-    """The zenith has less red than the horizon, the sky about the sun is the brightest, and a forest darkens its foot."""
+    """The zenith has less red than the horizon, the sky about the sun is the brightest, and a forest
+    darkens its foot."""
     up, ahead, sun = np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 1.0, 0.0]]), np.array([0.6, 0.0, 0.8])
     open_up, open_ahead, at_sun = (sky(of, sun, wooded=False)[0] for of in (up, ahead, sun[None]))
     assert open_up[0] / open_up[2] < 0.5 * open_ahead[0] / open_ahead[2]

@@ -46,7 +46,8 @@ def cloud(tmp_path_factory):
 
 @pytest.mark.parametrize("suffix", ["las", "laz"])
 def test_las_has_the_points_where_they_are(cloud, suffix):
-    """Through laspy coordinates are within half of 0.1 mm, and fields and extra dimensions are the arrays themselves."""
+    """Through laspy coordinates are within half of 0.1 mm, and fields and extra dimensions are the arrays
+    themselves."""
     folder, own = cloud
     read = laspy.read(folder / f"points.{suffix}")
     assert (str(read.header.version), read.header.point_format.id) == ("1.4", 6)
@@ -69,7 +70,8 @@ def test_las_has_the_points_where_they_are(cloud, suffix):
 
 
 def test_las_says_which_time_and_coordinate_system_it_has(cloud):
-    """GPS time is UTC with 18 leap seconds, from 1980-01-06, less 1e9 s; the WKT record is that of the scene's origin."""
+    """GPS time is UTC with 18 leap seconds, from 1980-01-06, less 1e9 s; the WKT record is that of the
+    scene's origin."""
     folder, own = cloud
     read = laspy.read(folder / "points.laz")
     assert read.header.global_encoding.gps_time_type == laspy.header.GpsTimeType.STANDARD
@@ -131,7 +133,8 @@ def test_laz_is_read_alike_by_the_reference_decoder(cloud):
 
 @pytest.mark.parametrize("height_m", [0.0, 312.5, 2000.0])
 def test_the_coordinate_system_is_that_of_the_world(height_m):
-    """PROJ projects points of the world, taken to the ellipsoid by pymap3d, onto their east and north within 1 mm at 1 km."""
+    """PROJ projects points of the world, taken to the ellipsoid by pymap3d, onto their east and north
+    within 1 mm at 1 km."""
     pyproj = pytest.importorskip("pyproj")
     import pymap3d
 
@@ -153,7 +156,8 @@ def test_the_bytes_do_not_depend_on_the_day_or_the_run(tmp_path):
         "h.date = type('D', (datetime.date,), {'today': classmethod(lambda c: datetime.date(1999, 2, 3))})\n"
         "from vlp16emu import Emulator, write_points\n"
         "e = Emulator('static_bench', threads=1)\n"
-        f"[write_points(e, f'{tmp_path}/far.{{s}}', duration_s=0.02, labels='for-instance') for s in {SUFFIXES!r}]\n"
+        f"[write_points(e, f'{tmp_path}/far.{{s}}', duration_s=0.02, labels='for-instance') for s in "
+        f"{SUFFIXES!r}]\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=300)
     for suffix in SUFFIXES[1:]:
@@ -185,7 +189,8 @@ def test_a_missing_library_is_named(monkeypatch, tmp_path):
 
 
 def test_a_stop_before_the_first_block_replaces_nothing(tmp_path):
-    """A run that ends before there is a point, or a sample of truth, leaves an earlier file, and makes no folder."""
+    """A run that ends before there is a point, or a sample of truth, leaves an earlier file, and makes no
+    folder."""
     (stop := Event()).set()
     emulator, earlier = Emulator("static_bench"), tmp_path / "x.csv"
     earlier.write_text("mine")
@@ -245,7 +250,8 @@ def test_schemes_have_the_published_numbers(scheme, ground, stem, leaf, branch, 
 
 
 def test_labels_are_dense_and_heights_are_over_the_ground(cloud):
-    """Trees are 1, 2, 3 ... with one number to an instance; ground points are within 15 cm of height 0, others above."""
+    """Trees are 1, 2, 3 ... with one number to an instance; ground points are within 15 cm of height 0,
+    others above."""
     _, own = cloud
     tree = own["semantic"] == Semantic.TREE
     pairs = set(zip(own["instance"][tree].tolist(), own["tree_id"][tree].tolist(), strict=True))

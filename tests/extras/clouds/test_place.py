@@ -44,7 +44,8 @@ def test_without_errors_a_point_lies_on_its_pulse(head):
 
 
 def test_points_are_where_the_sensor_believes(head):
-    """Encoder and angle errors move the pulse and not the belief: points stay in the directions of table and reading."""
+    """Encoder and angle errors move the pulse and not the belief: points stay in the directions of table
+    and reading."""
     rotor = replace(head.rotor, encoder=Encoder(1, once=(0.06, 40.0)))
     beams = with_angle_errors(head.beams, elevation_error_deg=0.03, azimuth_error_deg=0.03, seed=1)
     firings, points = placed(replace(head, rotor=rotor, beams=beams))
@@ -68,7 +69,8 @@ def test_azimuths_stay_in_the_circle(head):
 
 
 def test_tangents_move_points_aside_at_their_distance(head):
-    """Points off their pulses are as far from the sensor, and lie to greater azimuths and upwards by their tangents."""
+    """Points off their pulses are as far from the sensor, and lie to greater azimuths and upwards by their
+    tangents."""
     _, on = placed(head)
     tangents = np.random.default_rng(1).uniform(-0.01, 0.01, (128, 2))
     firings = head.aim(0, 8, carried, beam_axis=True)

@@ -56,10 +56,11 @@ def real(tmp_path_factory):
 
 
 def test_known_settings_come_back_from_our_own_packets(recorded):
-    """Beat within 0.3 mm and 3 deg, noise within 5 %, speed within 0.06 rpm, tick within 20 %, rate of the clock within 0.3 ppm, gain within a third.
+    """Beat within 0.3 mm and 3 deg, noise within 5 %, speed within 0.06 rpm, tick within 20 %, rate of the
+    clock within 0.3 ppm, gain within a third.
 
-    The middle of what no-returns carry is found within 40 %, the spread of its lasers; the rate of lost records within a factor of three.
-    Two revolutions of lost packets change nothing.
+    The middle of what no-returns carry is found within 40 %, the spread of its lasers; the rate of lost
+    records within a factor of three. Two revolutions of lost packets change nothing.
     """
     known = {
         "sensor.rotation_spread": 0.0,
@@ -92,9 +93,11 @@ def test_known_settings_come_back_from_our_own_packets(recorded):
 
 
 def test_a_unit_without_character_is_unlike_any_real_one(recorded):
-    """The beat, even codes, and the error twice a turn are missed; with the presets `unit` they are as on real units.
+    """The beat, even codes, and the error twice a turn are missed; with the presets `unit` they are as on
+    real units.
 
-    It loses no record. Two units of seeds of their own differ in the phase of the beat and the share of odd codes; none differs from itself.
+    It loses no record. Two units of seeds of their own differ in the phase of the beat and the share of odd
+    codes; none differs from itself.
     """
     wanted = {"range.beat_mm", "residue.odd_spread", "rotation.twice_cdeg"}
     plain = recorded("plain", {"noise.preset": "typical", "sensor.eccentricity_deg": 0.06} | SHORT_SIGHTED)
@@ -131,7 +134,8 @@ FITTED = (
 
 @pytest.mark.parametrize("name", ["mrpt", "nebula", "einride", "2014"])
 def test_no_statistic_of_a_fitted_unit_is_apart(real, recorded, name):
-    """A recording with the tables that fit a capture is in no fitted statistic farther from it than real units are from each other."""
+    """A recording with the tables that fit a capture is in no fitted statistic farther from it than real
+    units are from each other."""
     fitted_unit = recorded(f"as_{name}", settings_of(real[name]) | SHORT_SIGHTED, 0.8)
     rows = compared(fitted_unit, real[name])
     assert not [row for row in rows if row.apart and row.name.startswith(FITTED)]
@@ -158,13 +162,15 @@ def turning(path, rpm, count=200):
     ],
 )
 def test_a_rotor_that_no_vlp16_can_have_is_refused(tmp_path, rpm, count, line):
-    """The manual (63-9243 Rev D, section 8.3) has 300 to 1200 rpm: a rotor that stands or runs up is one line, as is less than a revolution."""
+    """The manual (63-9243 Rev D, section 8.3) has 300 to 1200 rpm: a rotor that stands or runs up is one
+    line, as is less than a revolution."""
     with pytest.raises(CaptureError, match=line):
         read_sequences(turning(tmp_path / "a.pcap", rpm, count))
 
 
 def test_what_no_setting_makes_is_compared_but_not_fitted(recorded, tmp_path):
-    """580 rpm is no multiple of 60: `compare` measures it, 3.3 % off, and `fit` says why no setting makes it; so with a sawtooth by flipped bits."""
+    """580 rpm is no multiple of 60: `compare` measures it, 3.3 % off, and `fit` says why no setting makes
+    it; so with a sawtooth by flipped bits."""
     sequences = read_sequences(turning(tmp_path / "a.pcap", 580))
     assert statistics_of(sequences)["rotation.speed_off_percent"] == pytest.approx(10 / 3, rel=1e-3)
     with pytest.raises(InputError, match=r"a mean speed of 580.0 rpm; expected a multiple of 60 rpm"):

@@ -51,7 +51,8 @@ def noisy(sigma_mm, amplitude_mm=0.0):
 
 
 def test_beat_and_white_noise_are_told_apart():
-    """A beat of 6 mm with phase 1 rad, and Gaussian noise of 5 mm, whose kurtosis within 15 pulses less four degrees of freedom is -0.3."""
+    """A beat of 6 mm with phase 1 rad, and Gaussian noise of 5 mm, whose kurtosis within 15 pulses less
+    four degrees of freedom is -0.3."""
     stretches = stretches_of(sequences_of(noisy(5.0, 6.0), np.full((COUNT, 16), 20)))
     found = range_noise(stretches)
     sine = beat_of(stretches)[0]
@@ -70,7 +71,8 @@ def test_heavy_tails_show_in_the_kurtosis():
 
 
 def test_texture_is_scatter_over_level():
-    """Codes around 40 whose scatter is 2 % on three quarters of a wall and 10 % on the rest: P90 over P25 is near five."""
+    """Codes around 40 whose scatter is 2 % on three quarters of a wall and 10 % on the rest: P90 over P25
+    is near five."""
     sigma = np.where(NUMBER % 1800 < 450, 4.0, 0.8)[:, None]
 
     def noise(level, sigma):
@@ -83,7 +85,8 @@ def test_texture_is_scatter_over_level():
 
 
 def test_gains_of_lasers_are_found_whatever_stands_there():
-    """Gains of 10 %, one sigma, on a wall whose brightness changes with azimuth and from top to bottom; and none without."""
+    """Gains of 10 %, one sigma, on a wall whose brightness changes with azimuth and from top to bottom;
+    and none without."""
     shade = 40 + 15 * np.sin(NUMBER / 300)[:, None] + np.r_[0:16:2, 1:16:2].argsort()
     for spread in (0.1, 0.0):
         gain = np.exp(spread * np.random.default_rng(2).normal(size=16))
@@ -94,7 +97,8 @@ def test_gains_of_lasers_are_found_whatever_stands_there():
 
 
 def test_records_are_lost_where_they_are_taken_away():
-    """One of ten at steps of 1 m, one of five at steps of 3 m, one of twenty at 30 codes, and none on a surface."""
+    """One of ten at steps of 1 m, one of five at steps of 3 m, one of twenty at 30 codes, and none on a
+    surface."""
     d, r = np.full((COUNT, 16), 2500), np.full((COUNT, 16), 30)
     d[NUMBER % 20 >= 10] = 3000
     d[COUNT // 2 :][NUMBER[: COUNT // 2] % 20 >= 10] = 4000
@@ -148,7 +152,8 @@ def test_top_codes_are_counted_among_returns():
 
 @pytest.mark.parametrize("age_us", [0.0, 1.2])
 def test_the_tick_of_the_reading_is_found(age_us):
-    """Azimuths as old as the last tick of 1.2 us, at 0.5 us of the sensor's clock: height within what chance gives."""
+    """Azimuths as old as the last tick of 1.2 us, at 0.5 us of the sensor's clock: height within what
+    chance gives."""
     block = np.arange(COUNT // 2)
     clock_us = 17.25 + 110.592 * block
     old_us = (clock_us - 0.5) % 1.2 * (age_us / 1.2)
@@ -158,7 +163,8 @@ def test_the_tick_of_the_reading_is_found(age_us):
 
 
 def test_steps_of_an_even_ruler_have_no_excess():
-    """A floor of an even turn has just the variance of its two steps; a reading with an error of 0.5 cdeg has 0.5 more, and short steps."""
+    """A floor of an even turn has just the variance of its two steps; a reading with an error of 0.5 cdeg
+    has 0.5 more, and short steps."""
     even = rotation(sequences_of())
     assert even["rotation.excess_variance"] == pytest.approx(0.0, abs=0.01)
     assert even["rotation.short_steps"] == 0

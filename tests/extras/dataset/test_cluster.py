@@ -79,7 +79,8 @@ def here():
 
 @pytest.fixture(scope="module")
 def programs(tmp_path_factory):
-    """A scheduler, a worker that is killed in its first walk, and another, each a process: address and processes."""
+    """A scheduler, a worker that is killed in its first walk, and another, each a process: address and
+    processes."""
     folder = tmp_path_factory.mktemp("dask")
     (folder / "killed.py").write_text(KILLED)
     running = {}
@@ -134,7 +135,8 @@ def test_a_worker_and_a_client_that_are_killed_lose_a_walk_only(programs, alone,
 
 
 def test_a_scheduler_that_is_killed_ends_the_run_in_one_line(programs, alone, tmp_path):
-    """The walks that are complete stay and are in the manifest; without a scheduler the rest is made as before."""
+    """The walks that are complete stay and are in the manifest; without a scheduler the rest is made as
+    before."""
     address, running = programs
     walks, _, first = alone
     out = tmp_path / "out"
@@ -156,7 +158,8 @@ def test_a_scheduler_that_is_killed_ends_the_run_in_one_line(programs, alone, tm
 
 
 def test_files_of_workers_that_do_not_see_the_folder_are_fetched(here, alone, tmp_path, monkeypatch):
-    """Walks come in pieces smaller than their files, are those of one process, and leave nothing on the worker.
+    """Walks come in pieces smaller than their files, are those of one process, and leave nothing on the
+    worker.
 
     One that is gone when it is fetched is made again.
     """
@@ -215,7 +218,8 @@ def versions(**others):
     ],
 )
 def test_a_worker_of_another_version_is_named(others, found):
-    """A worker without the program, or with another version of it or of Python, is one line before anything is made."""
+    """A worker without the program, or with another version of it or of Python, is one line before
+    anything is made."""
     cluster.check_versions("tcp://s:3", versions())
     with pytest.raises(
         InputError, match=f"^tcp://s:3: {found}.*expected vlp16emu .* on Python 3.*, as here$"
@@ -251,7 +255,8 @@ def test_dask_is_an_extra(tmp_path, monkeypatch):
 
 
 def test_the_page_of_results_is_made_by_its_command(tool_named, capsys):
-    """`tools/results/dataset.md` begins as what `tools/dataset_speed` prints, has its tables, and one manifest for all ways."""
+    """`tools/results/dataset.md` begins as what `tools/dataset_speed` prints, has its tables, and one
+    manifest for all ways."""
     tool_named("dataset_speed").main(["--shortest"])
     made, page = (text.splitlines() for text in (capsys.readouterr().out, PAGE.read_text(encoding="utf-8")))
     assert made[:3] == page[:3]

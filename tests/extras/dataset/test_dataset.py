@@ -63,7 +63,8 @@ def test_a_moving_sensor_s_scan_is_that_of_its_first_pose(tmp_path):
 
 
 def test_only_what_is_missing_or_damaged_is_made_again(made):
-    """A second run makes nothing; a file that somebody changed stays, and once it is moved its walk is made again as before."""
+    """A second run makes nothing; a file that somebody changed stays, and once it is moved its walk is
+    made again as before."""
     walks, out, first = made
     assert make_dataset(walks, out, workers=0).made == 0
     scan = out / "sequences" / "03" / "velodyne" / "000001.bin"
@@ -78,7 +79,8 @@ def test_only_what_is_missing_or_damaged_is_made_again(made):
 
 
 def test_a_run_that_ends_keeps_its_walks(tmp_path):
-    """After an error in the third walk the next run makes the third and the fourth, and leaves nothing beside them."""
+    """After an error in the third walk the next run makes the third and the fourth, and leaves nothing
+    beside them."""
     walks, done = walks_in(tmp_path)[:4], []
 
     def progress(done_s):
@@ -99,7 +101,8 @@ def test_a_run_that_ends_keeps_its_walks(tmp_path):
     "strange", ["sequences/00", "sequences/00/notes.txt", "sequences/01/velodyne/000000.bin", "manifest.json"]
 )
 def test_what_is_not_listed_is_not_touched(tmp_path, strange):
-    """A file in the place of a walk or of the manifest is named in one line with exit code 2, and all that was there stays."""
+    """A file in the place of a walk or of the manifest is named in one line with exit code 2, and all that
+    was there stays."""
     out = tmp_path / "out"
     (out / strange).parent.mkdir(parents=True)
     (out / strange).write_text("mine")
@@ -114,9 +117,11 @@ def test_what_is_not_listed_is_not_touched(tmp_path, strange):
 
 
 def test_a_note_beside_a_walk_s_files_stays(tmp_path):
-    """A whole walk is kept with what somebody put beside it; one to be made again is refused until that is gone.
+    """A whole walk is kept with what somebody put beside it; one to be made again is refused until that is
+    gone.
 
-    In the folder for parts, that of an earlier run which was killed is removed; what somebody put there stays.
+    In the folder for parts, that of an earlier run which was killed is removed; what somebody put there
+    stays.
     """
     (walk, *_) = walks_in(tmp_path)
     out = tmp_path / "out"
@@ -139,7 +144,8 @@ def test_a_note_beside_a_walk_s_files_stays(tmp_path):
 
 @pytest.mark.parametrize("form", ["relative", "absolute", "link", "number", "list", "twice_written"])
 def test_a_list_names_no_file_outside_its_walk(tmp_path, form):
-    """A `walk.json` that names a file elsewhere, with its true size and sha256, does not make it a file of the dataset."""
+    """A `walk.json` that names a file elsewhere, with its true size and sha256, does not make it a file of
+    the dataset."""
     (walk, *_) = walks_in(tmp_path)
     out = tmp_path / "out"
     make_dataset([walk], out, workers=0)
@@ -194,7 +200,8 @@ def test_a_list_that_is_no_file_is_a_file_of_others(tmp_path, kind):
 
 
 def test_sensors_of_a_stand_share_its_world(tmp_path, monkeypatch):
-    """Of four walks with two sensors and two seeds the world is grown twice, and the manifest is that of walks made each by itself."""
+    """Of four walks with two sensors and two seeds the world is grown twice, and the manifest is that of
+    walks made each by itself."""
     text = SPEC.replace('"world.width_m=20.0"', '"world.width_m=19.0"')
     walks = walks_in(tmp_path, text)[:4]
     worlds = []
@@ -259,7 +266,8 @@ def test_workers_that_are_killed_lose_nothing(tmp_path):
 
 
 def test_a_walk_that_kills_its_workers_ends_the_run(tmp_path, monkeypatch):
-    """After four deaths over one walk the run ends with its name; a death does not touch the walk of another worker."""
+    """After four deaths over one walk the run ends with its name; a death does not touch the walk of
+    another worker."""
     walks, tried = walks_in(tmp_path, PUCK_ALONE)[:2], []
 
     class Dead(ThreadPoolExecutor):  # in the place of processes

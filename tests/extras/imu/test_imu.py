@@ -83,7 +83,8 @@ def test_white_noise_has_its_density(unit):
 
 
 def test_random_walk_has_independent_normal_steps(unit):
-    """Steps of the bias are normal with density over root of rate, also where stretches of 4096 samples meet."""
+    """Steps of the bias are normal with density over root of rate, also where stretches of 4096 samples
+    meet."""
     walk = unit(gyro_walk_rad_s2_sqrt_hz=1e-3, rate_hz=100).read(0, 40_000).angular_rate_rad_s
     steps = np.diff(walk, axis=0) / (1e-3 / 10)
     for axis in range(3):
@@ -124,7 +125,8 @@ def test_bias_is_constant_and_differs_by_axis_and_seed(unit):
 
 
 def test_one_who_stands_reads_gravity_alone(unit):
-    """While the person stands before the first step, gait and straps are at rest: no turn, and 1 g along one axis."""
+    """While the person stands before the first step, gait and straps are at rest: no turn, and 1 g along
+    one axis."""
     walk = Walk(kind="walk", way_points_m=[[0, 0], [30, 0]], stand_s=4.0, harness=Harness())
     site = HallWorld(Hall(kind="hall", length_m=50.0, width_m=50.0, height_m=5.0))
     motion, _ = walk.carrier(site, gps=Gps(), reach_m=50.0, start_ns=START_NS, seed=3)
@@ -136,7 +138,8 @@ def test_one_who_stands_reads_gravity_alone(unit):
 
 
 def test_an_attitude_without_errors_is_the_true_one(unit):
-    """An ideal unit that reports its attitude is levelled and turned as it hangs; one that does not has none."""
+    """An ideal unit that reports its attitude is levelled and turned as it hangs; one that does not has
+    none."""
     tilted = StaticMotion(np.zeros(3), 50.0, 20.0, -10.0)
     read = unit(motion=tilted, attitude=True).read(0, 3)
     np.testing.assert_allclose(
@@ -148,7 +151,8 @@ def test_an_attitude_without_errors_is_the_true_one(unit):
 
 
 def test_an_attitude_is_levelled_by_what_the_unit_feels(unit):
-    """What a resting unit with a bias reports turns the acceleration that it feels to the vertical, and no farther than the bias asks."""
+    """What a resting unit with a bias reports turns the acceleration that it feels to the vertical, and no
+    farther than the bias asks."""
     tilted = StaticMotion(np.zeros(3), 50.0, 20.0, -10.0)
     read = unit(motion=tilted, attitude=True, accel_bias_m_s2=0.2).read(0, 2)
     up = np.einsum("nij,nj->ni", read.world_R_imu, read.specific_force_m_s2)
@@ -159,7 +163,8 @@ def test_an_attitude_is_levelled_by_what_the_unit_feels(unit):
 
 
 def test_the_heading_drifts_with_the_gyroscopes(unit):
-    """The heading is off by bias times time, also if the unit sways, and by a random walk of the density of the noise; the same however it is read."""
+    """The heading is off by bias times time, also if the unit sways, and by a random walk of the density
+    of the noise; the same however it is read."""
     biased = unit(attitude=True, gyro_bias_rad_s=1e-3)
     late = biased.read(200 * 60, 1)
     heading = Rotation.from_matrix(late.world_R_imu).as_euler("zyx")[0, 0]

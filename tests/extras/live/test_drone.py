@@ -29,7 +29,8 @@ class Device:
 
 
 def test_sticks_are_read_as_linux_writes_them(drone):
-    """Axes 0, 1 and 4 count, from their state at the start on; buttons and a stick almost at rest do not; a lost device releases all."""
+    """Axes 0, 1 and 4 count, from their state at the start on; buttons and a stick almost at rest do not;
+    a lost device releases all."""
     gamepad = drone.Gamepad()
     device = Device(
         gamepad, [(0, 0x81, 0), (-32_767, 0x82, 1), (16_384, 2, 0), (9_000, 2, 3), (1, 1, 4), (2_000, 2, 0)]
@@ -43,7 +44,8 @@ def test_sticks_are_read_as_linux_writes_them(drone):
 
 
 def test_a_drone_follows_its_sticks(drone):
-    """It stands at the centre, flies ahead at the speed, turns left at 1 rad/s, and climbs; its quaternion is of unit length."""
+    """It stands at the centre, flies ahead at the speed, turns left at 1 rad/s, and climbs; its quaternion
+    is of unit length."""
     given = argparse.Namespace(rate=100.0, speed=3.0)
     gamepad = drone.Gamepad()
     poses = drone.steered(given, [1.0, 2.0, 1.5], gamepad)

@@ -1,4 +1,5 @@
-"""Poses that come in: how they are followed, timed and refused, and that what was flown is read back bit by bit."""
+"""Poses that come in: how they are followed, timed and refused, and that what was flown is read back bit
+by bit."""
 
 import math
 
@@ -62,7 +63,8 @@ def turning(t_s, rate_rad_s=1.0):
 
 
 def test_correction_is_the_exact_answer_of_a_damped_oscillator():
-    """A step agrees with an integrator of the differential equation, in place to 1e-9 m, and in turn to 1e-5 rad."""
+    """A step agrees with an integrator of the differential equation, in place to 1e-9 m, and in turn to
+    1e-5 rad."""
     seen, state = np.zeros(STATE), np.zeros(STATE)
     seen[3:7], seen[7:10], seen[12] = LEVEL, (1.0, -2.0, 0.5), 0.7
     state[:3], state[7:10] = (0.02, -0.01, 0.03), (0.5, 0.1, 0.0)
@@ -95,7 +97,8 @@ def test_steady_motion_is_followed_without_lag():
 
 
 def test_a_jump_of_poses_is_no_jump_of_the_body():
-    """A pose 3 m aside, or turned by 3 rad, is approached at 4 m/s or 6 rad/s at most, and reached within 3 s, with 5 cm of overshoot at most."""
+    """A pose 3 m aside, or turned by 3 rad, is approached at 4 m/s or 6 rad/s at most, and reached within
+    3 s, with 5 cm of overshoot at most."""
     states, t_s = Bench().fly(lambda t: ((3.0 if t >= 1.0 else 0.0, 0.0, 2.0), LEVEL), 5.0)
     x_m = states[:, 0]
     assert np.abs(np.diff(x_m)).max() < 4.0 * STEP_S
@@ -107,7 +110,8 @@ def test_a_jump_of_poses_is_no_jump_of_the_body():
 
 
 def test_without_poses_the_body_comes_to_rest_and_goes_on_without_a_jump():
-    """Poses end for a second at 3 m/s: rest after 0.9 m, then no step over what 6 m/s make, and the lost time is on record."""
+    """Poses end for a second at 3 m/s: rest after 0.9 m, then no step over what 6 m/s make, and the lost
+    time is on record."""
     bench = Bench()
     states, t_s = bench.fly(at_speed, 5.0, silent=(1.0, 2.2))
     x_m, v_m_s = states[:, 0], states[:, 7]
@@ -136,7 +140,8 @@ def test_old_knots_are_dropped_and_young_ones_stay():
 
 
 def test_what_was_flown_is_read_back_bit_by_bit(tmp_path):
-    """Poses and rates of the table are those of the run to the last bit, and the table is a CSV of recorded poses too."""
+    """Poses and rates of the table are those of the run to the last bit, and the table is a CSV of
+    recorded poses too."""
     bench = Bench()
     states, _ = bench.fly(turning, 1.5)
     path = tmp_path / "flown.csv"
@@ -177,7 +182,8 @@ def test_a_table_that_is_not_whole_is_refused(tmp_path, old, new, message):
     ],
 )
 def test_what_is_no_pose_is_refused_and_counted(position_m, quaternion, message):
-    """NaN, quaternions that are no rotation, places out of the world: refused, counted, and nothing is moved."""
+    """NaN, quaternions that are no rotation, places out of the world: refused, counted, and nothing is
+    moved."""
     poses = PoseInput()
     with pytest.raises(TrajectoryError, match=message):
         poses.put(position_m, quaternion)
@@ -185,7 +191,8 @@ def test_what_is_no_pose_is_refused_and_counted(position_m, quaternion, message)
 
 
 def test_stamps_of_a_sender_are_put_on_our_clock_by_the_quickest_pose():
-    """With delays of 1 to 9 ms a stamp is off by the least of them; an old stamp is left out, a new clock is taken."""
+    """With delays of 1 to 9 ms a stamp is off by the least of them; an old stamp is left out, a new clock
+    is taken."""
     now_ns = 0
     poses = PoseInput(lambda: now_ns)
     for number in range(100):

@@ -30,7 +30,8 @@ def test_golden_poses_in_both_directions(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_table_reads_golden_poses(name):
-    """Read by the byte table alone, a golden pose holds what its meaning says, and the table has every byte."""
+    """Read by the byte table alone, a golden pose holds what its meaning says, and the table has every
+    byte."""
     payload, (position_m, quaternion, t_ns) = golden(name)
     table = tomllib.loads((PROTOCOL / "pose_packet.toml").read_text())
     read, end = {}, 0
@@ -52,7 +53,10 @@ def test_the_table_reads_golden_poses(name):
         (
             0,
             b"p",
-            "pose packet: found 72 bytes that begin with 70 4f 53 45 01 01 00 00; expected 72 that begin with 50 4f",
+            (
+                "pose packet: found 72 bytes that begin with 70 4f 53 45 01 01 00 00; expected 72 that begin "
+                "with 50 4f"
+            ),
         ),
         (4, b"\x02", "50 4f 53 45 02 01 00 00; expected 72 that begin with 50 4f 53 45 01, 00 or 01, 00 00"),
         (5, b"\x02", "50 4f 53 45 01 02 00 00"),

@@ -52,7 +52,8 @@ def triangles(mesh):
 
 @pytest.mark.parametrize("kind", ["obj", "ply", "glb", "stl"])
 def test_every_kind_of_file_gives_the_same_solid(tmp_path, caplog, kind):
-    """A box of 2 x 3 x 4 m off the origin keeps volume, place and twelve faces in every format, without a finding."""
+    """A box of 2 x 3 x 4 m off the origin keeps volume, place and twelve faces in every format, without a
+    finding."""
     box = trimesh.creation.box((2, 3, 4), trimesh.transformations.translation_matrix([5, 6, 7]))
     mesh = load(tmp_path, box.export(file_type=kind), f"box.{kind}")
     ((_, part),) = mesh.parts
@@ -74,7 +75,8 @@ def test_units_become_metres(tmp_path, unit, metres):
 
 
 def test_y_up_is_turned_upright_and_not_mirrored(tmp_path):
-    """With y up, what pointed along y points up and what pointed along z points to -y; the solid stays right side out."""
+    """With y up, what pointed along y points up and what pointed along z points to -y; the solid stays
+    right side out."""
     text = "v 0 0 0\nv 1 0 0\nv 0 2 0\nv 0 0 3\n" + TETRAHEDRON
     upright = triangles(load(tmp_path, text, up="y"))
     assert upright.min(axis=(0, 1)) == pytest.approx([0, -3, 0])
@@ -92,7 +94,8 @@ def test_far_from_the_origin_nothing_is_lost(tmp_path):
 
 
 def test_tabs_and_comments_change_nothing(tmp_path):
-    """Each vertex and face of an OBJ file is read, whatever blanks are in its line and whatever is behind it."""
+    """Each vertex and face of an OBJ file is read, whatever blanks are in its line and whatever is behind
+    it."""
     odd = (
         (CORNERS + TETRAHEDRON)
         .replace("f 1 2", "f\t1  2")
@@ -112,7 +115,8 @@ def test_objects_and_groups_are_parts(tmp_path):
 
 
 def test_nodes_of_a_scene_stand_where_their_transforms_put_them(tmp_path):
-    """A GLB scene gives one part for each node, with its transform applied, also where nodes share a geometry."""
+    """A GLB scene gives one part for each node, with its transform applied, also where nodes share a
+    geometry."""
     scene = trimesh.Scene()
     box = trimesh.creation.box()
     scene.add_geometry(box, geom_name="crate", node_name="low")
@@ -138,14 +142,16 @@ def test_nodes_of_a_scene_stand_where_their_transforms_put_them(tmp_path):
     ],
 )
 def test_what_can_be_scanned_all_the_same_is_taken_and_said(tmp_path, caplog, faces, finding):
-    """Faces without area are dropped, holes and inverted faces kept, and each is told once by file and part."""
+    """Faces without area are dropped, holes and inverted faces kept, and each is told once by file and
+    part."""
     mesh = load(tmp_path, CORNERS + faces)
     assert caplog.messages == [f"{tmp_path / 'thing.obj'}: {finding}"]
     assert len(mesh.parts[0][1].faces) == (3 if "closed" in finding else 4)
 
 
 def test_welding_sees_through_split_corners(tmp_path, caplog):
-    """An STL, which repeats each corner, is as closed as the solid it was made of, and a point cloud beside a mesh is left out aloud."""
+    """An STL, which repeats each corner, is as closed as the solid it was made of, and a point cloud
+    beside a mesh is left out aloud."""
     ball = trimesh.creation.icosphere(subdivisions=2)
     load(tmp_path, ball.export(file_type="stl"), "ball.stl")
     assert not caplog.records
@@ -182,31 +188,41 @@ CUT_SHORT = (
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("a.obj", CORNERS.replace("v 0 1 0", "v nan 1 0") + TETRAHEDRON, r"a.obj: a: found \[nan, 1.0, 0.0\] as vertex 2, counted from 0; expected finite"),
-        ("a.obj", CORNERS.replace("v 0 1 0", "v inf 1 0") + TETRAHEDRON, r"a.obj: a: found \[inf, 1.0, 0.0\] as vertex 2"),
-        ("a.obj", CORNERS + "f 1 2 3\nf 1 2 9\n", "a.obj: cannot be read: index 8 is out of bounds .* size 4; expected a mesh in OBJ"),
+        ("a.obj", CORNERS.replace("v 0 1 0", "v nan 1 0") + TETRAHEDRON, (r"a.obj: a: found \[nan, 1.0, "
+                                                                         r"0.0\] as vertex 2, counted "
+                                                                         r"from 0; expected finite")),
+        ("a.obj", CORNERS.replace("v 0 1 0", "v inf 1 0") + TETRAHEDRON, (r"a.obj: a: found \[inf, 1.0, "
+                                                                         r"0.0\] as vertex 2")),
+        ("a.obj", CORNERS + "f 1 2 3\nf 1 2 9\n", ("a.obj: cannot be read: index 8 is out of bounds .* "
+                                                  "size 4; expected a mesh in OBJ")),
         ("a.obj", CORNERS + "f 1 2 -9\n", "a.obj: cannot be read: index -9 is out of bounds"),
-        ("a.obj", CORNERS + "f 1 2 3\nf 0 1 2\n", "a.obj, line 6: found the face 'f 0 1 2'; expected three corners or more, counted from 1"),
-        ("a.obj", CORNERS + "f 1 2 3\nf 1 2\n", "a.obj, line 6: found the face 'f 1 2'; expected three corners"),
-        ("a.obj", CORNERS + "f 1 1 2\nf 3 3 3\n", "a.obj: a: none of its 2 faces has an area; expected a mesh of triangles"),
+        ("a.obj", CORNERS + "f 1 2 3\nf 0 1 2\n", ("a.obj, line 6: found the face 'f 0 1 2'; expected "
+                                                  "three corners or more, counted from 1")),
+        ("a.obj", CORNERS + "f 1 2 3\nf 1 2\n", ("a.obj, line 6: found the face 'f 1 2'; expected three "
+                                                "corners")),
+        ("a.obj", CORNERS + "f 1 1 2\nf 3 3 3\n", ("a.obj: a: none of its 2 faces has an area; expected a "
+                                                  "mesh of triangles")),
         ("a.obj", "v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n", "a.obj: .*; expected"),
         ("a.obj", CORNERS, "a.obj: no face; expected a whole file with a mesh of triangles"),
         ("a.obj", "", "a.obj: no face; expected a whole file with a mesh of triangles"),
         ("a.obj", "v a b c\nf 1 1 1", "a.obj: cannot be read: .*; expected a mesh in OBJ"),
-        ("a.ply", PLY.replace("3 0 1 2", "3 0 1 7"), "a.ply: a: corner 7 in face 0, counted from 0; expected a number from 0 to 2"),
+        ("a.ply", PLY.replace("3 0 1 2", "3 0 1 7"), ("a.ply: a: corner 7 in face 0, counted from 0; "
+                                                     "expected a number from 0 to 2")),
         ("a.ply", PLY.replace("3 0 1 2", "3 0 1 -1"), "a.ply: a: corner -1 in face 0"),
         ("a.ply", PLY.replace("0 1 0", "nan 1 0"), r"a.ply: a: found \[nan, 1.0, 0.0\] as vertex 2"),
         ("a.ply", "junk", "a.ply: cannot be read: Not a ply file!; expected a mesh in PLY"),
         ("a.glb", b"junk", "a.glb: cannot be read: .*; expected a mesh in GLB"),
         ("a.glb", glb_with_nan(), "a.glb: crate: found .*nan.*; expected finite coordinates"),
-        *(("a.stl", content, "a.stl: no face; expected a whole file with a mesh of triangles") for content in CUT_SHORT),
+        *(("a.stl", content, ("a.stl: no face; expected a whole file with a mesh of "
+                             "triangles")) for content in CUT_SHORT),
         ("a.glb", glb_of_two_files(), "a.glb: cannot be read: .*; expected .* with all its data inside"),
         ("a.obj", None, "a.obj: no such file or directory; expected a mesh in OBJ"),
         ("a.fbx", b"", "a.fbx: found the ending '.fbx'; expected one of .obj, .ply, .glb, .stl"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_scanned_is_refused(tmp_path, name, content, message):
-    """Coordinates that are not finite, corners that do not exist, and files that are missing, not whole or without a face are named."""
+    """Coordinates that are not finite, corners that do not exist, and files that are missing, not whole or
+    without a face are named."""
     if content is not None:
         write(tmp_path, content, name)
     with pytest.raises(GeometryError, match=message):
@@ -216,15 +232,18 @@ def test_what_cannot_be_scanned_is_refused(tmp_path, name, content, message):
 @pytest.mark.parametrize(
     ("size", "unit", "message"),
     [
-        (12_000, "m", r"measures 1.2e\+04 x 1.2e\+04 x 1.2e\+04 m with unit = 'm'; expected at most 500 m tall .* \(perhaps its unit is mm\)"),
+        (12_000, "m", (r"measures 1.2e\+04 x 1.2e\+04 x 1.2e\+04 m with unit = 'm'; expected at most 500 "
+                      r"m tall .* \(perhaps its unit is mm\)")),
         (0.002, "mm", r"measures 2e-06 x 2e-06 x 2e-06 m with unit = 'mm'; expected .* at least 1 mm"),
         (5, "mm", None),
         (600, "ft", None),
-        (2000, "ft", r"measures 610 x 610 x 610 m with unit = 'ft'; .*\(perhaps its unit is cm or mm or in\)"),
+        (2000, "ft", (r"measures 610 x 610 x 610 m with unit = 'ft'; .*\(perhaps its unit is cm or mm or "
+                     r"in\)")),
     ],
 )  # fmt: skip
 def test_a_size_that_tells_of_a_wrong_unit_is_refused(tmp_path, size, unit, message):
-    """Nothing is taller than 500 m or smaller than 1 mm: the message has file, size and unit, and which unit was perhaps meant."""
+    """Nothing is taller than 500 m or smaller than 1 mm: the message has file, size and unit, and which
+    unit was perhaps meant."""
     content = CORNERS.replace("1", str(size)) + TETRAHEDRON
     if message is None:
         load(tmp_path, content, unit=unit)
@@ -264,7 +283,8 @@ def furnished(*meshes, reach_m=50.0):
 
 
 def test_meshes_come_after_what_is_there():
-    """The world's own placements and rows stay as they are; each placed part has a row of its own after them."""
+    """The world's own placements and rows stay as they are; each placed part has a row of its own after
+    them."""
     hall, world = furnished(tree_of(place(4, 0), place(-4, 2)))
     own, window = hall.window(TRACK_M), world.window(TRACK_M)
     assert window.shapes[: len(own.shapes)] == own.shapes
@@ -287,7 +307,8 @@ def test_meshes_come_after_what_is_there():
 
 @pytest.mark.parametrize(("one_thing", "expected"), [(True, [0, 0, 1, 1, 2, 2]), (False, [0, 1, 2, 3, 4, 5])])
 def test_each_place_is_a_thing_or_each_part_is(one_thing, expected):
-    """Instances count up through files, places and, where parts are things of their own, parts; each has a name."""
+    """Instances count up through files, places and, where parts are things of their own, parts; each has a
+    name."""
     places = (place(4, 0), place(-4, 2))
     _, world = furnished(tree_of(*places, one_thing=one_thing), tree_of(place(1, 1), one_thing=one_thing))
     added = world.window(TRACK_M).surfaces[2:]
@@ -307,7 +328,8 @@ def test_each_place_is_a_thing_or_each_part_is(one_thing, expected):
     ],
 )
 def test_a_mesh_stands_on_the_ground_or_at_its_height(where, origin):
-    """The file's origin comes to the ground at its place, to so much over it, or to the height that is given."""
+    """The file's origin comes to the ground at its place, to so much over it, or to the height that is
+    given."""
     _, world = furnished(tree_of(where))
     T = world.window(TRACK_M).world_T_shape[-1]
     assert pytest.approx(origin) == T @ [-1, 0, -2, 1]
@@ -333,7 +355,8 @@ def test_only_what_is_in_reach_is_in_the_window():
 
 
 def test_parts_may_differ_from_the_rest():
-    """A part has its own appearance where one is given and the file's where not; a part that is not there is refused."""
+    """A part has its own appearance where one is given and the file's where not; a part that is not there
+    is refused."""
     rows = surfaces_of(*tree_of(place(0, 0)))
     assert rows["reflectance"] == pytest.approx([0.5, 0.4])
     assert rows["roughness"] == pytest.approx([0.3, 0.5])

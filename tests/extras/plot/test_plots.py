@@ -159,7 +159,8 @@ def drawn():
 
 
 def test_errors_stand_at_their_run_time_with_intervals(drawn):
-    """Each setting is at its run time and error in mm, its bar ends at the interval, and the one in use and the suggestion are marked."""
+    """Each setting is at its run time and error in mm, its bar ends at the interval, and the one in use
+    and the suggestion are marked."""
     artists = drawn(accuracy())
     for name in NAMES:
         assert artists[f"{name}-none"].get_xydata().tolist() == [[1.0, 200.0]]
@@ -175,7 +176,8 @@ def test_errors_stand_at_their_run_time_with_intervals(drawn):
 
 
 def test_a_score_shows_path_errors_and_stems(drawn):
-    """The estimate, its errors in cm over time and distance, the drift, and stems by kind, DBH and range are those of the report."""
+    """The estimate, its errors in cm over time and distance, the drift, and stems by kind, DBH and range
+    are those of the report."""
     artists = drawn(score())
     assert artists["found-path"].get_xydata().tolist() == [[0.0, 0.0], [1.5, 0.1], [3.1, 0.2]]
     for name in ("time_s", "distance_m"):
@@ -195,7 +197,8 @@ def test_a_score_shows_path_errors_and_stems(drawn):
 
 
 def test_a_score_without_a_path_or_stems_draws_the_rest(drawn):
-    """With stems alone nothing is drawn of a path, and with a path shorter than the drift's length its panel says so."""
+    """With stems alone nothing is drawn of a path, and with a path shorter than the drift's length its
+    panel says so."""
     assert "found-path" not in drawn({**score(), "path": None})
     short = {**score(), "trees": [], "path": {**PATH, "drift_at_m": [], "drift_percent": []}}
     assert "drift" not in drawn(short)
@@ -205,7 +208,8 @@ def test_a_score_without_a_path_or_stems_draws_the_rest(drawn):
 
 
 def test_histograms_have_the_shares_of_both_captures(drawn):
-    """The steps of a capture are its shares in percent; one without the quantity is named, and what differs has another colour."""
+    """The steps of a capture are its shares in percent; one without the quantity is named, and what
+    differs has another colour."""
     artists = drawn(compare())
     assert artists["histogram-0-first"].get_data().values.tolist() == [25.0, 75.0]
     assert "histogram-0-second" not in artists
@@ -226,7 +230,8 @@ def test_a_plan_has_a_bar_for_each_stage(drawn):
 
 
 def test_a_forest_has_stems_by_size_crowns_path_and_relief(drawn):
-    """Marks are at the stems and grow with the DBH; crowns have their width, contours their heights, and the profile holds near trees only."""
+    """Marks are at the stems and grow with the DBH; crowns have their width, contours their heights, and
+    the profile holds near trees only."""
     artists = drawn(FOREST)
     birch, spruce = artists["stems-silver_birch"], artists["stems-norway_spruce"]
     assert birch.get_offsets().tolist() == [[2.0, 1.0]]
@@ -266,7 +271,8 @@ def test_a_hall_has_walls_things_and_the_sensor(drawn):
 
 @pytest.mark.parametrize("verb", REPORTS)
 def test_files_are_the_same_again_and_without_a_date(verb):
-    """A report has the same bytes each time in all formats; SVG has its text as text and ids, PDF and SVG have no date."""
+    """A report has the same bytes each time in all formats; SVG has its text as text and ids, PDF and SVG
+    have no date."""
     report = REPORTS[verb]()
     png, svg, pdf = (picture_of(report, suffix) for suffix in (".png", ".svg", ".PDF"))
     assert [picture_of(report, suffix) for suffix in (".png", ".svg")] == [png, svg]
@@ -293,7 +299,8 @@ def test_a_user_style_changes_nothing(monkeypatch):
 
 
 def test_a_page_needs_nothing_else():
-    """A page has each score with its meaning, what was scored and against what, the version, and the picture inside; text is escaped."""
+    """A page has each score with its meaning, what was scored and against what, the version, and the
+    picture inside; text is escaped."""
     page = page_of(score())
     assert re.findall(r"(?:src|href)=\"([^:\"]*):", page) == ["data"]
     assert "http" not in page.replace(re.search(r"base64,[^\"]*", page)[0], "")

@@ -64,7 +64,8 @@ def test_the_sign_of_a_quaternion_means_nothing():
 
 
 def test_derivatives_belong_to_the_same_function():
-    """Velocity, acceleration and angular rates are the differences of poses and rates over a tenth of a millisecond."""
+    """Velocity, acceleration and angular rates are the differences of poses and rates over a tenth of a
+    millisecond."""
     h = 1e-4
     t_ns = instants(np.arange(0.5, 4.0, h))
     k = recorded(wandering()).kinematics_at(t_ns)
@@ -135,7 +136,8 @@ def test_a_pose_does_not_depend_on_its_company():
         ([0.0, 0.5, 1.6], [0, 0, 0], "poses.txt, line 3: found a gap of 1.1 s; expected at most 1 s"),
         ([0.0, 0.5, 1.0], [0, 0, np.pi], ("poses.txt, line 3: turns by 180.0 degrees from the pose before; "
          "expected at most 90 degrees, beyond which its sense is in doubt")),
-        ([0.0, 0.9, 0.901, 1.8], [0, 0, 1.5, 1.5], ("poses.txt, line 2: no smooth turn leads here from the pose before: "
+        ([0.0, 0.9, 0.901, 1.8], [0, 0, 1.5, 1.5], ("poses.txt, line 2: no smooth turn leads here from "
+                                                    "the pose before: "
          "times are too uneven; expected poses at more even times")),
     ],
 )  # fmt: skip
@@ -149,7 +151,8 @@ def test_what_cannot_be_interpolated_is_refused(t_s, angle_rad, message):
 @given(st.lists(st.floats(-np.pi / 2, np.pi / 2), min_size=1, max_size=12), st.integers(0, 2**32))
 @settings(max_examples=60, deadline=None)
 def test_steps_of_up_to_90_degrees_are_finite_at_even_times(steps, seed):
-    """At even times any turns up to 90 degrees from pose to pose, about any axes, give rotations and finite rates."""
+    """At even times any turns up to 90 degrees from pose to pose, about any axes, give rotations and
+    finite rates."""
     rng = np.random.default_rng(seed)
     quaternions = [np.array([0.0, 0.0, 0.0, 1.0])]
     for step in steps:
@@ -189,7 +192,8 @@ def written(folder, text, name="poses"):
 
 
 def test_tum_and_csv_are_read_to_the_nanosecond(tmp_path):
-    """Stamps keep all their digits, comments and empty lines are left out, quaternions get unit length; columns of a CSV come in any order."""
+    """Stamps keep all their digits, comments and empty lines are left out, quaternions get unit length;
+    columns of a CSV come in any order."""
     poses = read_tum(written(tmp_path, TUM))
     np.testing.assert_array_equal(poses.t_ns, [1403636579763555527, 1403636579813555527])
     np.testing.assert_array_equal(poses.position_m, [[1, 2, 3], [1.5, 2, 3]])

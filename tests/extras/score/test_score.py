@@ -63,7 +63,8 @@ def scored(capsys, *arguments):
 
 
 def test_the_truth_scores_perfectly(truth, capsys):
-    """The truth as its own estimate has no error, and all of what there is to find; unseen trees are not missed, and a shrub is no tree."""
+    """The truth as its own estimate has no error, and all of what there is to find; unseen trees are not
+    missed, and a shrub is no tree."""
     points, trees = truth / "points.csv", truth / "trees.csv"
     with points.open("a") as file:
         file.writelines(f"{0.01 * i},6,0.5,3,4,2,9\n" for i in range(40))
@@ -84,7 +85,8 @@ def test_the_truth_scores_perfectly(truth, capsys):
 
 
 def test_alignment_is_that_of_evo(truth, capsys):
-    """An estimate that is turned and shifted has no error once aligned; a noisy one has that of evo's own alignment."""
+    """An estimate that is turned and shifted has no error once aligned; a noisy one has that of evo's own
+    alignment."""
     from evo.core import metrics
     from evo.core.trajectory import PoseTrajectory3D
 
@@ -120,7 +122,8 @@ def test_distances_of_clouds_are_those_of_brute_force():
 
 
 def test_density_and_uniformity_of_known_clouds():
-    """A grid of 25 points per square metre has that density and is even; Poisson points have 1 / sqrt(N p); one heap is uneven."""
+    """A grid of 25 points per square metre has that density and is even; Poisson points have 1 / sqrt(N
+    p); one heap is uneven."""
     axis = np.arange(-12, 12, 0.2)
     grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     assert density_per_m2(grid, np.zeros(2), 10.0) == pytest.approx(25, rel=0.01)
@@ -134,7 +137,8 @@ def test_density_and_uniformity_of_known_clouds():
 
 
 def test_stems_are_paired_for_the_most_pairs():
-    """The nearest found stem goes to another tree where that gives two pairs; precision, recall and errors follow."""
+    """The nearest found stem goes to another tree where that gives two pairs; precision, recall and errors
+    follow."""
     true = [stem("1", 0.0), stem("2", 0.6), stem("3", 9.0)]
     found = [stem("a", 0.4, dbh_m=0.32), stem("b", 1.0, dbh_m=0.30), stem("c", 5.0)]
     pairs = match_stems(found, true, 0.5)
@@ -163,7 +167,8 @@ def test_panoptic_quality_by_hand():
 
 
 def test_average_precision_by_hand():
-    """Boxes hit, miss, hit of two: precision 1 to recall 1/2, then 2/3; with IoU 0.6 the second counts up to 0.6."""
+    """Boxes hit, miss, hit of two: precision 1 to recall 1/2, then 2/3; with IoU 0.6 the second counts up
+    to 0.6."""
     true = np.array([[[0, 0, 0], [1, 1, 1]], [[5, 0, 0], [6, 1, 1]]], float)
     found = np.array([[[0, 0, 0], [1, 1, 1]], [[9, 0, 0], [10, 1, 1]], [[5, 0, 0], [6, 1, 0.625]]], float)
     scores = box_scores(found, np.array([30, 20, 10]), true)
@@ -217,7 +222,8 @@ def walk_of(path, duration_s=130.0, rate_hz=20):
 
 
 def test_odometry_that_begins_anywhere_scores_as_if_it_began_at_the_truth(truth, capsys):
-    """The first pose is laid on the truth by default: an estimate off by 1 % of the path has that drift over 10 and 100 m."""
+    """The first pose is laid on the truth by default: an estimate off by 1 % of the path has that drift
+    over 10 and 100 m."""
     rows = walk_of(truth / "trajectory.tum")
     rows[:, 1] *= 1.01
     turn = Rotation.from_euler("zyx", [70, 10, 5], degrees=True)
@@ -254,7 +260,8 @@ def test_a_wrong_stem_is_named(tmp_path, row):
 
 
 def test_stems_are_compared_at_breast_height(tmp_path):
-    """The place of a leaning tree in an inventory is its axis at breast height, where stem maps have it, and not its foot."""
+    """The place of a leaning tree in an inventory is its axis at breast height, where stem maps have it,
+    and not its foot."""
     (tmp_path / "trees.csv").write_text(
         "id,x_m,y_m,z_m,x_breast_m,y_breast_m,dbh_m\n1,4,3,0,4.25,3.1,0.3\n2,8,3,0,,,0.4\n"
     )
@@ -265,7 +272,8 @@ def test_stems_are_compared_at_breast_height(tmp_path):
 
 
 def test_the_own_column_of_instances_goes_before_those_of_others(tmp_path):
-    """A file with `instance` and `treeID`, as `points --labels for-instance` writes it, is scored by its instances."""
+    """A file with `instance` and `treeID`, as `points --labels for-instance` writes it, is scored by its
+    instances."""
     np.savez(tmp_path / "a.npz", xyz=np.zeros((2, 3)), instance=[7, 8], treeID=[1, 0])
     np.savez(tmp_path / "b.npz", xyz=np.zeros((2, 3)), treeID=[1, 0])
     assert read_cloud(tmp_path / "a.npz")["instance"].tolist() == [7, 8]
@@ -273,7 +281,8 @@ def test_the_own_column_of_instances_goes_before_those_of_others(tmp_path):
 
 
 def test_clouds_of_other_tools_are_read(tmp_path):
-    """An ASCII PLY, and a LAZ with `treeID` and `leaf_wood` as laspy writes them, give their places and labels."""
+    """An ASCII PLY, and a LAZ with `treeID` and `leaf_wood` as laspy writes them, give their places and
+    labels."""
     laspy = pytest.importorskip("laspy")
     xyz_m = np.random.default_rng(4).random((50, 3))
     header = laspy.LasHeader(point_format=6)
@@ -288,7 +297,8 @@ def test_clouds_of_other_tools_are_read(tmp_path):
     assert cloud["instance"].tolist() == list(range(50))
     axes = "".join(f"property double {axis}\n" for axis in "xyz")
     (tmp_path / "a.ply").write_text(
-        f"ply\nformat ascii 1.0\nelement vertex 2\n{axes}property uchar leaf_wood\nend_header\n1 2 3 1\n4 5 6 2\n"
+        f"ply\nformat ascii 1.0\nelement vertex 2\n{axes}property uchar leaf_wood\nend_header\n1 2 3 "
+        "1\n4 5 6 2\n"
     )
     cloud = read_cloud(tmp_path / "a.ply")
     assert (cloud["xyz"].tolist(), cloud["leaf_wood"].tolist()) == ([[1, 2, 3], [4, 5, 6]], [1, 2])
@@ -338,7 +348,8 @@ def test_an_inventory_without_trees_has_none_to_find(tmp_path):
 
 
 def test_a_report_has_the_errors_along_the_path(truth, capsys):
-    """An estimate that stays behind has its error at each pose over time and distance, thinned to a thousand poses, and the drift of each ten metres."""
+    """An estimate that stays behind has its error at each pose over time and distance, thinned to a
+    thousand poses, and the drift of each ten metres."""
     rows = np.loadtxt(truth / "trajectory.tum")
     fine = np.column_stack(
         [np.interp(np.linspace(1000, 1009, 3001), rows[:, 0], column) for column in rows.T]
@@ -357,7 +368,8 @@ def test_a_report_has_the_errors_along_the_path(truth, capsys):
 
 
 def test_trees_have_their_distance_from_the_path(truth, capsys):
-    """The range of a tree, found or missed, is its distance from the nearest point of the true path; without a path it is unknown."""
+    """The range of a tree, found or missed, is its distance from the nearest point of the true path;
+    without a path it is unknown."""
     _, card = scored(capsys, truth, "--stems", truth / "trees.csv", "--inventory", truth / "trees.csv")
     ranges = {row["true_id"]: row["range_m"] for row in card["trees"]}
     assert ranges["3"] == pytest.approx(
@@ -370,7 +382,8 @@ def test_trees_have_their_distance_from_the_path(truth, capsys):
 
 
 def test_scores_are_written_as_a_page(truth, tmp_path):
-    """`--out` writes a page and `--plot` a picture, a missed threshold is on the page, and the exit code is that of the threshold."""
+    """`--out` writes a page and `--plot` a picture, a missed threshold is on the page, and the exit code
+    is that of the threshold."""
     pytest.importorskip("matplotlib", reason="the extra plot is not installed")
     page, picture = tmp_path / "a.html", tmp_path / "a.svg"
     inputs = [

@@ -31,7 +31,8 @@ TYPES = ("sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Imu", "tf2_msgs/msg/TFM
 
 @pytest.fixture(scope="module")
 def rest(tmp_path_factory):
-    """Messages of a bag of a sensor at rest, as (topic, time, message): 0.6 s of clouds, and 3.2 s of the inertial unit around them."""
+    """Messages of a bag of a sensor at rest, as (topic, time, message): 0.6 s of clouds, and 3.2 s of the
+    inertial unit around them."""
     folder = tmp_path_factory.mktemp("rest")
     emulator = Emulator("static_bench", SETTINGS)
     emulator.record(folder / "rest.mcap", start_s=2.5, duration_s=0.6)
@@ -74,7 +75,8 @@ def on(topic, change):
 
 
 def points(change=lambda made: made, **fields):
-    """Damage of all clouds: `change` takes and returns their points; fields are those of PointField that change."""
+    """Damage of all clouds: `change` takes and returns their points; fields are those of PointField that
+    change."""
 
     def damage(message):
         made = change(message.data.view(POINT).copy())
@@ -190,7 +192,8 @@ def test_our_bag_is_fit_for_all(rest, tmp_path):
 
 @pytest.mark.parametrize("name", DAMAGES)
 def test_each_damage_is_found(rest, tmp_path, name):
-    """A damaged bag has the one finding, with the parameter of each program; programs that do not mind have none."""
+    """A damaged bag has the one finding, with the parameter of each program; programs that do not mind
+    have none."""
     damage, rule, reported = DAMAGES[name]
     found = fitness(write(tmp_path / "bag", [made for one in rest if (made := damage(one))]), "all")
     assert {one.rule for one in found.findings} == {rule}
@@ -204,7 +207,8 @@ def test_each_damage_is_found(rest, tmp_path, name):
 
 
 def test_a_bag_of_a_real_sensor(tmp_path, capsys):
-    """A capture of a real unit becomes a bag that is fit for what needs no inertial unit and no transforms, and the others say which."""
+    """A capture of a real unit becomes a bag that is fit for what needs no inertial unit and no
+    transforms, and the others say which."""
     if not CAPTURE.exists():
         pytest.skip("no real captures beside the repository")
     write_bag(CAPTURE, tmp_path / "real.mcap")

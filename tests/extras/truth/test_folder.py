@@ -23,7 +23,8 @@ def tum(t_ns, turns, positions_m):
 
 
 def test_rows_hold_every_nanosecond_and_rotation():
-    """Times keep nine decimals, which no float of today does; quaternions have length 1 and qw >= 0, and give the rotation back, half turns too."""
+    """Times keep nine decimals, which no float of today does; quaternions have length 1 and qw >= 0, and
+    give the rotation back, half turns too."""
     assert tum([1_781_254_795_000_000_001], np.eye(3)[None], [[1.0, -2.0, 0.5]]) == (
         "1781254795.000000001 1.000000000 -2.000000000 0.500000000 "
         "0.000000000000 0.000000000000 0.000000000000 1.000000000000\n"
@@ -62,7 +63,8 @@ def files_of_at_most(size):
 
 
 def test_on_a_full_disk_the_last_line_is_whole(tmp_path):
-    """Where half a line finds room it is cut off, and nothing is written behind it; a JSON file is whole or not there."""
+    """Where half a line finds room it is cut off, and nothing is written behind it; a JSON file is whole
+    or not there."""
     with TruthFolder(tmp_path / "one") as folder:
         folder.append("imu.csv", "one two\n")
         for _ in range(2):
@@ -101,7 +103,8 @@ def test_a_table_has_whole_rows_at_any_time(tmp_path):
 
 
 def test_two_runs_into_one_folder_are_refused(tmp_path):
-    """While a run writes, another one neither removes nor replaces its files; a path that is taken by a file is refused, and the file kept."""
+    """While a run writes, another one neither removes nor replaces its files; a path that is taken by a
+    file is refused, and the file kept."""
     with TruthFolder(tmp_path / "t") as folder:
         folder.append("imu.csv", "one\n")
         with pytest.raises(OutputError, match=r": is being written by process \d+; expected another place"):
@@ -116,7 +119,8 @@ def test_two_runs_into_one_folder_are_refused(tmp_path):
 
 @pytest.mark.parametrize("entry", ["trajectory.tum", "returns.parquet.part", "notes.txt"])
 def test_a_folder_with_something_else_is_kept_as_a_whole(tmp_path, entry):
-    """A folder, or a file of another name, beside the truth of an earlier run is refused, and nothing of that run is lost."""
+    """A folder, or a file of another name, beside the truth of an earlier run is refused, and nothing of
+    that run is lost."""
     place = tmp_path / "t"
     with TruthFolder(place) as folder:
         write_json(folder.path / "scenario.json", {"written_by": "vlp16emu"})
@@ -129,7 +133,8 @@ def test_a_folder_with_something_else_is_kept_as_a_whole(tmp_path, entry):
 
 @pytest.mark.parametrize("swap", [True, False])
 def test_an_earlier_run_is_replaced_as_a_whole_or_not_at_all(tmp_path, monkeypatch, swap):
-    """A run that fails leaves the folder of the one before as it was; one that ends replaces all its files, with renameat2(2) and without it."""
+    """A run that fails leaves the folder of the one before as it was; one that ends replaces all its
+    files, with renameat2(2) and without it."""
     if not swap:
         monkeypatch.setattr(ctypes, "CDLL", lambda *_, **__: None)
     place = tmp_path / "t"
@@ -164,7 +169,8 @@ def test_a_folder_keeps_its_rights(tmp_path):
 
 
 def test_a_folder_that_became_somebody_elses_stays(tmp_path):
-    """Files that another program puts there during the run are not replaced; the new folder is left beside them."""
+    """Files that another program puts there during the run are not replaced; the new folder is left beside
+    them."""
     place = tmp_path / "x"
 
     def meanwhile():

@@ -73,7 +73,8 @@ FAULTS = {
 
 @pytest.mark.parametrize("name", FAULTS)
 def test_faults_of_packets_are_named(verified, name):
-    """Each fault breaks its rules and no others, at least so often, and one of the findings says what happened."""
+    """Each fault breaks its rules and no others, at least so often, and one of the findings says what
+    happened."""
     events, rules = FAULTS[name]
     run = emulator(*events)
     packets = list(arriving(run.scenario, run.parts.units, lambda *_: iter(clean()), 0, seconds_to_ns(1.5)))
@@ -92,7 +93,8 @@ def test_faults_of_packets_are_named(verified, name):
 
 
 def test_corrupt(verified):
-    """Flipped bits are seen where they break flags, azimuths or time stamps; of 8 bits in 225 packets some do."""
+    """Flipped bits are seen where they break flags, azimuths or time stamps; of 8 bits in 225 packets some
+    do."""
     run = emulator(event("corrupt", 0.0, share=0.2))
     packets = arriving(run.scenario, run.parts.units, lambda *_: iter(clean()), 0, seconds_to_ns(1.5))
     found, _ = verified(packets)
@@ -125,7 +127,8 @@ RUNS = {
 
 @pytest.mark.parametrize("name", RUNS)
 def test_what_happens_to_a_sensor_is_named(verified, name):
-    """Each event breaks its rules and no others; sentences of status V, which trees cause too, are counted and break none."""
+    """Each event breaks its rules and no others; sentences of status V, which trees cause too, are counted
+    and break none."""
     events, duration_s, tables, rules = RUNS[name]
     run = emulator(*events, duration_s=duration_s, **tables)
     found, result = verified(run.packets())
@@ -147,7 +150,8 @@ def test_what_happens_to_a_sensor_is_named(verified, name):
 
 
 def test_garbled_sentences(verified):
-    """A wrong sentence is named by its rule beside the pulse; its checksum alone, where what is garbled is a digit."""
+    """A wrong sentence is named by its rule beside the pulse; its checksum alone, where what is garbled is
+    a digit."""
     events = DARK, event("wrong_sentence", 3.0, duration_s=3.0)
     found, _ = verified(emulator(*events, duration_s=12.0).packets())
     assert set(found) - {Rule.NMEA_CHECKSUM} == {Rule.NMEA_FORMAT, Rule.PPS}

@@ -15,7 +15,8 @@ HOUR_US = 3_600_000_000
 
 @pytest.mark.parametrize(("kind", "first", "count"), [("data", 800, 7), ("position", 160, 2)])
 def test_lost_packets_are_one_finding_and_no_cascade(traffic, kind, first, count):
-    """Packets missing in a row are found once, by time stamps or by the count in the header, at the packet after the hole."""
+    """Packets missing in a row are found once, by time stamps or by the count in the header, at the packet
+    after the hole."""
     made = traffic(1.2)
     of_kind = getattr(made, kind)()
     made.drop(of_kind[first : first + count])
@@ -28,7 +29,8 @@ def test_lost_packets_are_one_finding_and_no_cascade(traffic, kind, first, count
 
 
 def test_outage_of_a_second_breaks_no_other_rule(traffic):
-    """When both streams are silent for a second, each reports its lost packets once, rates count them, and silence is named."""
+    """When both streams are silent for a second, each reports its lost packets once, rates count them, and
+    silence is named."""
     made = traffic(3.4)
     silent = [i for i, t in enumerate(made.stamps_us) if 10**6 < t - made.stamps_us[0] < 2 * 10**6]
     made.drop(silent)
@@ -41,7 +43,8 @@ def test_outage_of_a_second_breaks_no_other_rule(traffic):
 @pytest.mark.parametrize("first_block", [0, 6])
 @pytest.mark.parametrize("dual", [False, True])
 def test_limited_field_of_view_is_a_gap_and_no_cascade(traffic, first_block, dual):
-    """60 degrees and their 16.667 ms left out, inside a packet or between two, are one gap in the revolution."""
+    """60 degrees and their 16.667 ms left out, inside a packet or between two, are one gap in the
+    revolution."""
     made = traffic(1.0, dual=dual)
     made.drop(made.position())
     for i in range(400, len(made.frames)):
@@ -59,7 +62,8 @@ def test_limited_field_of_view_is_a_gap_and_no_cascade(traffic, first_block, dua
 
 
 def test_equal_azimuths_at_the_head_of_a_single_packet_are_found(traffic):
-    """Blocks 0 and 1 with one azimuth, which some software takes for dual return, have a rule of their own."""
+    """Blocks 0 and 1 with one azimuth, which some software takes for dual return, have a rule of their
+    own."""
     made = traffic(1.2)
     i = made.data(800)
     azimuth_cdeg = made.payload(i)[0]["blocks"]["azimuth_cdeg"]
@@ -80,7 +84,8 @@ def test_speed_outside_the_range_is_found(traffic, rpm):
 
 
 def test_old_sentence_is_found_only_while_locked(traffic):
-    """A sentence of three seconds before is an error with lock, and without lock a note beside the error that lock is lost."""
+    """A sentence of three seconds before is an error with lock, and without lock a note beside the error
+    that lock is lost."""
     lost = {Rule.PPS}
     for pps, broken, notes in (
         (2, {Rule.NMEA_SECOND}, set()),
@@ -106,7 +111,8 @@ def test_old_sentence_is_found_only_while_locked(traffic):
     ],
 )
 def test_sentences_that_nmea_0183_allows_are_accepted(traffic, text, void, notes):
-    """Empty fields (u-blox and Arduino-NMEA#10), no decimals (a real unit), status of version 4.1 and other talkers break no rule."""
+    """Empty fields (u-blox and Arduino-NMEA#10), no decimals (a real unit), status of version 4.1 and
+    other talkers break no rule."""
     checksum = functools.reduce(operator.xor, text[1:-3])
     text = text[:-2] + f"{checksum:02X}".encode()
     made = traffic(0.5)
@@ -118,7 +124,8 @@ def test_sentences_that_nmea_0183_allows_are_accepted(traffic, text, void, notes
 
 
 def test_repeated_identification_is_found(traffic):
-    """A position header that does not count on is a header fault, at this packet and at the one that goes on."""
+    """A position header that does not count on is a header fault, at this packet and at the one that goes
+    on."""
     made = traffic(1.2)
     i = made.position(160)
     made.frames[i][18:20] = made.frames[made.position(159)][18:20]
@@ -130,7 +137,8 @@ def test_repeated_identification_is_found(traffic):
 
 
 def test_rates_are_found(traffic):
-    """Every second position packet, numbered on, is too few; stamps at twice the speed are too many of both."""
+    """Every second position packet, numbered on, is too few; stamps at twice the speed are too many of
+    both."""
     made = traffic(2.5)
     positions = made.position()
     for n, i in enumerate(positions[::2]):
@@ -149,7 +157,8 @@ def test_rates_are_found(traffic):
 
 
 def test_change_of_mode_is_found_once(traffic):
-    """A sensor that a user switches from strongest to last gives one note, as the manual (section 10.1) lets users do so."""
+    """A sensor that a user switches from strongest to last gives one note, as the manual (section 10.1)
+    lets users do so."""
     made = traffic(1.0)
     for i in (switched := made.data(slice(300, None))):
         made.payload(i)["return_mode"] = 0x38

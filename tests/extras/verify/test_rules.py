@@ -12,7 +12,8 @@ HOUR_US = 3_600_000_000
 @pytest.mark.parametrize("dual", [False, True])
 @pytest.mark.parametrize("rpm", [300, 600, 1200])
 def test_clean_traffic_breaks_no_rule(traffic, rpm, dual):
-    """Traffic of single and dual return at three speeds is clean, over the full hour and the azimuth's wrap."""
+    """Traffic of single and dual return at three speeds is clean, over the full hour and the azimuth's
+    wrap."""
     made = traffic(2.2, rpm, dual=dual)
     result = made.verified()
     assert (result.findings, result.is_clean) == ((), True)
@@ -34,7 +35,8 @@ def frame(offset, content, kind="data"):
 
 
 def field(*path, to):
-    """Change a field of the payload of data frame 800: to a value, or to what a function makes of the old one."""
+    """Change a field of the payload of data frame 800: to a value, or to what a function makes of the old
+    one."""
 
     def damage(made):
         i = made.data(800)

@@ -1,4 +1,5 @@
-"""The page beside a stream: it shows what was sent, sets the sensor, and no packet waits for it, whatever happens to it."""
+"""The page beside a stream: it shows what was sent, sets the sensor, and no packet waits for it, whatever
+happens to it."""
 
 import os
 import pickle
@@ -79,7 +80,8 @@ def until_the_end(channel):
 
 
 def test_messages_that_nobody_reads_are_dropped_at_once(ends):
-    """A full channel loses messages and returns; those before arrive whole and in order, and the end of the reader is noticed."""
+    """A full channel loses messages and returns; those before arrive whole and in order, and the end of
+    the reader is noticed."""
     ours, theirs = ends
     assert all(offer(ours, (number, bytes(1_000))) for number in range(5_000))
     ours.close()
@@ -103,7 +105,8 @@ def test_a_page_without_a_reader_keeps_few_packets(emulator, packets, ends):
 
 @pytest.mark.parametrize("truth", [False, True])
 def test_batches_hold_sent_packets_with_their_poses(ends, truth):
-    """The page gets the very payloads, the pose at each first pulse, the counts, and labels if the packets have them."""
+    """The page gets the very payloads, the pose at each first pulse, the counts, and labels if the packets
+    have them."""
     ours, theirs = ends
     second = {"name": "second", "data_port": 2369, "position_port": 8309, "mount": {"pitch_deg": -35.0}}
     emulator = Emulator("static_bench", {"duration_s": 0.02, "rig": [second]})
@@ -142,7 +145,8 @@ def test_batches_hold_sent_packets_with_their_poses(ends, truth):
 
 
 def received(emulator, page, ended, while_sending=lambda: None):
-    """Payloads of data packets that a receiver gets while an emulator streams beside a page, and the report."""
+    """Payloads of data packets that a receiver gets while an emulator streams beside a page, and the
+    report."""
     listener, other = Listener(), Listener()
     begun = threading.Event()
 
@@ -167,9 +171,11 @@ def received(emulator, page, ended, while_sending=lambda: None):
 
 
 def test_a_page_that_hangs_or_is_killed_costs_no_packet(emulator, packets):
-    """While its process is stopped, and when it is killed, each packet leaves in its order, none is skipped, and the stream ends.
+    """While its process is stopped, and when it is killed, each packet leaves in its order, none is skipped,
+    and the stream ends.
 
-    Its niceness is 10 above the stream's, and it has a session of its own, which Ctrl-C at the terminal does not reach.
+    Its niceness is 10 above the stream's, and it has a session of its own, which Ctrl-C at the terminal does
+    not reach.
     """
     expected = [payload.tobytes() for payload in data_payloads(packets)]
     gone = threading.Event()
@@ -241,7 +247,8 @@ def seen_view(server, emulator, packets, ends):
 
 
 def test_sweeps_are_those_of_the_packets_in_the_world(server, emulator, packets, ends, tmp_path):
-    """The page has the sweeps that a reader of a recording gets, each at its pose; odd values of controls draw the default."""
+    """The page has the sweeps that a reader of a recording gets, each at its pose; odd values of controls
+    draw the default."""
     view = seen_view(server, emulator, packets, ends)
     emulator.record(tmp_path / "bench.pcap")
     scans = list(vlp16emu.decode(tmp_path / "bench.pcap"))
@@ -281,7 +288,8 @@ def test_labels_of_packets_colour_the_points(server, ends):
 
 
 def test_states_are_read_from_packets():
-    """Pulse and fix are those of the position packet, the return mode that of the data packet; other bytes have words too."""
+    """Pulse and fix are those of the position packet, the return mode that of the data packet; other bytes
+    have words too."""
     valid = b"$GPRMC,081802.00,A,3649.7478558,N,00224.4542928,W,0.034,212.5,210116,0.0,E,A*2E\r\n"
     assert gps_text(pack_position(0, PpsState.LOCKED, valid)) == "PPS locked, fix valid"
     lost = valid.replace(b",A,3", b",V,3")
@@ -305,7 +313,8 @@ def wait_until(is_so):
 
 
 def test_controls_set_the_sensor_and_show_what_others_set(server):
-    """A moved control arrives in the packets; a refused value gives its reason; a setting of another client moves the control."""
+    """A moved control arrives in the packets; a refused value gives its reason; a setting of another
+    client moves the control."""
     panel = SettingsPanel(server)
     rpm = panel._controls[0].handle
     assert rpm.disabled
@@ -348,7 +357,8 @@ def is_dual_at_1200_rpm(payload):
 
 
 def test_a_browser_shows_the_stream_and_sets_the_sensor(in_browser):
-    """Chromium shows points and state; the return mode and the speed that are chosen there arrive in the packets that leave."""
+    """Chromium shows points and state; the return mode and the speed that are chosen there arrive in the
+    packets that leave."""
     listener = Listener()
     ports = "--view-port", "0", "--position-port", "0", "--to", f"127.0.0.1:{listener.port}"
     words = "stream", "static_bench", "--view", *ports, "--duration", "600", "--no-keep-up"

@@ -1,4 +1,5 @@
-"""The page: who may ask, what strangers get, and what a real browser shows: Chromium without a screen, drawing by software."""
+"""The page: who may ask, what strangers get, and what a real browser shows: Chromium without a screen,
+drawing by software."""
 
 import http.client
 import re
@@ -59,7 +60,8 @@ def test_requests_for_others_are_refused(host, origin, ours):
 
 
 def test_the_page_is_there_and_no_file_beside_it(port):
-    """The page loads; paths that lead elsewhere find nothing, and neither pages nor sockets of others are answered."""
+    """The page loads; paths that lead elsewhere find nothing, and neither pages nor sockets of others are
+    answered."""
     assert status(port) == 200
     for path in (
         "/../../../../etc/passwd",
@@ -75,7 +77,8 @@ def test_the_page_is_there_and_no_file_beside_it(port):
 
 
 def test_no_address_is_asked_for_and_no_file_is_taken(port, monkeypatch):
-    """A client that wishes for a public tunnel gets none; with that, a file for nobody and noise the page stays."""
+    """A client that wishes for a public tunnel gets none; with that, a file for nobody and noise the page
+    stays."""
     made = []
     monkeypatch.setattr("viser._viser.ViserTunnel", lambda *arguments: made.append(arguments))
     upload = {"type": "FileTransferStartUpload", "source_component_uuid": "7", "filename": "/etc/passwd"}
@@ -90,7 +93,8 @@ def test_no_address_is_asked_for_and_no_file_is_taken(port, monkeypatch):
 
 
 def test_a_capture_is_shown_whatever_a_client_sets(server, tmp_path):
-    """A capture has its points by range; numbers and words that no control has give a picture of the least or the default."""
+    """A capture has its points by range; numbers and words that no control has give a picture of the least
+    or the default."""
     Emulator("static_bench", {"duration_s": 0.5}).record(tmp_path / "bench.pcap")
     page = capture_page(server, tmp_path / "bench.pcap", None, 1)
     page._slider.value, page._size.value, page._together.value, page._layer.value = (

@@ -23,7 +23,8 @@ BOX_M = np.array([[-10.0, -10.0, 0.0], [10.0, 10.0, 5.0]])
 
 
 def test_lengths_are_the_same_all_over_an_oblique_view():
-    """From the south, 10 m to the east are as many pixels wherever they lie, and what is nearer to the eye is so by its height and place."""
+    """From the south, 10 m to the east are as many pixels wherever they lie, and what is nearer to the eye
+    is so by its height and place."""
     canvas = Canvas(BOX_M, 180.0, 30.0, (640, 400))
     for place in ((0.0, 0.0, 0.0), (-5.0, 8.0, 4.0)):
         column, row, _ = canvas.pixels(np.array([place, np.add(place, (10.0, 0, 0))]))
@@ -47,7 +48,8 @@ def test_what_is_nearer_hides_what_is_behind():
 
 
 def test_a_sweep_lies_ahead_upwards(tmp_path, capsys):
-    """From above, a box ahead of the sensor is over its middle and one to its left at the left, both at their ranges, of one revolution."""
+    """From above, a box ahead of the sensor is over its middle and one to its left at the left, both at
+    their ranges, of one revolution."""
     words = ["--view", "sweep", "--size", "400x400", "--duration", "0.3", "--colour", "reflectivity"]
     words += ["--set", f"world={HALL}", "--json"]
     assert run(["picture", "static_bench", str(tmp_path / "a.png"), *words]) == 0
@@ -118,7 +120,8 @@ def test_a_scene_becomes_a_picture(tmp_path):
 
 
 def test_a_bar_of_ten_metres_and_a_scale_stand_beside_the_points(tmp_path):
-    """The bar is as long as 10 m are in the view, and the scale of ranges goes from violet at 0 to yellow at 40 m."""
+    """The bar is as long as 10 m are in the view, and the scale of ranges goes from violet at 0 to yellow
+    at 40 m."""
     words = [*SMALL, "--from", "180", "--colour", "range", "--set", f"world={HALL}"]
     assert run(["picture", "static_bench", str(tmp_path / "a.png"), *words]) == 0
     with Image.open(tmp_path / "a.png") as image:
@@ -132,7 +135,8 @@ def test_a_bar_of_ten_metres_and_a_scale_stand_beside_the_points(tmp_path):
 
 
 def test_title_and_legend_name_what_is_drawn(tmp_path, monkeypatch):
-    """The title has scene and time, the scale its quantity and unit, a capture its file and UTC; a long title is cut before the legend."""
+    """The title has scene and time, the scale its quantity and unit, a capture its file and UTC; a long
+    title is cut before the legend."""
     from PIL import ImageDraw
 
     written, write = [], ImageDraw.ImageDraw.text
@@ -158,7 +162,8 @@ def test_title_and_legend_name_what_is_drawn(tmp_path, monkeypatch):
 
 
 def test_natural_colours_are_named_by_leaf_and_stem():
-    """The legend of natural colours has two colours for each species of trees that is seen, and one for shrubs and ground, whatever their species."""
+    """The legend of natural colours has two colours for each species of trees that is seen, and one for
+    shrubs and ground, whatever their species."""
     from vlp16emu.extras.colours import colour_of_kind, colours_of_plant
     from vlp16emu.extras.viewer.layers import _natural_legend
     from vlp16emu.types import Labels
@@ -185,7 +190,8 @@ def test_a_missing_pillow_is_named_before_anything_is_simulated(tmp_path, monkey
 
 
 def test_a_capture_is_drawn_by_its_trajectory(tmp_path, capsys):
-    """A capture with its trajectory gives a picture of all revolutions of its first sensor, without it one of the first revolution."""
+    """A capture with its trajectory gives a picture of all revolutions of its first sensor, without it one
+    of the first revolution."""
     second = {"name": "b", "address": "192.168.1.202", "data_port": 2369, "position_port": 8309}
     emulator = Emulator("static_bench", {"beam.model": "none", "rig": [second]})
     emulator.record(tmp_path / "a.pcap", duration_s=0.4, truth=tmp_path / "truth")

@@ -85,7 +85,10 @@ def test_the_scenario_of_a_run_becomes_a_scene(scene, tmp_path):
     [
         'motion = { kind = "walk", way_points_m = [[0, 0], [5, 1]], run_time_s = 20 }',
         'motion.kind = "walk"\nmotion.way_points_m = [[0, 0], [5, 1]]',
-        '[motion]\nkind = "walk"\nlawn_mower = { length_m = 5.0, width_m = 9.0 }\n[[motion.stops]]\nat_m = 1\npause_s = 3',
+        (
+            '[motion]\nkind = "walk"\nlawn_mower = { length_m = 5.0, width_m = 9.0 }\n[[motion.stops]]\nat_m '
+            "= 1\npause_s = 3"
+        ),
     ],
 )
 def test_each_form_of_a_table_is_changed(motion, tmp_path):

@@ -37,7 +37,8 @@ def run(tmp_path_factory):
 
 
 def test_points_of_a_capture_are_where_the_scene_has_them(run):
-    """A sweep with ground truth is placed in the world to the steps of the wire, with the labels of the scene; ranges too near are blue, too far red."""
+    """A sweep with ground truth is placed in the world to the steps of the wire, with the labels of the
+    scene; ranges too near are blue, too far red."""
     folder, emulator = run
     with closing(CaptureSweeps(folder / "walk.pcap", folder / "truth")) as sweeps:
         sweep = sweeps.at(0.1)
@@ -59,7 +60,8 @@ def test_points_of_a_capture_are_where_the_scene_has_them(run):
 
 
 def test_broken_packets_are_named_and_the_rest_is_shown(run, tmp_path):
-    """A packet with a broken flag and one that is lost are named with their sweep; no point of the others is missing."""
+    """A packet with a broken flag and one that is lost are named with their sweep; no point of the others
+    is missing."""
     folder, _ = run
     with (folder / "walk.pcap").open("rb") as file:
         frames = list(dpkt.pcap.Reader(file))
@@ -125,7 +127,8 @@ def test_a_unit_of_a_rig_turns_at_its_own_speed():
 
 
 def test_fewer_leaves_have_the_area_of_all():
-    """A thousand equal leaves become a hundred of the same total area; unequal ones keep the largest as they are."""
+    """A thousand equal leaves become a hundred of the same total area; unequal ones keep the largest as
+    they are."""
     corner_m = np.random.default_rng(1).random((1000, 1, 3))
     leaf_m = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]])
     faces = np.arange(3000, dtype=np.uint32).reshape(-1, 3)
@@ -154,7 +157,8 @@ def tube(sides, rings):
 
 
 def test_a_slim_stem_stands_where_the_stem_stands():
-    """With a tenth of the triangles foot, tip and thickness stay: no corner is a new one, and the foot is whole."""
+    """With a tenth of the triangles foot, tip and thickness stay: no corner is a new one, and the foot is
+    whole."""
     stem = tube(24, 40)
     slim = slim_stem(stem)
     assert len(slim.faces) < len(stem.faces) * 2 / 10

@@ -37,7 +37,8 @@ SPLINES = [
     ("degree", "ends", "theirs", "n"), [(*row[:3], n) for row in SPLINES for n in row[3]]
 )
 def test_splines_are_scipys(degree, ends, theirs, n):
-    """Values and two derivatives are those of scipy to rounding, also where a lap is solved along with its neighbours, and with few points."""
+    """Values and two derivatives are those of scipy to rounding, also where a lap is solved along with its
+    neighbours, and with few points."""
     at, values = uneven(n, 1.5 if degree == 5 else 0.2)
     values[-1] = values[0] if ends == "periodic" else values[-1]
     found, wanted, x = (
@@ -69,7 +70,8 @@ def trunk():
 @pytest.mark.parametrize("hz", [0.5, 3.0, 40.0, 300.0])
 @pytest.mark.parametrize("damping", [0.0, 0.2, 1.0, 10.0])
 def test_a_pack_swings_as_a_general_solver_says(hz, damping):
-    """From 0.5 to 300 Hz, undamped to overdamped, x'' + 2zw(x' - u') + w2(x - u) = 0 is solved within 1e-11 m."""
+    """From 0.5 to 300 Hz, undamped to overdamped, x'' + 2zw(x' - u') + w2(x - u) = 0 is solved within
+    1e-11 m."""
     w, u = 2 * math.pi * hz, trunk()
     rate, matrix = u.derivative(), np.array([[0.0, 1.0], [-w * w, -2 * damping * w]])
 
@@ -88,7 +90,8 @@ def test_a_pack_swings_as_a_general_solver_says(hz, damping):
 
 
 def test_rotations_and_rates_agree_with_scipy():
-    """On a head that swings by 40 degrees, recorded at 20 Hz, both splines agree to 1e-4 rad and 2e-3 rad/s."""
+    """On a head that swings by 40 degrees, recorded at 20 Hz, both splines agree to 1e-4 rad and 2e-3
+    rad/s."""
     t = np.arange(0.0, 6.0, 0.05)
     angles = np.column_stack([0.7 * np.sin(1.3 * t), 0.4 * np.sin(2.1 * t + 1), 0.3 * np.cos(0.9 * t)])
     recorded = Rotation.from_euler("ZYX", angles)

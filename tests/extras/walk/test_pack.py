@@ -89,7 +89,8 @@ def test_stride_times_vary_as_published_and_with_long_memory():
 
 @pytest.mark.parametrize(("vertical_m", "warned"), [(0.3, False), (1.0, True)])
 def test_a_gait_that_leads_into_the_ground_is_named(tmp_path, caplog, vertical_m, warned):
-    """A person who carries the sensor lower than the steps are deep is warned of it; the walk has it under the ground."""
+    """A person who carries the sensor lower than the steps are deep is warned of it; the walk has it under
+    the ground."""
     gait = Gait(preset="none", step_hz=1.8, vertical_m=vertical_m)
     walk = Walk(kind="walk", way_points_m=[(0.0, 0.0), (20.0, 0.0)], sensor_height_m=0.4, gait=gait)
     site = HallWorld(Hall(kind="hall", length_m=50.0, width_m=50.0, height_m=5.0))

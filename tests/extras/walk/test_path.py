@@ -72,7 +72,8 @@ def test_derivatives_are_those_of_the_same_curve(origin_m):
 
 
 def test_a_loop_closes_without_a_seam():
-    """Where the last waypoint is the first, point, heading and derivatives go on over the seam, lap after lap."""
+    """Where the last waypoint is the first, point, heading and derivatives go on over the seam, lap after
+    lap."""
     path = Path(np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 10.0], [0.0, 10.0], [0.0, 0.0]]), hilly)
     assert path.closed
     before, after = (path.derivatives_at(path.length_m * np.arange(1, 4) + h) for h in (-1e-9, 1e-9))
@@ -102,17 +103,23 @@ def test_any_way_points_give_a_smooth_path_or_a_refusal(points):
 @pytest.mark.parametrize(
     ("points", "message"),
     [
-        ([[5, 0], [15, 0]], "path at (10.37, 0.00) m: the ground rises or falls by 85 degrees; expected at most 60 degrees"),
+        ([[5, 0], [15, 0]], ("path at (10.37, 0.00) m: the ground rises or falls by 85 degrees; expected "
+                            "at most 60 degrees")),
         ([[0, 0], [np.nan, 1]], "waypoint 2 of 2: found (nan, 1.0); expected finite coordinates"),
-        ([[0, 0], [3, 1], [3, 1.001]], "waypoint 3 of 3: coincides with the one before it; expected at least 1 cm between waypoints"),
+        ([[0, 0], [3, 1], [3, 1.001]], ("waypoint 3 of 3: coincides with the one before it; expected at "
+                                       "least 1 cm between waypoints")),
         ([[3, 4]], "waypoints: found 1; expected at least 2 of them"),
-        ([[0, 0], [2e6, 0]], "waypoint 2 of 2: found (2000000.0, 0.0); expected within 1e+06 m of the origin"),
-        ([[0, 0], [9e4, 0], [0, 9e4]], "waypoints: found 217.3 km from first to last; expected at most 100 km"),
-        ([[0, 0], [10, 0], [0, 0]], "path at (10.00, 0.00) m, near waypoint 2: turns with a radius of 0.00024 m; expected at least 0.1 m: more waypoints round the turn"),
+        ([[0, 0], [2e6, 0]], ("waypoint 2 of 2: found (2000000.0, 0.0); expected within 1e+06 m of the "
+                             "origin")),
+        ([[0, 0], [9e4, 0], [0, 9e4]], ("waypoints: found 217.3 km from first to last; expected at most "
+                                       "100 km")),
+        ([[0, 0], [10, 0], [0, 0]], ("path at (10.00, 0.00) m, near waypoint 2: turns with a radius of "
+                                    "0.00024 m; expected at least 0.1 m: more waypoints round the turn")),
     ],
 )  # fmt: skip
 def test_impossible_paths_are_refused(points, message):
-    """A waypoint that cannot be passed is named; and the place of a step of 10 m in the ground, which nobody walks up."""
+    """A waypoint that cannot be passed is named; and the place of a step of 10 m in the ground, which
+    nobody walks up."""
     with pytest.raises(TrajectoryError) as error:
         Path(np.array(points, float), lambda x, _y: np.where((x > 10.2) & (x < 16), 10.0, 0.0))
     assert str(error.value) == message

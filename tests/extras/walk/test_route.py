@@ -38,7 +38,8 @@ def test_derivatives_belong_to_the_same_function(track):
 
 
 def test_a_person_looks_where_the_walk_goes(track):
-    """The heading is the direction of the velocity on the map, whose length is the speed along the path to 0.1 %."""
+    """The heading is the direction of the velocity on the map, whose length is the speed along the path to
+    0.1 %."""
     nodes, speed_m_s = track
     np.testing.assert_allclose(np.linalg.norm(nodes[:, :3, 1], axis=1), speed_m_s, rtol=1e-3, atol=1e-12)
     moving = nodes[speed_m_s > 0.01]
@@ -58,7 +59,8 @@ def test_laps_go_round_without_a_halt():
 
 
 def test_stops_come_on_each_lap():
-    """A stop at the first and last waypoint of a loop of two laps is made at start, between, and at the end."""
+    """A stop at the first and last waypoint of a loop of two laps is made at start, between, and at the
+    end."""
     made = route(LOOP_M, np.array([1.0, 0.0, 2.0, 0.0, 1.0]), laps=2)
     rest = made.at(np.arange(0.0, made.run_time_s, 1e-3))[1] < 1e-12
     starts = np.flatnonzero(np.diff(rest.astype(int)) == 1)
@@ -66,7 +68,8 @@ def test_stops_come_on_each_lap():
 
 
 def test_a_person_stands_before_the_first_step():
-    """For `stand_s` nothing moves; from then on it is the walk that it is without, also where its time is given."""
+    """For `stand_s` nothing moves; from then on it is the walk that it is without, also where its time is
+    given."""
     for pace in ({}, {"run_time_s": 90.0}):
         plain, standing = route(**pace), route(stand_s=7.5, **pace)
         assert standing.run_time_s == plain.run_time_s + 7.5
@@ -137,7 +140,8 @@ def test_a_person_cruises_between_start_and_end():
 
 @pytest.mark.parametrize("turn", [straight, one_bend])
 def test_limits_are_kept(turn):
-    """Nowhere does the person go backwards, faster than cruise speed, accelerate or turn more than allowed; a bend is taken at the limit, to 5 %."""
+    """Nowhere does the person go backwards, faster than cruise speed, accelerate or turn more than
+    allowed; a bend is taken at the limit, to 5 %."""
     made = timed(turn, [(20.0, 3.0)])
     _, along_m, speed_m_s, acceleration_m_s2 = sampled(made)
     assert (np.diff(along_m) >= -1e-12).all()
@@ -148,7 +152,8 @@ def test_limits_are_kept(turn):
 
 
 def test_the_profile_is_smooth_to_the_fourth_derivative():
-    """Halving the step divides third differences of the acceleration by more than five; a kink would halve them."""
+    """Halving the step divides third differences of the acceleration by more than five; a kink would halve
+    them."""
     _, _, _, acceleration_m_s2 = sampled(timed())
     coarse = np.abs(np.diff(sampled(timed(), 2e-3)[3], 3)).max()
     fine = np.abs(np.diff(acceleration_m_s2, 3)).max()
@@ -191,9 +196,12 @@ AT_MOST = "expected at most 1209600 s, with its stops"
 @pytest.mark.parametrize(
     ("wish", "line"),
     [
-        ({"laps": 2}, "laps: found 2 on an open path; expected 1, back_and_forth = true, or a last waypoint on the first"),
-        ({"run_time_s": 5.0}, "run time: found 5 s for 60.0 m; expected at least 16.0 s, with its stops, turns and starts"),
-        ({"stops": [(60.1, 1.0)]}, "stop: found 60.1 m along the path; expected from 0 to its length, 60.00 m"),
+        ({"laps": 2}, ("laps: found 2 on an open path; expected 1, back_and_forth = true, or a last "
+                      "waypoint on the first")),
+        ({"run_time_s": 5.0}, ("run time: found 5 s for 60.0 m; expected at least 16.0 s, with its stops, "
+                              "turns and starts")),
+        ({"stops": [(60.1, 1.0)]}, ("stop: found 60.1 m along the path; expected from 0 to its length, "
+                                   "60.00 m")),
         ({"stops": [(20.0, 1e300)]}, f"run time: found 1e+300 s; {AT_MOST}"),
         ({"stops": [(20.0, 2e6)]}, f"run time: found 2.00005e+06 s; {AT_MOST}"),
         ({"speed_m_s": 1e-5}, f"run time: found 6.004e+06 s; {AT_MOST}"),
@@ -202,7 +210,8 @@ AT_MOST = "expected at most 1209600 s, with its stops"
     ],
 )  # fmt: skip
 def test_impossible_wishes_are_refused(wish, line):
-    """A walk outside the limits is refused with what would do; no memory is taken for one of more than two weeks."""
+    """A walk outside the limits is refused with what would do; no memory is taken for one of more than two
+    weeks."""
     with pytest.raises(TrajectoryError) as caught:
         timed(**wish)
     assert str(caught.value) == line

@@ -48,7 +48,8 @@ def test_interpolation_is_exact_to_a_nanometre(monkeypatch, harness):
 
 @pytest.mark.parametrize("harness", [None, STRAPS, SLACK])
 def test_poses_do_not_depend_on_their_company(harness):
-    """A pose computed alone, by one who never asked before, has the same bits as among others in any order."""
+    """A pose computed alone, by one who never asked before, has the same bits as among others in any
+    order."""
     t = np.random.default_rng(2).uniform(-3.0, 70.0, 5003)
     among, alone = at(walking(harness=harness), t), at(walking(harness=harness), t[3777:3778])
     assert (among.world_p_body_m[3777] == alone.world_p_body_m[0]).all()
@@ -70,7 +71,8 @@ def test_only_time_since_the_start_counts():
 @pytest.mark.parametrize("after_s", [0.0, 86_400.0, 7 * 86_400.0 - 100.0])
 @pytest.mark.parametrize("centre_m", [(0.0, 0.0, 0.0), (1e5, -1e5, 0.0)])
 def test_poses_are_finite_and_continuous(after_s, centre_m):
-    """Over seconds, days and 100 km from the origin, a microsecond moves the pack by no more than 3 um and 1 urad."""
+    """Over seconds, days and 100 km from the origin, a microsecond moves the pack by no more than 3 um and
+    1 urad."""
     t = after_s + np.arange(3.999990, 4.000010, 1e-6)
     poses = at(walking(Circle(centre_m), harness=SLACK), t)
     assert np.isfinite(poses.world_p_body_m).all()

@@ -18,7 +18,8 @@ def gaps_m(points, places_m):
 
 
 def test_the_path_keeps_its_distance_and_its_waypoints():
-    """Around scattered stems, one right on the path, the curve has the gaps asked for, and passes the user's waypoints in order."""
+    """Around scattered stems, one right on the path, the curve has the gaps asked for, and passes the
+    user's waypoints in order."""
     points = way([0, 0], [20, 0], [40, 6])
     places = np.array([[5, 0.3], [11, -0.5], [14, 0.0], [30, 3.2], [25, 9.0]])
     wanted = np.array([0.9, 1.0, 1.1, 0.95, 1.0])

@@ -52,16 +52,25 @@ def test_gpx_is_read_onto_the_plane_of_the_scene(tmp_path, container, element):
 BAD = [
     ("none.gpx", None, ": no such file or directory; expected a GPX file"),
     ("way.txt", "", "found the ending '.txt'; expected .csv or .gpx"),
-    ("a.csv", "x_m,y_m,stop\n1,2,3\n", ", line 1: unknown column 'stop'; expected stop_s, the nearest, or a name unlike it"),
-    ("g.csv", "x_m,y_m,stop_s\n1,2,-1\n", ", line 2, column stop_s: found -1; expected a number from 0 to 1e+06"),
+    ("a.csv", "x_m,y_m,stop\n1,2,3\n", (", line 1: unknown column 'stop'; expected stop_s, the nearest, "
+                                       "or a name unlike it")),
+    ("g.csv", "x_m,y_m,stop_s\n1,2,-1\n", (", line 2, column stop_s: found -1; expected a number from 0 "
+                                          "to 1e+06")),
     ("h.gpx", "<gpx>", ", line 1: no XML: no element found; expected a GPX file"),
-    ("h2.gpx", '<?xml version="1.0" encoding="x-garmin"?><gpx/>', ", line 1: unknown encoding: x-garmin; expected a GPX file in UTF-8"),
+    ("h2.gpx", '<?xml version="1.0" encoding="x-garmin"?><gpx/>', (", line 1: unknown encoding: x-garmin; "
+                                                                  "expected a GPX file in UTF-8")),
     ("i.gpx", "<gpx></gpx>", ": found 0 tracks and 0 routes; expected one of them"),
     ("j.gpx", "<gpx><trk/><trk/></gpx>", ": found 2 tracks and 0 routes; expected one of them"),
-    ("k.gpx", '<!DOCTYPE gpx [<!ENTITY a "b">]><gpx>&a;</gpx>', ", line 1: a document type declaration; expected none in a GPX file"),
-    ("l.gpx", '<gpx><trk>\n<trkpt lat="62" lon="x"/></trk></gpx>', ", line 2, column lon: found 'x'; expected a number from -180 to 180"),
-    ("m.gpx", '<gpx><trk>\n<trkpt lat="91" lon="2"/></trk></gpx>', ", line 2, column lat: found 91; expected a number from -90 to 90"),
-    ("n.gpx", '<gpx><trk>\n<trkpt lat="62.24" lon="35.75"/></trk></gpx>', ", line 2: lies 519 km from the scene's origin; expected at most 100 km from 62.24, 25.75 degrees"),
+    ("k.gpx", '<!DOCTYPE gpx [<!ENTITY a "b">]><gpx>&a;</gpx>', (", line 1: a document type declaration; "
+                                                                "expected none in a GPX file")),
+    ("l.gpx", '<gpx><trk>\n<trkpt lat="62" lon="x"/></trk></gpx>', (", line 2, column lon: found 'x'; "
+                                                                   "expected a number from -180 to 180")),
+    ("m.gpx", '<gpx><trk>\n<trkpt lat="91" lon="2"/></trk></gpx>', (", line 2, column lat: found 91; "
+                                                                   "expected a number from -90 to 90")),
+    ("n.gpx", '<gpx><trk>\n<trkpt lat="62.24" lon="35.75"/></trk></gpx>', (", line 2: lies 519 km from "
+                                                                          "the scene's origin; expected "
+                                                                          "at most 100 km from 62.24, "
+                                                                          "25.75 degrees")),
 ]  # fmt: skip
 
 

@@ -43,9 +43,11 @@ def in_plot(point_m):
 
 
 def test_lines_cover_the_plot_and_stay_in_it():
-    """Six lines, 5 m apart and in the middle of 27 m, each walked over nearly its length, within 2 mm of the plot.
+    """Six lines, 5 m apart and in the middle of 27 m, each walked over nearly its length, within 2 mm of the
+    plot.
 
-    Quarter circles cut ten corners off six lines and five links; nowhere does the path turn tighter than 0.8 times the radius.
+    Quarter circles cut ten corners off six lines and five links; nowhere does the path turn tighter than 0.8
+    times the radius.
     """
     mown = Path(lawn_mower(LawnMower(**PLOT)), lambda x, _y: 0.0 * x)
     point_m, heading_rad = mown.derivatives_at(np.linspace(0.0, mown.length_m, 40_001))
@@ -61,7 +63,8 @@ def test_lines_cover_the_plot_and_stay_in_it():
 
 
 def test_one_line_is_a_line():
-    """A plot narrower than the spacing has one line, in its middle; three spacings wide it has four, though 3.3 / 1.1 < 3 in float64."""
+    """A plot narrower than the spacing has one line, in its middle; three spacings wide it has four,
+    though 3.3 / 1.1 < 3 in float64."""
     points_m = lawn_mower(LawnMower(**PLOT | {"width_m": 3.0, "azimuth_deg": 0.0}))
     np.testing.assert_allclose(points_m[:, 1], -4.5)
     wide = {"width_m": 3.3, "line_spacing_m": 1.1, "turn_radius_m": 0.5, "azimuth_deg": 0.0}
@@ -100,7 +103,8 @@ def track():
 
 
 def test_each_lap_passes_all_way_points_there_and_back(track):
-    """Waypoints are passed in their order, in reverse, and again, each within 1 cm; the ends once, before the loop and after it."""
+    """Waypoints are passed in their order, in reverse, and again, each within 1 cm; the ends once, before
+    the loop and after it."""
     gap_m = np.linalg.norm(track[0][None, :, :2, 0] - np.array(BIRCH_M, float)[:, None], axis=2)
     nearest, near = gap_m.argmin(axis=0), gap_m.min(axis=0) < 0.01
     passed = nearest[near][np.diff(nearest[near], prepend=-1) != 0].tolist()
@@ -118,7 +122,8 @@ def test_the_way_back_is_the_way_there(track):
 
 
 def test_the_person_turns_round_without_a_halt(track):
-    """Limits of speed, acceleration and turn rate hold, also behind the ends; between first and last step nobody stands still."""
+    """Limits of speed, acceleration and turn rate hold, also behind the ends; between first and last step
+    nobody stands still."""
     nodes, speed_m_s = track
     assert np.degrees(np.abs(nodes[:, 5, 1])).max() < 60.0 * 1.001
     assert speed_m_s.max() <= 1.2 + 1e-9

@@ -35,7 +35,8 @@ CENTRES = HEADER.replace("xllcorner 100", "XLLCENTER 105").replace("yllcorner 20
 
 @pytest.mark.parametrize("text", [HEADER + ROWS, CENTRES + ROWS, "\ufeff" + HEADER + ROWS, None])
 def test_the_surface_goes_through_every_height_where_the_file_puts_it(tmp_path, text):
-    """Heights stand at the centres of their cells, first row northernmost: by corner or centre, after a byte order mark, in a .npy."""
+    """Heights stand at the centres of their cells, first row northernmost: by corner or centre, after a
+    byte order mark, in a .npy."""
     array = np.arange(1, 13).reshape(3, 4)
     dem = read(write(tmp_path, text)) if text else dem_of(array, tmp_path, 10.0, (100.0, 200.0))
     x, y = np.meshgrid([105.0, 115.0, 125.0, 135.0], [225.0, 215.0, 205.0])
@@ -50,7 +51,8 @@ def bumpy(tmp_path):
 
 
 def along(values, at, slopes):
-    """Cubic Hermite curve, straight on beyond the ends, with slopes at heights that follow from the rises before and after."""
+    """Cubic Hermite curve, straight on beyond the ends, with slopes at heights that follow from the rises
+    before and after."""
     rises = np.diff(np.concatenate([[2 * values[0] - values[1]], values, [2 * values[-1] - values[-2]]]))
     return interpolate.CubicHermiteSpline(np.arange(len(values)), values, slopes(rises[:-1], rises[1:]))(at)
 
@@ -68,7 +70,8 @@ def keys(before, after):
 
 @pytest.mark.parametrize(("slopes", "bend"), [(steffen, 1.0), (keys, 0.02)])
 def test_the_surface_is_made_of_monotone_cubics(tmp_path, slopes, bend):
-    """It agrees with Steffen's along x and then along y, and with the convolution of Keys where a slope bends little, to 1e-12."""
+    """It agrees with Steffen's along x and then along y, and with the convolution of Keys where a slope
+    bends little, to 1e-12."""
     heights = np.arange(40) + bend * np.random.default_rng(1).normal(size=(30, 40))
     dem = dem_of(heights[::-1] + 0.7 * np.arange(30)[::-1, None], tmp_path)
     heights += 0.7 * np.arange(30)[:, None]
@@ -78,7 +81,8 @@ def test_the_surface_is_made_of_monotone_cubics(tmp_path, slopes, bend):
 
 
 def test_the_ground_keeps_between_the_heights_of_the_file(bumpy, tmp_path):
-    """No point lies above or below the four heights around it; so beside a cliff of 100 m the ground is level."""
+    """No point lies above or below the four heights around it; so beside a cliff of 100 m the ground is
+    level."""
     dem, heights = bumpy
     x, y = np.random.default_rng(5).uniform([[0], [0]], [[39], [29]], (2, 20_000))
     column, row = x.astype(int), y.astype(int)
@@ -104,14 +108,17 @@ def test_a_height_is_the_same_alone_and_in_any_array(bumpy):
 @pytest.mark.parametrize(
     ("path", "reach_m", "message"),
     [
-        ([[15.0, 15.0], [30.0, 15.0]], 9.5, "ground.npy: ends in column 40 at x = 39.0 m, 9.0 m from the path at the nearest, and goes on level from there; the sensor sees 9.5 m"),
+        ([[15.0, 15.0], [30.0, 15.0]], 9.5, ("ground.npy: ends in column 40 at x = 39.0 m, 9.0 m from the "
+                                            "path at the nearest, and goes on level from there; the "
+                                            "sensor sees 9.5 m")),
         ([[3.0, 15.0]], 4.0, "ends in column 1 at x = 0.0 m, 3.0 m from"),
         ([[20.0, 26.0]], 4.0, "ends in row 1 at y = 29.0 m, 3.0 m from"),
         ([[20.0, 2.0]], 4.0, "ends in row 30 at y = 0.0 m, 2.0 m from"),
     ],
 )  # fmt: skip
 def test_ground_goes_on_level_beyond_the_file(bumpy, caplog, path, reach_m, message):
-    """Where a grid ends within reach a warning names its last row or column, and heights stay those of its edge."""
+    """Where a grid ends within reach a warning names its last row or column, and heights stay those of its
+    edge."""
     dem, _ = bumpy
     dem.check(np.array(path), reach_m)
     assert message in caplog.text
@@ -122,7 +129,8 @@ def test_ground_goes_on_level_beyond_the_file(bumpy, caplog, path, reach_m, mess
 
 
 def test_a_gap_within_reach_is_refused_and_one_beyond_is_not(tmp_path):
-    """A cell without height counts as far as its two cells of influence reach, is named by row, column and place, and has the nearest height."""
+    """A cell without height counts as far as its two cells of influence reach, is named by row, column and
+    place, and has the nearest height."""
     heights = np.zeros((30, 40))
     heights[4, 9], heights[4, 8] = np.nan, 3.0  # fifth row from the north, at (9, 25)
     dem = dem_of(heights, tmp_path, 1.0, (999.5, 1999.5), (1000.0, 2000.0, 0.0))
@@ -150,29 +158,41 @@ def test_a_cell_that_is_no_height_is_a_gap(tmp_path, none):
             (HEADER + "1 2 3 4\n5 6 7 8\n", "line 8: found 2 rows of 4; expected nrows = 3, ncols = 4"),
             (HEADER + ROWS + "1 2 3 4\n", "line 10: found 4 rows of 4; expected nrows = 3"),
             (HEADER + ROWS.replace("7", "seven"), "line 8: found '5 6 seven 8'; expected 4 heights"),
-            (HEADER.replace("cellsize 10\n", "") + ROWS, "line 6: found '1 2 3 4'; expected cellsize and a number"),
-            (HEADER.replace("cellsize 10", "cellsize -1") + ROWS, "line 5: found 'cellsize -1'; expected cellsize and a number above 0"),
-            (HEADER.replace("corner 100", "corner nan") + ROWS, "line 3: found 'xllcorner nan'; expected xllcorner and a number"),
-            (HEADER.replace("ncols 4", "ncols 3.5") + ROWS, "line 9: found 3 rows of 4; expected nrows = 3, ncols = 3.5"),
-            (HEADER.replace("cellsize 10", "cellsize ten") + ROWS, "line 5: found 'cellsize ten'; expected cellsize and a number"),
-            (HEADER.replace("cellsize", "cell") + ROWS, "line 5: found 'cell 10'; expected cellsize and a number"),
-            (HEADER.replace("yllcorner 200\n", "") + ROWS, "line 6: found '1 2 3 4'; expected yllcorner or yllcenter and a number"),
+            (HEADER.replace("cellsize 10\n", "") + ROWS, ("line 6: found '1 2 3 4'; expected cellsize and "
+                                                         "a number")),
+            (HEADER.replace("cellsize 10", "cellsize -1") + ROWS, ("line 5: found 'cellsize -1'; expected "
+                                                                  "cellsize and a number above 0")),
+            (HEADER.replace("corner 100", "corner nan") + ROWS, ("line 3: found 'xllcorner nan'; expected "
+                                                                "xllcorner and a number")),
+            (HEADER.replace("ncols 4", "ncols 3.5") + ROWS, ("line 9: found 3 rows of 4; expected nrows = "
+                                                            "3, ncols = 3.5")),
+            (HEADER.replace("cellsize 10", "cellsize ten") + ROWS, ("line 5: found 'cellsize ten'; "
+                                                                   "expected cellsize and a number")),
+            (HEADER.replace("cellsize", "cell") + ROWS, ("line 5: found 'cell 10'; expected cellsize and "
+                                                        "a number")),
+            (HEADER.replace("yllcorner 200\n", "") + ROWS, ("line 6: found '1 2 3 4'; expected yllcorner "
+                                                           "or yllcenter and a number")),
             ("ncols 4\n" + HEADER + ROWS, "line 2: found 'ncols 4'; expected nrows and a number"),
             (HEADER + "-9999 -9999 -9999 -9999\n" * 3, "no cell has a height"),
-            (HEADER.replace("nrows 3", "nrows 1") + "1 2 3 4\n", "found 1 rows of 4; expected at least 2 rows of 2"),
-            (HEADER.replace("ncols 4", "ncols 1000000000") + ROWS, r"line 9: found 3 rows of 4; expected nrows = 3, ncols = 1e\+09"),
+            (HEADER.replace("nrows 3", "nrows 1") + "1 2 3 4\n", ("found 1 rows of 4; expected at least 2 "
+                                                                 "rows of 2")),
+            (HEADER.replace("ncols 4", "ncols 1000000000") + ROWS, (r"line 9: found 3 rows of 4; expected "
+                                                                   r"nrows = 3, ncols = 1e\+09")),
             (HEADER, "line 6: found 'NODATA_value -9999'; expected 4 heights"),
             ("", "line 0: no header; expected ncols and a number"),
         ]),
         *(("ground.npy", heights, 1.0, message) for heights, message in [
             (np.zeros(5), r"found \(5,\) float64; expected numbers in rows and columns"),
             (np.zeros((3, 3), "U2"), r"found \(3, 3\) <U2"),
-            (np.array([[1, -9999], [2, 3]]), "ground.npy: row 1, column 2: found -9999; expected heights from -500 to 9000 m, NaN or"),
-            (np.array([[1, 2], [1e308, -3.4e38]]), r"row 2, column 1: found 1e\+308 and 1 more such; expected heights"),
+            (np.array([[1, -9999], [2, 3]]), ("ground.npy: row 1, column 2: found -9999; expected heights "
+                                             "from -500 to 9000 m, NaN or")),
+            (np.array([[1, 2], [1e308, -3.4e38]]), (r"row 2, column 1: found 1e\+308 and 1 more such; "
+                                                   r"expected heights")),
         ]),
         ("ground.npy", b"junk", 1.0, "ground.npy: no .npy file"),
         ("ground.npy", b"", 1.0, "ground.npy: no .npy file"),
-        ("ground.npy", b"PK\3\4" + bytes(40), 1.0, "ground.npy: no .npy file; expected a numpy array of numbers"),
+        ("ground.npy", b"PK\3\4" + bytes(40), 1.0, ("ground.npy: no .npy file; expected a numpy array of "
+                                                   "numbers")),
         ("ground.npy", b"\x93NUMPY\1\0\x10\0{'descr': '<f8',  ", 1.0, "ground.npy: no .npy file"),
         ("ground.npy", b"", None, "an array alone does not say where it lies; expected cell_m and corner_m"),
         ("ground.asc", b"", 1.0, "ground.asc: found cell_m or corner_m; expected neither"),
@@ -182,7 +202,8 @@ def test_a_cell_that_is_no_height_is_a_gap(tmp_path, none):
     ],
 )  # fmt: skip
 def test_what_is_no_grid_of_heights_is_refused(tmp_path, name, content, cell_m, message):
-    """Broken, missing and unknown files, arrays of something else, and grids placed twice or not at all, are refused in one line.
+    """Broken, missing and unknown files, arrays of something else, and grids placed twice or not at all, are
+    refused in one line.
 
     What is wrong with a text is reported with the file, the line, what was found and what was expected.
     """
@@ -195,7 +216,8 @@ def test_what_is_no_grid_of_heights_is_refused(tmp_path, name, content, cell_m, 
 
 
 def test_ground_that_is_written_is_read_as_it_was(tmp_path):
-    """Every cell of a written grid has the height at its own centre, to half a millimetre, and lies where it was."""
+    """Every cell of a written grid has the height at its own centre, to half a millimetre, and lies where
+    it was."""
 
     def plane(x_m, y_m):
         return 0.1 * x_m - 0.05 * y_m + 3.0

@@ -41,7 +41,8 @@ def read(path):
     ],
 )
 def test_heights_stand_where_the_tags_put_them(tmp_path, options):
-    """Cells, areas or points, have their heights at their centres, however the file is compressed; without a system it is in metres."""
+    """Cells, areas or points, have their heights at their centres, however the file is compressed; without
+    a system it is in metres."""
     dem = read(write(tmp_path / "ground.tif", **options))
     x, y = np.meshgrid([105.0, 115.0, 125.0, 135.0], [225.0, 215.0, 205.0])
     assert dem.height_m(x, y) == pytest.approx(HEIGHTS, abs=1e-9)
@@ -63,18 +64,22 @@ def test_the_number_for_no_height_is_a_gap(tmp_path, none):
         ({"crs": "EPSG:2225"}, "found a map in US survey foot; expected one in metres"),
         ({"units": ["ft"]}, "found heights in ft; expected metres"),
         ({"place": None}, "found no place on a map; expected a grid that says where it lies"),
-        ({"place": (10.0, 0.0, 100.0, 0.0, -5.0, 230.0)}, r"found cells of 10 x 5 from \(100, 230\); expected squares"),
+        ({"place": (10.0, 0.0, 100.0, 0.0, -5.0, 230.0)}, (r"found cells of 10 x 5 from \(100, 230\); "
+                                                          r"expected squares")),
         ({"place": (9.0, 1.0, 100.0, 1.0, -9.0, 230.0)}, "found cells of 9 x 9, turned; expected squares"),
         ({"place": (10.0, 0.0, 100.0, 0.0, 10.0, 230.0)}, "found cells of 10 x -10 from"),
-        ({"place": (10.0, 0.0, np.nan, 0.0, -10.0, 230.0)}, r"found cells of 10 x 10 from \(nan, 230\); expected"),
+        ({"place": (10.0, 0.0, np.nan, 0.0, -10.0, 230.0)}, (r"found cells of 10 x 10 from \(nan, 230\); "
+                                                            r"expected")),
         ({"place": (np.inf, 0.0, 100.0, 0.0, -np.inf, 230.0)}, "found cells of inf x inf"),
-        ({"heights": HEIGHTS - 32768}, "row 1, column 1: found -32768 and 11 more such; expected heights from -500"),
+        ({"heights": HEIGHTS - 32768}, ("row 1, column 1: found -32768 and 11 more such; expected heights "
+                                       "from -500")),
         ({"heights": np.zeros((3, 3, 4), np.uint8)}, "found 3 bands of uint8; expected one height to a cell"),
     ],
 )  # fmt: skip
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 def test_what_is_no_map_of_heights_in_metres_is_refused(tmp_path, changes, message):
-    """Degrees, feet, oblong and turned cells, places that are none, and colours are named, with what was expected."""
+    """Degrees, feet, oblong and turned cells, places that are none, and colours are named, with what was
+    expected."""
     with pytest.raises(GeometryError, match=message):
         read(write(tmp_path / "ground.tif", **changes))
 
@@ -93,7 +98,8 @@ def test_a_small_file_of_vast_size_takes_no_memory(tmp_path):
 
 @pytest.mark.parametrize("is_tiff", [False, True])
 def test_a_broken_file_is_refused(tmp_path, capfd, is_tiff):
-    """Text with the ending of a TIFF, and heights that cannot be decompressed, give one error line, and GDAL prints nothing."""
+    """Text with the ending of a TIFF, and heights that cannot be decompressed, give one error line, and
+    GDAL prints nothing."""
     path = write(tmp_path / "ground.tif", compress="deflate")
     content = bytearray(path.read_bytes())
     start = content.rindex(b"\x78")  # of the deflated strip

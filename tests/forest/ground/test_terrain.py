@@ -24,7 +24,8 @@ def flat_but(*, seed=3, **changes):
 
 @pytest.mark.parametrize("band", ["hill_rms_m", "rough_rms_m"])
 def test_relief_has_the_rms_that_was_set(band):
-    """Over a wide area the height of one band has mean zero and the set standard deviation; that of another seed has no part in it."""
+    """Over a wide area the height of one band has mean zero and the set standard deviation; that of
+    another seed has no part in it."""
     x, y = np.random.default_rng(1).uniform(-1e5, 1e5, (2, 100_000))
     height, other = (flat_but(seed=seed, **{band: 0.4}).height_m(x, y) for seed in (3, 4))
     assert abs(np.corrcoef(height, other)[0, 1]) < 0.02
@@ -46,7 +47,8 @@ def test_relief_keeps_to_its_wavelengths(band, shortest_m, longest_m):
 
 
 def test_a_mound_is_what_its_random_numbers_say():
-    """The kernel agrees to 1e-12 with the sum of all mounds of a square of 40 m, each worked out in plain Python."""
+    """The kernel agrees to 1e-12 with the sum of all mounds of a square of 40 m, each worked out in plain
+    Python."""
     mounds = []
     for ix in range(-11, 11):
         for iy in range(-11, 11):
@@ -64,7 +66,8 @@ def test_a_mound_is_what_its_random_numbers_say():
 
 
 def test_a_pit_is_what_its_random_numbers_say():
-    """The kernel agrees to 1e-12 with the sum of all pits and mounds of a square of 40 m, each worked out in plain Python."""
+    """The kernel agrees to 1e-12 with the sum of all pits and mounds of a square of 40 m, each worked out
+    in plain Python."""
     x, y = np.random.default_rng(7).uniform(-20, 20, (2, 400))
     twin = np.zeros(400)
     for ix in range(-7, 7):
@@ -106,7 +109,8 @@ def test_slope_rises_towards_its_direction():
     ("band", "rms_m", "steep_deg"), [("rough_rms_m", 100.0, 89.7), ("hill_rms_m", 20.0, 53.0)]
 )
 def test_ground_steeper_than_soil_is_refused(band, rms_m, steep_deg):
-    """Loose soil slides from 30 to 45 degrees on; the rms slope of a band is that of its spectrum (the gradient above, along both axes)."""
+    """Loose soil slides from 30 to 45 degrees on; the rms slope of a band is that of its spectrum (the
+    gradient above, along both axes)."""
     with pytest.raises(
         GeometryError, match=rf"{band} = {rms_m:g}.* slope by (\d+\.\d) degrees rms; expected at most 45"
     ) as caught:
@@ -144,7 +148,8 @@ def test_a_rut_is_what_its_random_numbers_say():
 
 
 def test_the_ground_is_free_but_for_a_strip_along_each_trail():
-    """The share of scattered points off trails is 1 - 4 m / 25 m, and no rut reaches where trees may stand; without trails all are free."""
+    """The share of scattered points off trails is 1 - 4 m / 25 m, and no rut reaches where trees may
+    stand; without trails all are free."""
     xy_m = np.random.default_rng(2).uniform(-500, 500, (40_000, 2))
     terrain = flat_but(**TRAILS)
     free = terrain.trails.are_free(xy_m)

@@ -30,7 +30,8 @@ LIVING = [species for species in TABLE.values() if species.foliage]
     ],
 )
 def test_heights_are_those_of_the_published_curves(name, heights_m):
-    """Heights of trees of 10 to 60 cm, in a stand whose mean tree of 30 cm lies on the curve, are as worked out from it, within 1 %."""
+    """Heights of trees of 10 to 60 cm, in a stand whose mean tree of 30 cm lies on the curve, are as
+    worked out from it, within 1 %."""
     dbh_cm = np.array([10.0, 20.0, 30.0, 40.0, 60.0])
     assert TABLE[name].height_curve(dbh_cm, 30.0, heights_m[2]) == pytest.approx(
         heights_m, rel=0.006, abs=0.05
@@ -48,7 +49,8 @@ def test_height_passes_through_the_mean_tree_and_rises():
 
 
 def test_crown_width_of_a_tree_of_30_cm():
-    """Crown widths of the living species, in the order of the table, worked out by hand from the published equations."""
+    """Crown widths of the living species, in the order of the table, worked out by hand from the published
+    equations."""
     found_m = [species.crown_width_m(np.array([30.0]))[0] for species in LIVING]
     assert found_m == pytest.approx([5.5, 4.5, 4.7, 6.6, 6.1, 6.4, 5.7, 6.7, 6.56, 7.0, 6.7], abs=0.06)
 
@@ -64,7 +66,8 @@ def test_crown_width_of_a_tree_of_30_cm():
     ],
 )
 def test_crown_ratio_of_a_tree_of_30_cm_and_24_m(name, ratio):
-    """Ratios among 20 m2 per ha of larger trees and a competition factor of 250 %, worked out from the published equations."""
+    """Ratios among 20 m2 per ha of larger trees and a competition factor of 250 %, worked out from the
+    published equations."""
     rivals = np.array([20.0]), np.array([250.0])
     base_m = TABLE[name].crown_base_m(np.array([30.0]), np.array([24.0]), rivals)[0]
     assert 1 - base_m / 24.0 == pytest.approx(ratio, abs=0.001)
@@ -81,7 +84,8 @@ def test_crown_ratio_of_a_tree_of_30_cm_and_24_m(name, ratio):
     ],
 )
 def test_crowns_of_closed_stands_are_as_long_as_measured(name, dbh_cm, height_m, ratios):
-    """The mean ratio, with 10 m2 per ha of larger trees and a competition factor of 220 %, is within what was measured."""
+    """The mean ratio, with 10 m2 per ha of larger trees and a competition factor of 220 %, is within what
+    was measured."""
     rivals = np.array([10.0]), np.array([220.0])
     low, high = ratios
     assert (
@@ -92,7 +96,8 @@ def test_crowns_of_closed_stands_are_as_long_as_measured(name, dbh_cm, height_m,
 
 
 def test_crowns_fit_their_trees():
-    """From 5 to 120 cm a crown begins above the ground and below the tip, alone and in a dense stand, and is wider on thicker trees."""
+    """From 5 to 120 cm a crown begins above the ground and below the tip, alone and in a dense stand, and
+    is wider on thicker trees."""
     for name, species in TABLE.items():
         dbh_cm = np.array([5.0, 15.0, 40.0, 80.0, 120.0])
         height_m = species.height_curve(dbh_cm, 30.0, 22.0)
@@ -114,7 +119,8 @@ def radii_m(name, dbh_m, height_m, heights_m, taper=0.0):
 
 
 def test_taper_is_exact_at_breast_height_and_flares_at_the_ground():
-    """A stem of 30 cm and 24 m has its DBH at 1.3 m, is 20 to 60 % thicker at the ground, and keeps that below."""
+    """A stem of 30 cm and 24 m has its DBH at 1.3 m, is 20 to 60 % thicker at the ground, and keeps that
+    below."""
     for name, species in TABLE.items():
         at_breast, ground, below, tip, half_way = (
             200 * radii_m(name, 0.3, 24.0, [1.3, 0.0, -0.5, 24.0, 12.0])[0]
@@ -177,7 +183,8 @@ def test_biomass_of_a_tree_of_30_cm_and_24_m(name, kg):
 
 
 def test_biomass_agrees_with_the_general_equations_of_its_kind():
-    """From 10 to 60 cm every species weighs 0.6 to 1.6 times what Jenkins et al. (2003) give spruces or hard maples."""
+    """From 10 to 60 cm every species weighs 0.6 to 1.6 times what Jenkins et al. (2003) give spruces or
+    hard maples."""
     for species in LIVING:
         dbh_m = np.array([0.1, 0.2, 0.3, 0.45, 0.6])
         height_m = species.height_curve(100 * dbh_m, 30.0, 24.0)
@@ -197,7 +204,8 @@ def test_biomass_agrees_with_the_general_equations_of_its_kind():
     ],  # Laasasenaho (1982), page 42, over bark
 )
 def test_stem_volumes_vary_as_published_and_diameters_do_not(name, percent):
-    """Stems of 30 cm and 24 m vary in volume by the published residual error of volume functions, and have their DBH exactly."""
+    """Stems of 30 cm and 24 m vary in volume by the published residual error of volume functions, and have
+    their DBH exactly."""
     taper = TABLE[name].taper_of(stats.norm.ppf((np.arange(200) + 0.5) / 200))
     radius_m = radii_m(name, 0.3, 24.0, np.tile(np.append(1.3, np.linspace(0, 24, 300)), (200, 1)), taper)
     assert (radius_m[:, 0] == 0.15).all()

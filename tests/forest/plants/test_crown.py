@@ -36,7 +36,8 @@ def grown(key):
 
 
 def test_leaves_are_planar_and_as_large_as_in_nature():
-    """Corners of a quad lie in one plane to a micrometre, and a mean blade or shoot has its species' length."""
+    """Corners of a quad lie in one plane to a micrometre, and a mean blade or shoot has its species'
+    length."""
     for name, key in LIVING.items():
         leaves = corners(grown(key)[2])
         a, b, c, d = np.moveaxis(leaves, 1, 0)
@@ -56,7 +57,8 @@ def test_mean_inclination_is_that_of_the_measured_leaves(name, mean_deg):
 
 
 def test_crown_fills_its_width_and_length():
-    """Foliage spans the crown width or up to a third more, and reaches from about the crown base to about the tip."""
+    """Foliage spans the crown width or up to a third more, and reaches from about the crown base to about
+    the tip."""
     for name, key in LIVING.items():
         vertices = grown(key)[2].vertices_m
         width = np.ptp(vertices[:, :2], axis=0)
@@ -77,7 +79,8 @@ def stem_radius_m(key, heights_m):
 
 
 def test_branches_begin_on_the_axis_inside_the_stem():
-    """Each first-order tube begins with a ring around the axis that is narrower than the stem there; few are below the base."""
+    """Each first-order tube begins with a ring around the axis that is narrower than the stem there; few
+    are below the base."""
     for name, key in LIVING.items():
         ring = first_rings(key)
         middle = ring.mean(axis=1)
@@ -89,7 +92,8 @@ def test_branches_begin_on_the_axis_inside_the_stem():
 
 
 def test_branches_are_together_as_thick_as_their_species_says():
-    """First-order sections add up to `branch_area` times that of the stem at the crown base, or to 70 % if some are as thick as the stem."""
+    """First-order sections add up to `branch_area` times that of the stem at the crown base, or to 70 % if
+    some are as thick as the stem."""
     for name, key in LIVING.items():
         ring = first_rings(key)
         ring = ring[ring[:, :, 2].mean(axis=1) >= 0]
@@ -109,7 +113,8 @@ def bole(name):
 
 
 def test_dead_branches_sit_below_the_crown_and_only_when_wanted():
-    """Off, they are missing and all else is the same to the byte; on, they start on the axis below the crown base. A snag has no others."""
+    """Off, they are missing and all else is the same to the byte; on, they start on the axis below the
+    crown base. A snag has no others."""
     assert [len(mesh.faces) > 0 for mesh in grown(KEYS["snag"])] == [False, False, False, True]
     for name, key in KEYS.items():
         assert CROWN_PARTS[3] == PlantPart.DEAD_BRANCH, name
@@ -125,7 +130,8 @@ def test_dead_branches_sit_below_the_crown_and_only_when_wanted():
 
 
 def test_spruce_keeps_dead_branches_down_to_a_foot_as_free_as_measured():
-    """The lowest branches of 40 spruces begin 0.3 m above the ground or on average 0.2 m higher; of pines above 5 m."""
+    """The lowest branches of 40 spruces begin 0.3 m above the ground or on average 0.2 m higher; of pines
+    above 5 m."""
 
     def lowest_m(name):
         parts = ([part.nodes_m[:, 0, 2].min(initial=0.0) for part in one[:2]] for one in bole(name))
@@ -137,7 +143,8 @@ def test_spruce_keeps_dead_branches_down_to_a_foot_as_free_as_measured():
 
 
 def test_branches_below_the_crown_die_and_fall_with_depth():
-    """Within one `living_depth_m` 1 - 1/e live, in the next 1/e of that; the lower half bears fewer; dead ones have twigs."""
+    """Within one `living_depth_m` 1 - 1/e live, in the next 1/e of that; the lower half bears fewer; dead
+    ones have twigs."""
     habit = flora().trees["norway_spruce"].crown
     all_parts = zip(*bole("norway_spruce"), strict=True)
     living, dead, twigs = ([-part.nodes_m[:, 0, 2] for part in parts] for parts in all_parts)
@@ -164,7 +171,8 @@ def test_needles_of_pine_sit_in_tufts_at_the_ends_of_twigs():
 
 @pytest.mark.parametrize("key", [BIRCH, SPRUCE], ids=["birch", "spruce"])
 def test_wood_volume_is_read_off_the_tubes(key):
-    """Frusta between the rings of the finest tubes, as thick as their girth says, have the crown's wood volume."""
+    """Frusta between the rings of the finest tubes, as thick as their girth says, have the crown's wood
+    volume."""
     total = 0.0
     for mesh, sides, nodes in zip(grown(key)[:2], (6, 4), (9, 5), strict=True):
         tubes = mesh.vertices_m.astype(np.float64).reshape(-1, sides * (nodes - 1) + 1, 3)

@@ -24,7 +24,8 @@ def trees():
 
 
 def test_a_share_of_stems_has_ivy_up_to_heights_in_the_range(trees):
-    """Three in ten have some, within 3 sigma, with even heights, and a tree's does not depend on which others stand."""
+    """Three in ten have some, within 3 sigma, with even heights, and a tree's does not depend on which
+    others stand."""
     tops_m = ivy_tops_m(trees, SECTION.share, SECTION.height_m, seed=6)
     has = tops_m > 0
     assert has.mean() == pytest.approx(0.3, abs=3 * np.sqrt(0.21 / len(trees)))
@@ -37,7 +38,8 @@ def test_a_share_of_stems_has_ivy_up_to_heights_in_the_range(trees):
 
 
 def test_leaves_hang_on_the_bark(trees):
-    """Quads of twice the area of the bark, by the DBH, start 2 to 12 cm off it, from the ground to the top; without ivy there are none."""
+    """Quads of twice the area of the bark, by the DBH, start 2 to 12 cm off it, from the ground to the
+    top; without ivy there are none."""
     few = trees[:3]
     meshes = ivy_meshes(few, np.array([5.0, 0.0, 3.0]), np.zeros(3), seed=6, tile=TileKey(0, 0))
     stems = Stems(few)
@@ -56,7 +58,8 @@ def test_leaves_hang_on_the_bark(trees):
 
 
 def test_ivy_is_leaf_of_its_tree_and_in_the_medium(make_forest, forest, track_m):
-    """Surfaces of ivy have class tree, part leaf and the number of a tree, in the far medium too; all else stands as without ivy, the default."""
+    """Surfaces of ivy have class tree, part leaf and the number of a tree, in the far medium too; all else
+    stands as without ivy, the default."""
     bare, forest = forest.window(track_m), make_forest(ivy=SECTION)
     window = forest.window(track_m)
     is_ivy = np.array([isinstance(window.shapes[i], IvyKey) for i in window.shape])

@@ -48,7 +48,8 @@ def bytes_of(meshes):
     ids=["crowns", "saplings", "shrubs"],
 )
 def test_leaf_area_is_that_of_the_plant(keys, leaf_m2, share):
-    """Quads have the leaf area of the crown, twice the projection of a sapling, or the index of a shrub, over their clumping."""
+    """Quads have the leaf area of the crown, twice the projection of a sapling, or the index of a shrub,
+    over their clumping."""
     for key in keys:
         target = leaf_m2(key) / PLANTS[key.species].foliage.clumping
         assert areas_m2(corners(grown(key)[-1])).sum() == pytest.approx(target, rel=share), key
@@ -58,7 +59,8 @@ def test_leaf_area_is_that_of_the_plant(keys, leaf_m2, share):
     "key", [key for key in CROWNS + SHRUBS if PLANTS[key.species].foliage.kind == "leaf"]
 )
 def test_leaves_are_inclined_as_measured(key):
-    """Leaf inclination passes a chi-square test with 20 equally likely classes against its beta distribution."""
+    """Leaf inclination passes a chi-square test with 20 equally likely classes against its beta
+    distribution."""
     zenith = zeniths(corners(grown(key)[-1]))
     mu, nu = PLANTS[key.species].foliage.inclination
     # Far more leaves than were ever measured would find the rounding of mu and nu.
@@ -68,7 +70,8 @@ def test_leaves_are_inclined_as_measured(key):
 
 @pytest.mark.parametrize("key", CROWNS + SAPLINGS + SHRUBS)
 def test_winter_takes_the_leaves_of_broadleaves_and_nothing_else(key):
-    """Leaf-off a broadleaf has no leaf face, a conifer keeps its shoots, and the wood is the same to the byte."""
+    """Leaf-off a broadleaf has no leaf face, a conifer keeps its shoots, and the wood is the same to the
+    byte."""
     summer, winter = grown(key), grown(replace(key, season="leaf_off"))
     assert bytes_of(winter[:-1]) == bytes_of(summer[:-1])
     if PLANTS[key.species].foliage.kind == "shoot":
@@ -91,7 +94,8 @@ def test_a_prototype_depends_on_seed_and_key_alone(key):
 
 
 def test_a_shrub_has_its_size():
-    """It stands on the ground, reaches its height within a quarter, and is no wider than a quarter more than its width."""
+    """It stands on the ground, reaches its height within a quarter, and is no wider than a quarter more
+    than its width."""
     for key in SHRUBS:
         vertices = np.concatenate([mesh.vertices_m for mesh in shrub_meshes(9, key)])
         assert -0.25 * key.height_m < vertices[:, 2].min() < 0, key.species
@@ -102,7 +106,8 @@ def test_a_shrub_has_its_size():
 
 
 def test_stems_come_out_of_the_ground_side_by_side():
-    """There are as many stems as the kind has, all within a tenth of the width of the middle, below the ground."""
+    """There are as many stems as the kind has, all within a tenth of the width of the middle, below the
+    ground."""
     for key in SHRUBS:
         assert SHRUB_PARTS == (PlantPart.STEM, PlantPart.BRANCH_FIRST_ORDER, PlantPart.LEAF), key.species
         stems = shrub_meshes(9, key)[0].vertices_m.reshape(-1, 49, 3)

@@ -55,20 +55,32 @@ def test_a_users_plants_come_after_our_own(write):
     ("old", "new", "message"),
     [
         ("number = 1000", "number = 999", "holm_oak.number: found 999; expected 1000 or more"),
-        ("holm_oak", "scots_pine", "scots_pine: a plant of that name is in the table already; expected another name"),
-        ("leaf_area_index =", "leaf_area_indx =", "holm_oak.leaf_area_indx: unknown key; expected leaf_area_index, the nearest known one"),
+        ("holm_oak", "scots_pine", ("scots_pine: a plant of that name is in the table already; expected "
+                                   "another name")),
+        ("leaf_area_index =", "leaf_area_indx =", ("holm_oak.leaf_area_indx: unknown key; expected "
+                                                  "leaf_area_index, the nearest known one")),
         ("leaf_area_index = 4.5", "", "holm_oak.leaf_area_index: missing; expected a number from 0 to 20"),
-        ("leaf_area_index = 4.5", "leaf_area_index = nan", "holm_oak.leaf_area_index: found nan; expected a finite number"),
-        ("leaf_area_index = 4.5", 'leaf_area_index = "4"', 'holm_oak.leaf_area_index: found "4"; expected a number'),
-        ("bark_reflectance = 0.4 ", "bark_reflectance = 40 ", "holm_oak.bark_reflectance: found 40; expected a number from 0 to 1"),
-        ('"uniform"', '"logistic"', 'holm_oak.height_curve.model: found "logistic"; expected "uniform" or "curtis_arney"'),
-        ('"logistic"', '"exponential"', 'holm_oak.crown_base.model: found "exponential"; expected "logistic" or "ratio"'),
-        ("[0.14657227, 3.78686023]", "[0.14657227]", "holm_oak.height_curve.coefficients: found a list of 1; expected 2 numbers for 'uniform'"),
-        ('kind = "leaf"', 'kind = "frond"', 'holm_oak.foliage.kind: found "frond"; expected "leaf" or "shoot"'),
-        ("inclination = [2.55, 1.61]", "inclination = []", "holm_oak.foliage.inclination: found a list of 0; expected mu and nu for leaves"),
-        ("[tree.holm_oak]", "[bush.x]\n[tree.holm_oak]", "[bush]: unknown table; expected [tree.NAME] or [shrub.NAME]"),
+        ("leaf_area_index = 4.5", "leaf_area_index = nan", ("holm_oak.leaf_area_index: found nan; "
+                                                           "expected a finite number")),
+        ("leaf_area_index = 4.5", 'leaf_area_index = "4"', ('holm_oak.leaf_area_index: found "4"; '
+                                                           'expected a number')),
+        ("bark_reflectance = 0.4 ", "bark_reflectance = 40 ", ("holm_oak.bark_reflectance: found 40; "
+                                                              "expected a number from 0 to 1")),
+        ('"uniform"', '"logistic"', ('holm_oak.height_curve.model: found "logistic"; expected "uniform" '
+                                    'or "curtis_arney"')),
+        ('"logistic"', '"exponential"', ('holm_oak.crown_base.model: found "exponential"; expected '
+                                        '"logistic" or "ratio"')),
+        ("[0.14657227, 3.78686023]", "[0.14657227]", ("holm_oak.height_curve.coefficients: found a list "
+                                                     "of 1; expected 2 numbers for 'uniform'")),
+        ('kind = "leaf"', 'kind = "frond"', ('holm_oak.foliage.kind: found "frond"; expected "leaf" or '
+                                            '"shoot"')),
+        ("inclination = [2.55, 1.61]", "inclination = []", ("holm_oak.foliage.inclination: found a list "
+                                                           "of 0; expected mu and nu for leaves")),
+        ("[tree.holm_oak]", "[bush.x]\n[tree.holm_oak]", ("[bush]: unknown table; expected [tree.NAME] or "
+                                                         "[shrub.NAME]")),
         ("number = 1000", "number = ", "Invalid value"),
-        ("branches_per_whorl = 1", "branches_per_whorl = 1.5", "holm_oak.crown.branches_per_whorl: found 1.5; expected a whole number"),
+        ("branches_per_whorl = 1", "branches_per_whorl = 1.5", ("holm_oak.crown.branches_per_whorl: found "
+                                                               "1.5; expected a whole number")),
     ],
 )  # fmt: skip
 def test_a_wrong_file_is_reported_by_file_species_and_key(write, old, new, message):

@@ -1,4 +1,5 @@
-"""Stems, their forms, roots and branches: diameters, sweep, forks, sections and bark, against the species table and what is published."""
+"""Stems, their forms, roots and branches: diameters, sweep, forks, sections and bark, against the species
+table and what is published."""
 
 from itertools import product
 
@@ -69,7 +70,8 @@ def forking(name):
 
 @pytest.mark.parametrize("name", TABLE)
 def test_area_at_breast_height_is_that_of_the_dbh(name):
-    """Cut across the axis as it runs 1.3 m above the foot, a stem has the area of its DBH within 0.1 mm: the first straight, two crooked."""
+    """Cut across the axis as it runs 1.3 m above the foot, a stem has the area of its DBH within 0.1 mm:
+    the first straight, two crooked."""
     for dbh_m, lean_deg in product((0.05, 0.2, 0.5, 1.2), (0.0, 8.0)):
         trees = make_trees(name, 3, dbh_m)
         trees["lean_deg"], trees["form"][0] = lean_deg, 0
@@ -85,7 +87,8 @@ def test_area_at_breast_height_is_that_of_the_dbh(name):
 
 @pytest.mark.parametrize("name", ["english_oak", "silver_birch", "european_beech", "snag"])
 def test_stems_are_closed_and_buried(name):
-    """Forked, crooked or straight, flare and stem are watertight together and show their outside; the lowest ring lies under a slope."""
+    """Forked, crooked or straight, flare and stem are watertight together and show their outside; the
+    lowest ring lies under a slope."""
     trees = make_trees(
         name, 14, height_m=23.5, crown_base_m=11.75, crown_width_m=5.6, dbh_m=np.linspace(0.08, 0.9, 14)
     )
@@ -102,7 +105,8 @@ def test_stems_are_closed_and_buried(name):
 
 
 def test_sections_have_the_area_of_published_tapers():
-    """Whatever their outline, the rings of a whole stem have the areas that the taper equation of the species gives."""
+    """Whatever their outline, the rings of a whole stem have the areas that the taper equation of the
+    species gives."""
     for name in ("norway_spruce", "scots_pine", "english_oak"):
         trees = make_trees(name, 20)
         stems = Stems(trees)
@@ -117,7 +121,8 @@ def test_sections_have_the_area_of_published_tapers():
 
 @pytest.mark.parametrize("name", ["norway_spruce", "english_oak", "silver_birch"])
 def test_boles_bow_as_far_as_the_table_says(name):
-    """Mean bow over the length of the bole is that of the species, all directions are as frequent, no bow leaves the stem."""
+    """Mean bow over the length of the bole is that of the species, all directions are as frequent, no bow
+    leaves the stem."""
     trees = make_trees(name, 1500, 0.5, crown_base_m=5.0)
     forms = stem_forms(trees)
     shares = np.linspace(0, 1, 101)
@@ -133,7 +138,8 @@ def test_boles_bow_as_far_as_the_table_says(name):
 
 
 def test_butts_sweep_as_the_table_says():
-    """The axis leaves the ground at the species' mean angle to the stem above the butt, which is straight again at 3 m."""
+    """The axis leaves the ground at the species' mean angle to the stem above the butt, which is straight
+    again at 3 m."""
     trees = make_trees("scots_pine", 1500, 0.4)
     table = {"scots_pine": TABLE["scots_pine"].model_copy(update={"stem": StemForm(butt_sweep_deg=3.0)})}
     forms = stem_forms(trees, table=table)
@@ -146,7 +152,8 @@ def test_butts_sweep_as_the_table_says():
 
 @pytest.mark.parametrize("name", ["norway_spruce", "european_beech"])
 def test_sections_are_as_oval_as_the_table_says(name):
-    """The longest diameter exceeds the one across it by the ovality of the species on average, in any direction."""
+    """The longest diameter exceeds the one across it by the ovality of the species on average, in any
+    direction."""
     corners_m = sections_m(make_trees(name, 800, 0.5), lobes=0.0, bark_mm_per_cm=0.0)
     across = corners_m.shape[1] // 4
     width_m = corners_m + np.roll(corners_m, 2 * across, axis=1)
@@ -158,7 +165,8 @@ def test_sections_are_as_oval_as_the_table_says(name):
 
 
 def test_flutes_are_deepest_at_the_butt():
-    """Lobes reach as far as the table says at the ground, and a tenth of that at breast height at most (Singleton et al. 2003)."""
+    """Lobes reach as far as the table says at the ground, and a tenth of that at breast height at most
+    (Singleton et al. 2003)."""
     trees = make_trees("european_beech", 400)
     depth = [
         np.ptp(section := sections_m(trees, ring, ovality=0.0, bark_mm_per_cm=0.0), axis=1)
@@ -180,7 +188,8 @@ def test_bark_is_as_rough_as_the_table_says(name):
 
 
 def test_furrows_of_oak_do_not_reach_the_wood():
-    """Furrows take 0.3 to 0.9 of the bark of 8400 English oaks, whose double thickness is 0.0662 DBH + 0.498 cm (Sumarski list 3-4/1957)."""
+    """Furrows take 0.3 to 0.9 of the bark of 8400 English oaks, whose double thickness is 0.0662 DBH +
+    0.498 cm (Sumarski list 3-4/1957)."""
     for dbh_m in (0.2, 0.4, 0.6, 0.8):
         corners_m = sections_m(make_trees("english_oak", 60, dbh_m), lobes=0.0, ovality=0.0)
         bark_m = (0.0662 * dbh_m + 0.00498) / 2
@@ -190,7 +199,8 @@ def test_furrows_of_oak_do_not_reach_the_wood():
 
 
 def test_a_tape_shows_too_much_as_it_does_around_real_stems():
-    """It is that around the convex hull, and makes sections 0.2 to 2.4 % too large on average, as in 5408 of poplar (Rodriguez et al.)."""
+    """It is that around the convex hull, and makes sections 0.2 to 2.4 % too large on average, as in 5408
+    of poplar (Rodriguez et al.)."""
     for name in ("norway_spruce", "scots_pine", "european_beech", "english_oak", "douglas_fir"):
         trees = make_trees(name, 120)
         corners_m = sections_m(trees)
@@ -215,7 +225,8 @@ def test_as_many_trees_fork_as_the_table_says():
 
 
 def test_both_leaders_together_are_as_thick_as_one():
-    """At a ring above the fork both have the section of an unforked stem, and the second stays within the crown."""
+    """At a ring above the fork both have the section of an unforked stem, and the second stays within the
+    crown."""
     trees = forking("european_beech")
     rings = Stems(trees)
     second_up_m, second_radius_m = rings.leaders(np.linspace(0, 1, 50))
@@ -230,7 +241,8 @@ def test_both_leaders_together_are_as_thick_as_one():
 
 
 def test_stems_from_afar_run_where_those_of_the_mesh_run():
-    """At its knots a far stem has the middle and the radius of the ring, leaders as well, and their labels."""
+    """At its knots a far stem has the middle and the radius of the ring, leaders as well, and their
+    labels."""
     trees = np.concatenate([make_trees("english_oak", 3), forking("european_beech")])
     far, rings = far_stems(trees, 7), Stems(trees)
     middle_m = far["foot_m"][:, None] + far["along_m"][..., None] * far["axis"][:, None].astype(float)
@@ -244,7 +256,8 @@ def test_stems_from_afar_run_where_those_of_the_mesh_run():
 
 
 def test_without_a_form_stems_are_straight_and_round():
-    """Seed 0, and a species whose keys are all 0, give the same stem: all corners of a ring equally far from a line."""
+    """Seed 0, and a species whose keys are all 0, give the same stem: all corners of a ring equally far
+    from a line."""
     trees = make_trees("english_oak", 5)
     none = {"english_oak": TABLE["english_oak"].model_copy(update={"stem": StemForm()})}
     plain = stem_meshes(trees, np.zeros(3), slope, table=none)
@@ -256,7 +269,8 @@ def test_without_a_form_stems_are_straight_and_round():
 
 
 def test_a_root_flare_ends_half_a_metre_up_and_a_snag_at_full_width():
-    """Flare and stem share the ring 0.5 m above the foot; a dead tree's highest ring is over 0.4 of breast height, and its tip stands off the axis."""
+    """Flare and stem share the ring 0.5 m above the foot; a dead tree's highest ring is over 0.4 of breast
+    height, and its tip stands off the axis."""
     assert STEM_PARTS == (PlantPart.ROOT_FLARE, PlantPart.STEM)
     trees = make_trees("snag", 6, np.linspace(0.05, 1.2, 6), x_m=0.0, z_m=0.0, lean_deg=0.0, form=0)
     meshes = [mesh.vertices_m for mesh in stem_meshes(trees, np.zeros(3), lambda x, y: 0 * x)]
@@ -295,7 +309,8 @@ def roots_of(old_trees, height_m=steep):
 
 
 def test_old_spruces_and_beeches_have_roots_and_no_others(old_trees):
-    """Of 3 to 6 lobes three quarters have a root on spruces and 55 % on beeches; thin trees, pines and straight stems have none."""
+    """Of 3 to 6 lobes three quarters have a root on spruces and 55 % on beeches; thin trees, pines and
+    straight stems have none."""
     stem, _ = roots_of(old_trees)
     for first, share in ((0, 0.55), (1, 0.75)):
         assert (stem % 2 == first).sum() / (N_OLD / 2) == pytest.approx(4.5 * share, rel=0.1)
@@ -307,7 +322,8 @@ def test_old_spruces_and_beeches_have_roots_and_no_others(old_trees):
 
 
 def test_roots_run_along_the_ground_half_buried_and_dive(old_trees):
-    """They reach 0.5 m to 2 m from the butt, rise over the ground by less than half a DBH, 0.3 m over the foot at most, and end in it."""
+    """They reach 0.5 m to 2 m from the butt, rise over the ground by less than half a DBH, 0.3 m over the
+    foot at most, and end in it."""
     stem, points_m = roots_of(old_trees)
     rings_m = points_m[:, 1:-1].reshape(len(stem), ROOT_RINGS, ROOT_SIDES, 3)
     away_m = np.hypot(*np.moveaxis(points_m[:, -1, :2], -1, 0)) - 0.8 * Stems(old_trees).radius_m[stem, 1]
@@ -351,7 +367,8 @@ def circles(three, crowns):
 
 
 def test_circles_are_the_rings_of_the_scanned_branches(three, crowns, circles):
-    """Their middles are those of the mesh's rings, to 0.1 mm, and areas across the axis are as of the tube, within 0.1 %."""
+    """Their middles are those of the mesh's rings, to 0.1 mm, and areas across the axis are as of the
+    tube, within 0.1 %."""
     half = np.pi / BRANCH_SIDES
     # The tube has the girth of the round branch.
     tube_over_circle = BRANCH_SIDES / 2 * np.sin(2 * half) * (half / np.sin(half)) ** 2 / np.pi
@@ -378,7 +395,8 @@ def test_circles_are_the_rings_of_the_scanned_branches(three, crowns, circles):
 
 
 def test_branches_begin_on_the_axis_and_thin_to_a_tip(three, circles):
-    """Each branch has a number of its own on the tree, begins on the line from foot to tip and ends with radius 0."""
+    """Each branch has a number of its own on the tree, begins on the line from foot to tip and ends with
+    radius 0."""
     for tree in three:
         own = circles[circles["tree"] == tree["id"]].reshape(-1, BRANCH_RINGS + 1)
         assert (own["branch"] == 1 + np.arange(len(own))[:, None]).all()

@@ -36,7 +36,8 @@ def test_stones_and_dead_wood_are_closed_and_show_their_outside():
 
 
 def test_a_stone_has_unit_height_and_the_outline_of_a_unit_circle():
-    """Stones span -0.5 to 0.5 in z, and the convex outline from above has the area pi / 4; they are no spheres."""
+    """Stones span -0.5 to 0.5 in z, and the convex outline from above has the area pi / 4; they are no
+    spheres."""
     for key in of_kind(FloorKind.STONE):
         body = solid(key)
         assert body.bounds[:, 2] == pytest.approx([-0.5, 0.5], abs=1e-6), key
@@ -45,7 +46,8 @@ def test_a_stone_has_unit_height_and_the_outline_of_a_unit_circle():
 
 
 def test_a_log_has_unit_length_and_mean_diameter():
-    """In its middle a log's cross-section has the area of a circle of diameter 1 within 1 %; it is thicker at -x."""
+    """In its middle a log's cross-section has the area of a circle of diameter 1 within 1 %; it is thicker
+    at -x."""
     for key in of_kind(FloorKind.LOG):
         body = solid(key)
         assert body.bounds[:, 0] == pytest.approx([-0.5, 0.5], abs=0.03), key
@@ -65,7 +67,8 @@ def test_a_log_has_unit_length_and_mean_diameter():
     ],
 )
 def test_stumps_and_root_plates_reach_as_far_as_they_should(kind, low, high, off):
-    """A stump is 1 high, 1.6 wide at its buried foot; behind a plate of 1.1, flat towards its log at +x, roots reach out; a broken top is hollow."""
+    """A stump is 1 high, 1.6 wide at its buried foot; behind a plate of 1.1, flat towards its log at +x,
+    roots reach out; a broken top is hollow."""
     for key in of_kind(kind):
         body = solid(key)
         np.testing.assert_allclose(body.bounds, [low, high], atol=off)
@@ -85,7 +88,8 @@ def test_a_tuft_has_its_leaf_area():
 
 
 def test_what_covers_the_ground_has_unit_size():
-    """Ferns, herbs, dwarf shrubs, moss and litter are 1 high and reach to 0.5 aside; only moss reaches into the ground."""
+    """Ferns, herbs, dwarf shrubs, moss and litter are 1 high and reach to 0.5 aside; only moss reaches
+    into the ground."""
     for key in LOW:
         vertices_m = floor_meshes(8, key)[0].vertices_m
         assert vertices_m[:, 2].max() == pytest.approx(1.0, abs=1e-6), key
@@ -107,7 +111,8 @@ def test_variants_differ_and_depend_on_the_seed_alone():
 
 
 def test_every_kind_and_layer_is_a_row_with_a_source():
-    """`floor.toml` has a row for each kind, with labels that exist, and one for each layer; each says its source."""
+    """`floor.toml` has a row for each kind, with labels that exist, and one for each layer; each says its
+    source."""
     rows = floor()
     assert list(rows) == ["shapes", "layers"]
     assert set(rows["shapes"]) == {kind.value for kind in FloorKind}

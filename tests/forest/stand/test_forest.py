@@ -22,7 +22,8 @@ THIN = SpeciesShare(species="silver_birch", share=1.0, dbh_cm=5.0, height_m=6.0)
 
 
 def placed(window):
-    """Everything of a window, by the instance of its first surface: a list of (key, transform, surface row)."""
+    """Everything of a window, by the instance of its first surface: a list of (key, transform, surface
+    row)."""
     found = {}
     for shape, transform, first in zip(window.shape, window.world_T_shape, window.first_surface, strict=True):
         key = window.shapes[shape]
@@ -38,7 +39,8 @@ def shape(forest):
 
 
 def test_surfaces_belong_to_the_meshes_they_show(forest, shape, track_m):
-    """Each tile's rows are its ground and the stems of its trees in order; each crown's are the parts of one tree."""
+    """Each tile's rows are its ground and the stems of its trees in order; each crown's are the parts of
+    one tree."""
     window, trees = forest.window(track_m), forest.trees(track_m)
     used = np.zeros(len(window.surfaces), int)
     meshes = {key: len(shape(key)) for key in window.shapes}
@@ -102,7 +104,8 @@ def test_stems_and_crowns_are_where_the_records_say(forest, shape, track_m):
 
 @pytest.mark.parametrize("with_layers", [False, True])
 def test_everything_is_the_same_from_either_end(make_forest, with_layers):
-    """Windows of a walk and of the walk back, tiles last to first, agree on every thing that they share: key, place and bytes."""
+    """Windows of a walk and of the walk back, tiles last to first, agree on every thing that they share:
+    key, place and bytes."""
     path = np.array([[0.0, 0.0], [30.0, 4.0], [45.0, -3.0]])
     there, back = (make_forest(path_xy_m=way, with_layers=with_layers) for way in (path, path[::-1]))
     tracks = [np.column_stack([x + np.linspace(0, 10, 5), np.zeros(5), np.full(5, 2.0)]) for x in (0, 15)]
@@ -125,7 +128,8 @@ def test_everything_is_the_same_from_either_end(make_forest, with_layers):
 
 
 def test_trees_have_numbers_of_their_own_and_a_window_holds_all_in_reach(forest, track_m):
-    """Along the path no two trees share a number, none has 0, and those with their foot within reach of a track are in its window."""
+    """Along the path no two trees share a number, none has 0, and those with their foot within reach of a
+    track are in its window."""
     everything = forest.trees(np.column_stack([np.linspace(-8, 60, 30), np.zeros(30), np.zeros(30)]))
     assert len(np.unique(everything["id"])) == len(everything) > 200
     assert everything["id"].min() > 0
@@ -138,7 +142,8 @@ def is_low(key):
 
 
 def test_everything_has_one_number_and_its_own_class(full_forest, track_m):
-    """Trees, saplings, shrubs, stones, logs, stumps and low plants have numbers of their own, a semantic class, and its material."""
+    """Trees, saplings, shrubs, stones, logs, stumps and low plants have numbers of their own, a semantic
+    class, and its material."""
     window = full_forest.window(track_m)
     no_ground = ~np.array([isinstance(key, TileKey) or is_low(key) for key in window.shapes])[window.shape]
     rows = window.surfaces[window.first_surface[no_ground]]
@@ -166,7 +171,8 @@ def test_moss_and_litter_are_not_seen_from_afar(full_forest, track_m):
 
 
 def test_saplings_are_trees_with_a_flag(full_forest, forest, track_m):
-    """Records hold the canopy, unchanged by what grows under it, and saplings marked as such with a true diameter."""
+    """Records hold the canopy, unchanged by what grows under it, and saplings marked as such with a true
+    diameter."""
     trees = full_forest.trees(track_m)
     young = trees[trees["storey"] == REGENERATION]
     old = trees[trees["storey"] != REGENERATION]
@@ -187,9 +193,11 @@ def test_bare_ground(make_forest, track_m):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"path_xy_m": np.array([[0.0, 0.0], [np.nan, 1.0]])}, r"path_xy_m\[1\]: found \[nan, 1.0\]; expected finite"),
+        ({"path_xy_m": np.array([[0.0, 0.0], [np.nan, 1.0]])}, (r"path_xy_m\[1\]: found \[nan, 1.0\]; "
+                                                               r"expected finite")),
         ({"path_xy_m": np.array([[0.0, 0.0], [9e4, 9e4]])}, "path_xy_m: spans 90 km x 90 km"),
-        ({"stems_per_ha": 1.5e5, "species": [THIN]}, "found 150000 trees and things per hectare; expected at most 125000"),
+        ({"stems_per_ha": 1.5e5, "species": [THIN]}, ("found 150000 trees and things per hectare; "
+                                                     "expected at most 125000")),
     ],
 )  # fmt: skip
 def test_a_forest_that_cannot_be_is_refused(make_forest, changes, message):
@@ -230,7 +238,8 @@ def test_a_track_beyond_all_numbers_is_refused(forest, track_m):
 
 @pytest.mark.parametrize("aside_m", [(-35, 0), (0, -35), (42, 0), (0, 35)])
 def test_a_track_may_stray_from_the_path(make_forest, aside_m):
-    """From 35 m off either end or side of the path all of a window's tiles have numbers, and the tiles around them."""
+    """From 35 m off either end or side of the path all of a window's tiles have numbers, and the tiles
+    around them."""
     bare = make_forest(stems_per_ha=0.0, path_xy_m=np.array([[0.0, 0.0], [7.0, 0.0]]))
     tiles = np.array([tile[:2] for tile in bare.window(np.array([[*aside_m, 2.0]])).tiles])
     for ix, iy in product(

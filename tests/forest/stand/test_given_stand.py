@@ -30,7 +30,8 @@ def read(tmp_path, text=LIST, origin_m=NO_ORIGIN):
 
 
 def test_a_list_is_read_as_it_stands(tmp_path):
-    """Place less the origin, species in any spelling, diameter, height, crown and lean come from the list, in its order; others are ignored."""
+    """Place less the origin, species in any spelling, diameter, height, crown and lean come from the list,
+    in its order; others are ignored."""
     trees, table = read(tmp_path), flora().trees
     moved = read(tmp_path, origin_m=(1.0, 2.0, 300.0))
     assert (moved["x_m"].tolist(), moved["y_m"].tolist()) == ([0.5, -4, 9], [0.5, 2, -9.25])
@@ -45,7 +46,8 @@ def test_a_list_is_read_as_it_stands(tmp_path):
 
 
 def test_diameters_in_millimetres_are_refused(tmp_path):
-    """A list whose middle tree is less than 12 times as high as thick is one of millimetres; a single such tree is not."""
+    """A list whose middle tree is less than 12 times as high as thick is one of millimetres; a single such
+    tree is not."""
     rows = "x,y,species,dbh_cm,height_m\n1,2,silver_birch,{},21\n5,2,silver_birch,{},22\n9,2,silver_birch,{},20\n"
     message = (
         "line 4, column dbh_cm: found 222 cm at a height of 20 m; half of all trees are less than 10 times"
@@ -56,7 +58,8 @@ def test_diameters_in_millimetres_are_refused(tmp_path):
 
 
 def test_an_inventory_is_a_stem_list(tmp_path):
-    """The inventory that we write of some trees is read back as the same trees, to half its last decimal; what is unknown is empty."""
+    """The inventory that we write of some trees is read back as the same trees, to half its last decimal;
+    what is unknown is empty."""
     trees = np.zeros(2, INVENTORY)
     for name in INVENTORY.names:
         trees[name] = [1.25, 2.5]
@@ -74,7 +77,8 @@ def test_an_inventory_is_a_stem_list(tmp_path):
 
 
 def test_missing_crowns_follow_species_and_neighbours(tmp_path):
-    """Empty crown cells are filled by the species' equations, shorter among neighbours, with the spread of the species, by seed."""
+    """Empty crown cells are filled by the species' equations, shorter among neighbours, with the spread of
+    the species, by seed."""
     rows = [f"{3 * (i % 20)},{3 * (i // 20)},norway_spruce,28,24" for i in range(400)]
     rows += [f"{1000 + 30 * (i % 20)},{30 * (i // 20)},norway_spruce,28,24" for i in range(400)]
     file = tmp_path / "many.csv"
@@ -93,7 +97,8 @@ def test_missing_crowns_follow_species_and_neighbours(tmp_path):
 
 
 def test_missing_heights_follow_the_measured_ones(tmp_path):
-    """An empty height lies on the species' curve through the mean diameter and height of its measured trees."""
+    """An empty height lies on the species' curve through the mean diameter and height of its measured
+    trees."""
     rows = [f"{10 * i},0,silver_birch,{dbh},{h}" for i, (dbh, h) in enumerate([(20, 18), (26, 22), (31, "")])]
     trees = read(tmp_path, "\n".join(["x,y,species,dbh_cm,height_m", *rows]))
     birch = flora().trees["silver_birch"]
@@ -110,17 +115,25 @@ GOOD = "1,2,silver_birch,20,18,9\n"
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("x,y,species,height_m\n", "line 1: no column dbh_cm or dbh_m; expected it among x, y, species, height_m"),
+        ("x,y,species,height_m\n", ("line 1: no column dbh_cm or dbh_m; expected it among x, y, species, "
+                                   "height_m")),
         ("x,y,dbh_cm,height_m\n", "line 1: no column species"),
         (HEADER, "no tree below line 1"),
         ("x,y,species,dbh_cm,height_m,lean_azimuth_deg,lean_towards_deg\n", "line 1: found lean_azimuth_deg and lean_towards_deg; expected one of them"),
-        (HEADER + GOOD + "\n1,9,silver_brich,20,18,9\n", "line 4, column species: unknown species 'silver_brich'; expected silver_birch, the nearest"),
-        (HEADER + GOOD + "1,9,palm,20,18,9\n", "line 3, column species: unknown species 'palm'; expected one of silver_birch"),
-        (HEADER + "1,2,silver_birch,-20,18,9\n", "line 2, column dbh_cm: found -20; expected a number from 1 to 500"),
-        (HEADER + "1,2,silver_birch,20,180,9\n", "line 2, column height_m: found 180; expected a number from 2 to 130"),
-        (HEADER + "1,2,silver_birch,20,18,18\n", "line 2, column crown_base_m: found 18; expected less than the height, 18"),
+        (HEADER + GOOD + "\n1,9,silver_brich,20,18,9\n", ("line 4, column species: unknown species "
+                                                         "'silver_brich'; expected silver_birch, the "
+                                                         "nearest")),
+        (HEADER + GOOD + "1,9,palm,20,18,9\n", ("line 3, column species: unknown species 'palm'; expected "
+                                               "one of silver_birch")),
+        (HEADER + "1,2,silver_birch,-20,18,9\n", ("line 2, column dbh_cm: found -20; expected a number "
+                                                 "from 1 to 500")),
+        (HEADER + "1,2,silver_birch,20,180,9\n", ("line 2, column height_m: found 180; expected a number "
+                                                 "from 2 to 130")),
+        (HEADER + "1,2,silver_birch,20,18,18\n", ("line 2, column crown_base_m: found 18; expected less "
+                                                 "than the height, 18")),
         (HEADER + GOOD + "5,5,silver_birch,20,18,9\n1.01,2,silver_birch,30,20,9\n", r"line 4: the place of line 2, \(1.01, 2\) m"),
-        (HEADER + "1,2,silver_birch,20,,9\n", "height_m: no tree of silver_birch has a height; expected one at least"),
+        (HEADER + "1,2,silver_birch,20,,9\n", ("height_m: no tree of silver_birch has a height; expected "
+                                              "one at least")),
     ],
 )  # fmt: skip
 def test_a_bad_list_is_refused_in_one_line(tmp_path, text, message):
@@ -154,7 +167,8 @@ def make(tmp_path):
 
 
 def test_each_tree_stands_on_its_own_tile_and_on_the_ground(make):
-    """A tile has the trees whose foot lies in it, in the order of the list, and their feet are on the ground; two on 0.04 ha are 50 per ha."""
+    """A tile has the trees whose foot lies in it, in the order of the list, and their feet are on the
+    ground; two on 0.04 ha are 50 per ha."""
     stand = make()
     assert stand.per_ha == pytest.approx(50)
     found = {(i, j): stand.trees(i, j) for i in range(-2, 3) for j in range(-2, 3)}
@@ -166,7 +180,8 @@ def test_each_tree_stands_on_its_own_tile_and_on_the_ground(make):
 
 
 def test_crowns_are_prototypes_of_the_lists_own_trees(make):
-    """Trees of one species, class and third of crown ratios share the crown of their mean; its leaves are the species' LAI on its projection."""
+    """Trees of one species, class and third of crown ratios share the crown of their mean; its leaves are
+    the species' LAI on its projection."""
     stand = make()
     one, other = stand.trees(0, 0)
     keys = [stand.crown(*map(int, t[["cohort", "crown_class", "crown_variant"]])) for t in (one, other)]
@@ -188,7 +203,8 @@ def test_a_tree_more_at_the_end_changes_no_other(make):
 
 
 def test_trees_in_the_way_are_refused_all_at_once_or_dropped(make, caplog):
-    """Stems whose surface comes nearer to the path than the clearance are named by line and place, with their distance.
+    """Stems whose surface comes nearer to the path than the clearance are named by line and place, with their
+    distance.
 
     Dropped, they are left out with a warning that names them; the others are the same trees as without them.
     """

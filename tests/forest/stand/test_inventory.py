@@ -65,7 +65,8 @@ def solids(trees):
 
 
 def test_diameters_and_volumes_are_those_of_the_mesh(rows, solids, trees):
-    """DBH at 1.3 m and at 1.37 m agree with areas of cuts, girth over pi with their outline, to 0.1 mm; volume less what is buried to 0.01 %."""
+    """DBH at 1.3 m and at 1.37 m agree with areas of cuts, girth over pi with their outline, to 0.1 mm;
+    volume less what is buried to 0.01 %."""
     for row, solid, tree in zip(rows, solids, trees, strict=True):
         assert solid.is_watertight
         buried_m = -solid.vertices[:, 2].min()
@@ -82,7 +83,8 @@ def test_diameters_and_volumes_are_those_of_the_mesh(rows, solids, trees):
 
 
 def test_crooked_stems_are_measured_on_their_meshes(trees, crowns, rootless):
-    """Volume within 0.1 % of what trimesh finds; tape, area and middle at breast height those of a cut across the axis there."""
+    """Volume within 0.1 % of what trimesh finds; tape, area and middle at breast height those of a cut
+    across the axis there."""
     crooked = trees.copy()
     crooked["form"] = [11, 12, 13, 14, 15]
     rows = inventory(crooked, crowns, seed=SEED)
@@ -106,7 +108,8 @@ def test_crooked_stems_are_measured_on_their_meshes(trees, crowns, rootless):
 
 
 def test_leaf_area_is_that_of_the_placed_crown(rows, trees, crowns):
-    """Each tree has the area of its crown's quads after they are stretched to its size, over their clumping."""
+    """Each tree has the area of its crown's quads after they are stretched to its size, over their
+    clumping."""
     wide, long = crown_scale(trees, crowns)
     for row, key, w, h in zip(rows, crowns, wide, long, strict=True):
         leaves = crown_meshes(SEED, key)[CROWN_PARTS.index(PlantPart.LEAF)]
@@ -119,7 +122,8 @@ def test_leaf_area_is_that_of_the_placed_crown(rows, trees, crowns):
 
 
 def test_the_top_is_the_highest_vertex(rows, solids, trees, crowns):
-    """`top_m` is the height over the foot of the highest vertex of stem and placed crown to 10 um, not below the tip; the box holds all of them."""
+    """`top_m` is the height over the foot of the highest vertex of stem and placed crown to 10 um, not
+    below the tip; the box holds all of them."""
     wide, long = crown_scale(trees, crowns)
     for i, (tree, key, solid) in enumerate(zip(trees, crowns, solids, strict=True)):
         lean = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])[i]
@@ -154,10 +158,12 @@ STANDS = ((20.0, 19.0, 900.0), (30.0, 25.0, 500.0), (45.0, 31.0, 280.0), (60.0, 
     ],
 )
 def test_mass_wood_and_density_of_one_tree_agree(name, kg_m3, branches, stand):
-    """Mass without needles over wood is the basic density within 12 %, and branches are as much of the stem as in felled trees.
+    """Mass without needles over wood is the basic density within 12 %, and branches are as much of the stem
+    as in felled trees.
 
-    Densities: Erlbeck, Haseder and Stinglwagner, Kosmos Wald- und Forstlexikon (1998), page 872; of pine Burger (Mitteilungen der
-    Schweizerischen Anstalt fuer das forstliche Versuchswesen), mean of Scots pines of Eglisau. Bark is taken to be as dense as wood.
+    Densities: Erlbeck, Haseder and Stinglwagner, Kosmos Wald- und Forstlexikon (1998), page 872; of pine
+    Burger (Mitteilungen der Schweizerischen Anstalt fuer das forstliche Versuchswesen), mean of Scots pines
+    of Eglisau. Bark is taken to be as dense as wood.
     """
     dbh_cm, height_m, per_ha = stand
     share = SpeciesShare(species=name, share=1.0, dbh_cm=dbh_cm, height_m=height_m)
@@ -177,7 +183,8 @@ def test_mass_wood_and_density_of_one_tree_agree(name, kg_m3, branches, stand):
 
 
 def test_records_are_copied_and_biomass_follows_the_species(rows, trees):
-    """Numbers of the record stand unchanged; a maple of 25 cm weighs 338 kg, and a dead tree's mass is unknown."""
+    """Numbers of the record stand unchanged; a maple of 25 cm weighs 338 kg, and a dead tree's mass is
+    unknown."""
     for name in set(INVENTORY.names) & set(TREE.names):
         assert np.array_equal(rows[name], trees[name])
     assert rows["biomass_kg"][3] == pytest.approx(np.exp(-2.0127 + 2.4342 * np.log(25.0)))

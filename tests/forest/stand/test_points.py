@@ -42,7 +42,8 @@ def field(make, per_ha):
 
 
 def clark_evans(points, per_ha):
-    """Mean distance to the nearest neighbour over that of scattered points, border left out (Clark, Evans 1954)."""
+    """Mean distance to the nearest neighbour over that of scattered points, border left out (Clark, Evans
+    1954)."""
     nearest = cKDTree(points).query(points, k=2)[0][:, 1]
     low, high = points.min(axis=0) + 20, points.max(axis=0) - 20
     inner = ((points > low) & (points < high)).all(axis=1)
@@ -74,7 +75,8 @@ def matern_index(per_ha, distance_m):
     ],
 )
 def test_density_is_as_set(make, per_ha):
-    """Over ten hectares the number is right within 3 sigma: of a Poisson count, or of clumps of eight on average."""
+    """Over ten hectares the number is right within 3 sigma: of a Poisson count, or of clumps of eight on
+    average."""
     expected = per_ha * (ACROSS * TILE_M) ** 2 / 10_000
     sigma = np.sqrt(expected * (9 if make is clusters else 1))
     assert abs(len(field(make, per_ha)) - expected) < 3 * sigma
@@ -104,14 +106,16 @@ def test_clark_evans_of_trees_that_keep_apart():
 
 
 def test_nearest_neighbours_of_scattered_points_are_rayleigh():
-    """Distances from random places to the nearest point follow 1 - exp(-density pi r^2), by Kolmogorov and Smirnov."""
+    """Distances from random places to the nearest point follow 1 - exp(-density pi r^2), by Kolmogorov and
+    Smirnov."""
     places = np.random.default_rng(1).uniform(-140, 140, (400, 2)) + (0, 160)
     reach = cKDTree(points_of(scattered())).query(places)[0]
     assert stats.kstest(reach, stats.rayleigh(scale=1 / np.sqrt(2 * np.pi * 0.07)).cdf).pvalue > 0.01
 
 
 def test_clumps_have_the_pair_correlation_of_a_thomas_process():
-    """Pairs within r are as many as Ripley's K of a Thomas process says, within 5 %, and the index is under 1."""
+    """Pairs within r are as many as Ripley's K of a Thomas process says, within 5 %, and the index is
+    under 1."""
     points = points_of(clusters(), 30)
     density, sigma, clumps = 0.07, 3.0, 0.07 / 8.0
     low, high = points.min(axis=0) + 12, points.max(axis=0) - 12
@@ -125,9 +129,11 @@ def test_clumps_have_the_pair_correlation_of_a_thomas_process():
 
 
 def test_patches_have_the_density_that_was_asked_for_and_that_of_squared_noise():
-    """Over ten hectares the number is right within 3 %; counts in squares of 0.5 m have the variance of a Cox process, within 5 %.
+    """Over ten hectares the number is right within 3 %; counts in squares of 0.5 m have the variance of a Cox
+    process, within 5 %.
 
-    With a share q of points in patches, mean m of a square and squared normal noise, whose variance is 2, that is m + 2 (q m)^2.
+    With a share q of points in patches, mean m of a square and squared normal noise, whose variance is 2,
+    that is m + 2 (q m)^2.
     """
     both, side_m = [points_of(patchy(8000.0, seed)) for seed in (9, 10)], ACROSS * TILE_M
     assert sum(map(len, both)) == pytest.approx(2 * 8000 * side_m**2 / 10_000, rel=0.03)
@@ -138,7 +144,8 @@ def test_patches_have_the_density_that_was_asked_for_and_that_of_squared_noise()
 
 
 def test_planted_rows_are_rows():
-    """Every plant is within the jitter of a place of the planted grid, one to a place, and nine in ten are left."""
+    """Every plant is within the jitter of a place of the planted grid, one to a place, and nine in ten are
+    left."""
     points = points_of(rows(), 10)
     towards = np.radians(20.0)
     along = points @ [np.cos(towards), np.sin(towards)] / 2.25

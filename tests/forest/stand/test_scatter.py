@@ -1,4 +1,5 @@
-"""What stands and lies under the trees: saplings, shrubs, stones, logs, stumps, grass and other low plants."""
+"""What stands and lies under the trees: saplings, shrubs, stones, logs, stumps, grass and other low
+plants."""
 
 from itertools import product
 
@@ -73,7 +74,8 @@ def test_sapling_heights_are_even_and_their_species_as_frequent():
 
 
 def test_a_placed_sapling_has_the_height_and_diameter_of_its_record():
-    """The tip of the placed stem is at the record's height, and its section at 1.3 m has the area of its DBH."""
+    """The tip of the placed stem is at the record's height, and its section at 1.3 m has the area of its
+    DBH."""
     tile = next(t for t in placed(saplings(*YOUNG)) if (t.trees["height_m"] > 3).any())
     i = int(np.argmax(tile.trees["height_m"]))
     tree, T = tile.trees[i], tile.world_T_shape[i]
@@ -87,7 +89,8 @@ def test_a_placed_sapling_has_the_height_and_diameter_of_its_record():
 
 
 def test_shrub_heights_are_those_of_their_kind():
-    """Heights of each kind are uniform between its own limits, and instances are stretched from prototypes by under a fifth."""
+    """Heights of each kind are uniform between its own limits, and instances are stretched from prototypes
+    by under a fifth."""
     tiles = placed(shrubs(*BUSHES))
     heights, kinds = [], []
     for tile in tiles:
@@ -190,7 +193,8 @@ def test_stones_cover_the_share_that_was_asked_for():
 
 
 def test_stone_lengths_are_log_normal_between_their_limits():
-    """Lengths pass a Kolmogorov-Smirnov test against the log-normal of median 0.22 m cut at 0.1 m and 1.5 m."""
+    """Lengths pass a Kolmogorov-Smirnov test against the log-normal of median 0.22 m cut at 0.1 m and 1.5
+    m."""
     length = size_m(world_T(STONES))[:, 0]
     whole = stats.lognorm(0.6, scale=0.22)
     low, high = whole.cdf(0.1), whole.cdf(1.5)
@@ -207,7 +211,8 @@ def test_stones_lie_a_third_to_two_thirds_in_the_ground():
 
 
 def test_logs_lie_along_the_ground():
-    """On a plane a log's axis is parallel to it, three quarters of its radius above it; sizes are as asked for."""
+    """On a plane a log's axis is parallel to it, three quarters of its radius above it; sizes are as asked
+    for."""
     placed = world_T(LOGS, height_m=lambda x, y: 0.2 * x + 0.1 * y)
     length, diameter, thick = size_m(placed).T
     axis = placed[:, :, 0] / length[:, None]
@@ -248,7 +253,8 @@ LOW = [settings.Moss(cover=0.5), settings.Litter(cover=0.3)]
 
 @pytest.mark.parametrize("section", HIGH + LOW, ids=lambda section: type(section).__name__)
 def test_plants_cover_the_share_that_was_asked_for(section):
-    """Outlines cover the share of the scene of the ground beside the path, up to their reach, within 10 %; heights are even in their range."""
+    """Outlines cover the share of the scene of the ground beside the path, up to their reach, within 10 %;
+    heights are even in their range."""
     at_m, reach_m = np.random.default_rng(1).uniform(2, 158, (12_000, 2)), 12 if section in LOW else 25
     away = distance_m(at_m, NEAR)
     at_m, shares = at_m[(away > 2.5) & (away < reach_m - 1)], []
@@ -264,10 +270,11 @@ def test_plants_cover_the_share_that_was_asked_for(section):
 
 
 def test_plants_stand_in_patches_and_moss_and_litter_do_not():
-    """Variance over mean of counts in squares of 2 m: over 3 of herbs, 2 of dwarf shrubs and 1.1 of ferns, which are few; 1 of moss and litter.
+    """Variance over mean of counts in squares of 2 m: over 3 of herbs, 2 of dwarf shrubs and 1.1 of ferns,
+    which are few; 1 of moss and litter.
 
-    Clapham (1936, J. Ecology 24) found more than 1 in 42 of 44 species of prairie, and more where there are more plants; how much more
-    under trees is an estimate.
+    Clapham (1936, J. Ecology 24) found more than 1 in 42 of 44 species of prairie, and more where there are
+    more plants; how much more under trees is an estimate.
     """
     for section, least in (
         (settings.Herbs(cover=0.1), 3.0),
@@ -287,7 +294,8 @@ def test_plants_stand_in_patches_and_moss_and_litter_do_not():
 
 
 def test_no_tile_has_far_more_small_plants_than_others():
-    """Of herbs 3 to 6 cm high, as dense as a forest may be, no tile has over 1.5 times the mean: its numbers do not run out."""
+    """Of herbs 3 to 6 cm high, as dense as a forest may be, no tile has over 1.5 times the mean: its
+    numbers do not run out."""
     pattern = layer(settings.Herbs(cover=0.076, height_m=(0.03, 0.06))).pattern
     assert pattern.per_ha == pytest.approx(120_000, rel=0.05)
     counts = [len(pattern.points(*tile)) for tile in TILES]
@@ -310,7 +318,8 @@ def test_moss_and_litter_are_ground_and_lie_along_it():
 
 @ALL
 def test_nothing_lies_in_the_way(section):
-    """With a path through the tiles things keep their own extent and 0.8 m away; farther ones stay as they were."""
+    """With a path through the tiles things keep their own extent and 0.8 m away; farther ones stay as they
+    were."""
     kept, free = world_T(section, path=NEAR), world_T(section, path=NEAR + [0, 0.001])
     assert len(kept) > 50
     ends = np.array([-0.5, 0.0, 0.5]) if section is LOGS else np.zeros(1)
@@ -348,7 +357,8 @@ def test_nothing_lies_in_a_trunk(section):
     ],
 )
 def test_labels_say_what_it_is(section, semantic, parts, species):
-    """Each kind has its semantic class, parts and species, and reflectances even within 0.08 of those of its plant or material."""
+    """Each kind has its semantic class, parts and species, and reflectances even within 0.08 of those of
+    its plant or material."""
     plants = {one.number: one for one in (*flora().trees.values(), *flora().shrubs.values())}
     rows = np.concatenate([tile.surfaces for tile in things(section, path=NEAR)])
     assert (rows["semantic"] == semantic).all()
@@ -365,7 +375,8 @@ def test_labels_say_what_it_is(section, semantic, parts, species):
 
 
 def test_shares_are_those_that_were_asked_for():
-    """Of some 500 logs the shares with plates, in two pieces and flattened are those of the section, as those of broken stumps, within 3 sigma.
+    """Of some 500 logs the shares with plates, in two pieces and flattened are those of the section, as those
+    of broken stumps, within 3 sigma.
 
     Stumps, broken or not, lie where they would if all were sound.
     """
@@ -390,9 +401,11 @@ def test_shares_are_those_that_were_asked_for():
 
 
 def test_a_root_plate_stands_at_the_butt_of_a_log_whose_top_lies_on_the_ground():
-    """Its origin is the thick end of its log, across which it stands, 0.3 of its width over the ground; it is 1 m and four diameters wide.
+    """Its origin is the thick end of its log, across which it stands, 0.3 of its width over the ground; it is
+    1 m and four diameters wide.
 
-    The axis of the log's thin end is less than its radius over the ground, up to what its straight line rises.
+    The axis of the log's thin end is less than its radius over the ground, up to what its straight line
+    rises.
     """
     found = found_of(some_logs(uprooted=1.0))
     logs, (plates, rows) = found[FloorKind.LOG][0], found[FloorKind.ROOT_PLATE]
@@ -412,7 +425,8 @@ def test_a_root_plate_stands_at_the_butt_of_a_log_whose_top_lies_on_the_ground()
 
 
 def test_a_rotten_log_is_flat_and_sunk():
-    """Up to half as high as it was and a fifth wider, with its upper side 0.3 to 0.75 of its former diameter over the ground."""
+    """Up to half as high as it was and a fifth wider, with its upper side 0.3 to 0.75 of its former
+    diameter over the ground."""
     logs, sound = (found_of(some_logs(decayed=share))[FloorKind.LOG][0] for share in (1.0, 0.0))
     (_, wide, high), (_, diameter, _) = size_m(logs).T, size_m(sound).T
     assert ((high / diameter < 0.86) & (high / diameter > 0.49)).all()
@@ -422,7 +436,8 @@ def test_a_rotten_log_is_flat_and_sunk():
 
 
 def test_plates_and_pieces_keep_off_the_path_and_trunks():
-    """No part of a plate is nearer to the path than 0.8 m, or in a trunk; a log is left out whole if any part of it would be."""
+    """No part of a plate is nearer to the path than 0.8 m, or in a trunk; a log is left out whole if any
+    part of it would be."""
     one, trunk = some_logs(uprooted=0.5, broken=0.5), np.array([[50.0, 90.0, 6.0]])
     found = found_of(one, path=ACROSS, trunks=trunk)
     plates = found[FloorKind.ROOT_PLATE][0]

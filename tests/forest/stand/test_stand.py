@@ -56,7 +56,8 @@ def spruces():
 
 @pytest.mark.parametrize("mix", [BIRCH, SPRUCE])
 def test_diameters_follow_their_truncated_weibull(trees, mix):
-    """Diameters pass a Kolmogorov-Smirnov test against scipy's truncated Weibull, scaled to the wanted mean."""
+    """Diameters pass a Kolmogorov-Smirnov test against scipy's truncated Weibull, scaled to the wanted
+    mean."""
     species = flora().trees[mix.species]
     a0, a1, c0, c1, c2 = species.diameters
     weibull = stats.weibull_min(c0 + c1 * mix.dbh_cm + c2 * 1.6 * mix.dbh_cm, scale=a0 + a1 * mix.dbh_cm)
@@ -79,7 +80,8 @@ def test_shares_and_sizes_must_be_plausible():
 
 
 def test_chance_has_the_distributions_that_it_should(trees):
-    """A quarter of the stems is birch, lean is Rayleigh with 1.5 degrees per axis in any direction, bark spreads evenly over 0.08 either way.
+    """A quarter of the stems is birch, lean is Rayleigh with 1.5 degrees per axis in any direction, bark
+    spreads evenly over 0.08 either way.
 
     Feet are on the ground; crowns begin over it and end under the tip.
     """
@@ -112,10 +114,11 @@ def of_classes(trees, columns):
     ids=["spruce", "pine", "birch"],
 )
 def test_trees_of_one_size_vary_as_measured(spruces, mix, published):
-    """In classes of 5 cm, ln height, logit of crown ratio and ln crown width spread as published within 25 %, and correlate alike.
+    """In classes of 5 cm, ln height, logit of crown ratio and ln crown width spread as published within 25 %,
+    and correlate alike.
 
-    Tall trees have narrow crowns, and long crowns are wide: -0.20 and 0.23 in 290 trees of the Biomass and Allometry Database and
-    SamsaRaLight.
+    Tall trees have narrow crowns, and long crowns are wide: -0.20 and 0.23 in 290 trees of the Biomass and
+    Allometry Database and SamsaRaLight.
     """
     trees = spruces if mix is SPRUCE else grown(make_stand(species=(mix,), stems_per_ha=700.0), 12)
     size = np.log(trees["dbh_m"])
@@ -148,7 +151,8 @@ def leaf_area_m2(stand, trees):
 
 
 def test_leaf_area_of_a_closed_stand_is_its_leaf_area_index(trees):
-    """Leaves that the prototypes' crowns would carry cover 3/4 x 6 + 1/4 x 3 by share; a lone tree bears 1.5 times its index at most."""
+    """Leaves that the prototypes' crowns would carry cover 3/4 x 6 + 1/4 x 3 by share; a lone tree bears
+    1.5 times its index at most."""
     by_crown = [(trees["crown_width_m"][trees["species"] == n] ** 2).sum() for n in (1, 2)]
     expected = np.average([3.0, 6.0], weights=by_crown)
     assert leaf_area_m2(make_stand(), trees) / (14 * 20.0) ** 2 == pytest.approx(expected, rel=0.03)
@@ -157,7 +161,8 @@ def test_leaf_area_of_a_closed_stand_is_its_leaf_area_index(trees):
 
 
 def test_storeys_share_the_ground_and_have_their_own_density():
-    """Under the canopy a second storey stands in clumps with its own density, and both bear one leaf area index together."""
+    """Under the canopy a second storey stands in clumps with its own density, and both bear one leaf area
+    index together."""
     clumps = Clusters(kind="clusters", per_cluster=6.0, sigma_m=3.0)
     young = SpeciesShare(species="silver_birch", share=1.0, dbh_cm=8.0, height_m=9.0)
     lower = Storey(stems_per_ha=300.0, species=[young], pattern=clumps)
@@ -177,7 +182,8 @@ def test_basal_area_is_as_asked_for(trees):
 
 
 def test_no_stem_stands_in_another():
-    """Where stems are scattered, those whose feet would meet give way to the thicker, also across tiles; few do."""
+    """Where stems are scattered, those whose feet would meet give way to the thicker, also across tiles;
+    few do."""
     anywhere = scattered(seed=14, purpose=Growth.STAND, per_ha=1500.0)
     stand = make_stand(stems_per_ha=1500.0, species=[SPRUCE], pattern=Scattered(kind="random"))
     tiles = [(ix, iy) for ix in range(-3, 3) for iy in range(6)]
@@ -189,7 +195,8 @@ def test_no_stem_stands_in_another():
 
 
 def test_trees_in_the_open_keep_their_lower_branches():
-    """A lone spruce has branches down to an eighth of its height, in an open stand to half, in a very dense one to two thirds at most."""
+    """A lone spruce has branches down to an eighth of its height, in an open stand to half, in a very
+    dense one to two thirds at most."""
     closed, open_, half = (make_stand(stems_per_ha=n, species=(SPRUCE,)) for n in (2000.0, 1e-6, 400.0))
     base_m = [stand.crown(0, 0, 1).crown_base_m for stand in (closed, half, open_)]
     assert base_m[2] < 21.0 / 8 < base_m[1] < 21.0 / 2 < base_m[0] < 21.0 * 2 / 3
@@ -232,7 +239,8 @@ def test_path_is_kept_clear_of_stems():
     ids=["hard core", "rows"],
 )
 def test_no_stem_stands_on_a_trail_and_the_density_is_as_set(pattern):
-    """With trails every 20 m all stems are 2 m off their middles, and there are as many on the whole as without."""
+    """With trails every 20 m all stems are 2 m off their middles, and there are as many on the whole as
+    without."""
     trails = Trails(Terrain(trail_spacing_m=20.0, trail_towards_deg=15.0), seed=14)
     stand = make_stand(stems_per_ha=900.0, pattern=pattern, trails=trails)
     assert stand.per_ha == pytest.approx(900.0)
@@ -250,12 +258,15 @@ ROWS = Plantation(kind="plantation", row_spacing_m=2.5, tree_spacing_m=2.0)
     ("section", "message"),
     [
         ({"species": (BIRCH.model_copy(update={"species": "larch"}),)}, "unknown species 'larch'; expected one of silver_birch, norway_spruce"),
-        ({"stems_per_ha": 5000.0, "species": [GIANTS]}, "found a basal area of 5655 m2 per ha; expected at most 350"),
-        ({"stems_per_ha": 1800.0, "pattern": ROWS}, "found 1800; expected at most 1600, which rows of .* off the trails"),
+        ({"stems_per_ha": 5000.0, "species": [GIANTS]}, ("found a basal area of 5655 m2 per ha; expected "
+                                                        "at most 350")),
+        ({"stems_per_ha": 1800.0, "pattern": ROWS}, ("found 1800; expected at most 1600, which rows of .* "
+                                                    "off the trails")),
     ],
 )  # fmt: skip
 def test_a_stand_that_cannot_be_is_refused(section, message):
-    """Unknown species, more wood than the densest coast redwoods have, and more stems than rows hold off trails, which take four of twenty metres."""
+    """Unknown species, more wood than the densest coast redwoods have, and more stems than rows hold off
+    trails, which take four of twenty metres."""
     assert make_stand(stems_per_ha=300.0, species=[GIANTS]).per_ha == 300.0
     with pytest.raises(GeometryError, match=message):
         make_stand(**section, trails=Trails(Terrain(trail_spacing_m=20.0), seed=14))

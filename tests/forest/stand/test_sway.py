@@ -19,14 +19,16 @@ KAIMAL = Wind(speed_m_s=SPEED_M_S, turbulence_intensity=INTENSITY, gust_length_m
 
 
 def gusts(lines, speed_m_s, downwind_m, aside_m, t_s):
-    """Speed (k,) of a component in m/s, beyond the mean, at a place and times (k,): a rigid tree follows at once."""
+    """Speed (k,) of a component in m/s, beyond the mean, at a place and times (k,): a rigid tree follows
+    at once."""
     rigid = Trees(np.array([np.inf]), 1.0, np.array([downwind_m]), np.array([aside_m]))
     return swings(lines, speed_m_s, rigid, t_s)[:, 0]
 
 
 @pytest.mark.parametrize(("component", "share"), [(ALONG, 1.0), (ACROSS, 0.8)])
 def test_gusts_have_the_turbulence_that_was_asked_for(component, share):
-    """Their variance is (intensity x speed)^2, of the lines to rounding and of three hours of gusts to 3 %."""
+    """Their variance is (intensity x speed)^2, of the lines to rounding and of three hours of gusts to 3
+    %."""
     lines = gust_lines(KAIMAL, 1, component)
     wanted = (share * INTENSITY * SPEED_M_S) ** 2
     assert np.sum(lines.speed_m_s**2) / 2 == pytest.approx(wanted, rel=1e-12)
@@ -36,7 +38,8 @@ def test_gusts_have_the_turbulence_that_was_asked_for(component, share):
 
 
 def test_energy_lies_where_kaimal_has_it():
-    """In every octave from 0.02 Hz to 4 Hz the lines hold the integral of Kaimal's spectrum, to a line of eighteen at either edge."""
+    """In every octave from 0.02 Hz to 4 Hz the lines hold the integral of Kaimal's spectrum, to a line of
+    eighteen at either edge."""
     lines = gust_lines(KAIMAL, 2, ALONG)
     hz, energy = lines.omega_rad_s / (2 * np.pi), lines.speed_m_s**2 / 2
     f = np.geomspace(0.02, 4.0, 20_001)
@@ -56,7 +59,8 @@ def test_gusts_travel_with_the_wind():
 
 
 def test_gusts_part_across_the_wind():
-    """Beside each other lines agree by Davenport's exp(-10 f d / speed), over all lines of sixty winds to 0.03."""
+    """Beside each other lines agree by Davenport's exp(-10 f d / speed), over all lines of sixty winds to
+    0.03."""
     apart_m, waves, phases = 4.0, [], []
     for seed in range(60):
         lines = gust_lines(KAIMAL, seed, ALONG)
@@ -71,7 +75,8 @@ def test_gusts_part_across_the_wind():
 
 @pytest.mark.parametrize(("hz", "damping"), [(0.15, 0.05), (0.3, 0.1), (1.2, 0.3)])
 def test_trees_follow_as_a_general_solver_has_it(hz, damping):
-    """From any state on, once that is forgotten, scipy's lsim of the same oscillator gives the same swing to 0.02 %."""
+    """From any state on, once that is forgotten, scipy's lsim of the same oscillator gives the same swing
+    to 0.02 %."""
     lines, omega = gust_lines(KAIMAL, 4, ALONG), 2 * np.pi * hz
     t_s = np.arange(0.0, 10.0 / (damping * omega) + 15.0, 0.005)
     u_m_s = gusts(lines, SPEED_M_S, 3.0, 2.0, t_s)
@@ -105,7 +110,8 @@ def tree(species):
 
 
 def test_frequencies_are_those_of_the_paper():
-    """A spruce of 24 cm and 21 m swings at 0.0766 + 3.1219 x 24 / 21^2 Hz, a bare birch as well, one in leaf slower."""
+    """A spruce of 24 cm and 21 m swings at 0.0766 + 3.1219 x 24 / 21^2 Hz, a bare birch as well, one in
+    leaf slower."""
     wanted = 0.0766 + 3.1219 * 24 / 21**2
     found = {
         (name, season): mechanics(tree(name), flora(), season)[0][0]
@@ -118,7 +124,8 @@ def test_frequencies_are_those_of_the_paper():
 
 
 def test_stiffness_is_that_of_the_mass_at_its_frequency():
-    """The lean of a stem, a cone by and large, is torque over (2 pi f)^2 J, with J within 40 % of that of a cone."""
+    """The lean of a stem, a cone by and large, is torque over (2 pi f)^2 J, with J within 40 % of that of
+    a cone."""
     one = tree("norway_spruce")
     frequency_hz, lean_per_stress = mechanics(one, flora(), "leaf_on")
     stem_kg = 900 * np.pi / 4 * 0.24**2 * 21 / 3
@@ -147,7 +154,8 @@ def test_stems_of_their_own_are_the_stems_of_the_tile(full_forest, loose, track_
 
 
 def test_wind_moves_stems_and_crowns_and_nothing_else(make_wind, loose, track_m):
-    """Each tree of the stand sways as one, about its foot; saplings, ground and things are not among what moves."""
+    """Each tree of the stand sways as one, about its foot; saplings, ground and things are not among what
+    moves."""
     window = loose.window(track_m)
     blown = make_wind().with_sway(window, track_m, START_NS, START_NS + 3 * KNOT_NS)
     trees = {row["id"]: row for row in loose.trees(track_m)}
@@ -169,7 +177,8 @@ def test_wind_moves_stems_and_crowns_and_nothing_else(make_wind, loose, track_m)
 
 
 def test_a_tree_is_at_one_place_whatever_window_it_is_in(make_wind, loose, track_m):
-    """Windows of other stretches of way and time have the same knots, and trees the same lean at them, to the bit."""
+    """Windows of other stretches of way and time have the same knots, and trees the same lean at them, to
+    the bit."""
     wind, aside_m = make_wind(), np.array([6.0, -3.0, 0.0])
     first = wind.with_sway(loose.window(track_m), track_m, START_NS, START_NS + 6_795_000_000)
     there_m = track_m + aside_m

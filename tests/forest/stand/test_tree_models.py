@@ -40,7 +40,8 @@ def write_obj(path, parts, factor=1.0):
 
 
 def tree_parts(scale=1.0):
-    """A leaning stem 12 m tall that reaches into the ground, a bough, and a crown of triangles; its foot is at `FOOT_M`."""
+    """A leaning stem 12 m tall that reaches into the ground, a bough, and a crown of triangles; its foot
+    is at `FOOT_M`."""
     x, y = FOOT_M
     stem = prism(
         [[x - 0.02, y, -0.2], [x, y, 0.0], [x + 0.3, y + 0.1, 3.0], [x + 0.5, y, 12.0]],
@@ -94,7 +95,8 @@ def solids(models, trees):
 
 
 def test_a_trees_dbh_is_that_of_its_mesh(models):
-    """The section of the placed stem across its axis, where trimesh cuts it, has the tree's DBH within 0.1 mm."""
+    """The section of the placed stem across its axis, where trimesh cuts it, has the tree's DBH within 0.1
+    mm."""
     for tree, transform, meshes in solids(models, some_trees()):
         axis = transform[:, 2] / np.linalg.norm(transform[:, 2])
         at_m = transform[:, 3] + axis * 1.3 / axis[2]
@@ -104,7 +106,8 @@ def test_a_trees_dbh_is_that_of_its_mesh(models):
 
 
 def test_rows_of_the_inventory_are_those_of_the_meshes(models):
-    """Height, box, crown, volumes and leaf area are what numpy and trimesh find on the placed meshes; upright trees have their height."""
+    """Height, box, crown, volumes and leaf area are what numpy and trimesh find on the placed meshes;
+    upright trees have their height."""
     trees = some_trees()
     rows = {row["id"]: row for row in models.inventory(trees)}
     for tree, _, meshes in solids(models, trees):
@@ -128,7 +131,8 @@ def test_rows_of_the_inventory_are_those_of_the_meshes(models):
 
 
 def test_circles_run_through_the_middle_of_the_stem(models):
-    """Every vertex of a stem above ground lies within 2 cm of the circle at its height, in the size of a tree of 12 m."""
+    """Every vertex of a stem above ground lies within 2 cm of the circle at its height, in the size of a
+    tree of 12 m."""
     trees = some_trees(1)
     trees["height_m"], trees["lean_deg"] = 12.0, 0.0
     circles = models.circles(trees)
@@ -144,7 +148,8 @@ def test_circles_run_through_the_middle_of_the_stem(models):
 
 
 def test_a_bough_within_the_stems_part_is_no_bole(tmp_path):
-    """What bears away from the stem in the stem's own part is labelled as it, but stays a medium from afar."""
+    """What bears away from the stem in the stem's own part is labelled as it, but stays a medium from
+    afar."""
     parts = tree_parts()
     (bole, faces), (bough, more) = parts["trunk"], parts["bough"]
     together = np.concatenate([bole, bough]), np.concatenate([faces, more + len(bole)])
@@ -170,7 +175,8 @@ def test_units_and_axes_are_those_of_the_section(path, tmp_path):
 
 
 def test_each_tree_has_the_model_that_it_stretches_least(path, tmp_path):
-    """Of a slim and a stout model, slim trees are the slim one and stout trees the stout one; alike ones are shared out."""
+    """Of a slim and a stout model, slim trees are the slim one and stout trees the stout one; alike ones
+    are shared out."""
     stout = write_obj(tmp_path / "stout.obj", tree_parts(scale=3.0))
     trees = some_trees(60)
     trees["height_m"], trees["dbh_m"] = 12.0, np.where(np.arange(60) < 30, 0.35, 1.05)
@@ -204,7 +210,8 @@ def test_broadleaves_bear_no_leaves_in_winter(path):
     ],
 )
 def test_a_model_that_cannot_be_is_refused(parts, change, message, tmp_path):
-    """An unknown species or part, a tree without stem and a stem without closed sections are named with what is expected."""
+    """An unknown species or part, a tree without stem and a stem without closed sections are named with
+    what is expected."""
     file = write_obj(tmp_path / "tree.obj", parts)
     with pytest.raises(GeometryError, match=message):
         TreeModels([section_of(file, **change)], flora())
@@ -220,7 +227,8 @@ def test_a_tree_too_short_for_its_model_is_refused(models):
 
 @pytest.mark.parametrize("turn", [1, -1])
 def test_sections_do_not_depend_on_which_way_faces_look(turn):
-    """A tube of 24 sides has the area and girth of its polygon, its faces looking in or out; the largest outline counts."""
+    """A tube of 24 sides has the area and girth of its polygon, its faces looking in or out; the largest
+    outline counts."""
     tubes = [prism([[0, 0, 0], [0, 0, 2]], [r, r]) for r in (0.3, 0.1)]
     cutter = Cutter(
         [vertices for vertices, _ in tubes], [faces[:, ::turn].astype(np.uint32) for _, faces in tubes]
@@ -271,9 +279,11 @@ def scene(path):
 
 @pytest.mark.usefixtures("kept_woods")
 def test_returns_name_the_trees_of_the_user(scene):
-    """Points on stem, bough and crown have the species and numbers of trees of the list, near ones and those beyond 15 m.
+    """Points on stem, bough and crown have the species and numbers of trees of the list, near ones and those
+    beyond 15 m.
 
-    Each stem, a model's or a grown one, is met within 0.4 m of the foot of the tree whose number it has, in the median.
+    Each stem, a model's or a grown one, is met within 0.4 m of the foot of the tree whose number it has, in
+    the median.
     """
     emulator, met, places_m, away_m = Emulator(load(scene)), [], [], []
     for returns in emulator.returns(0.0, 0.1, truth=True):

@@ -43,7 +43,8 @@ def things(full_forest, window, trees, way):
 
 
 def test_things_are_all_that_is_near_and_no_tree(window, things, trees, way):
-    """Things are exactly the placed instances within the radius that are neither ground nor trees of the stand."""
+    """Things are exactly the placed instances within the radius that are neither ground nor trees of the
+    stand."""
     first = window.surfaces[window.first_surface]
     gap_m = way.distance_m(window.world_T_shape[:, :2, 3])
     is_thing = (first["semantic"] != Semantic.GROUND) & ~np.isin(first["instance"], trees["id"])
@@ -92,7 +93,8 @@ def header(glb):
 
 
 def test_every_instance_is_one_node_with_its_labels(header, near, things):
-    """There is one node for each tree and thing, named by class, number and species, and no other instance."""
+    """There is one node for each tree and thing, named by class, number and species, and no other
+    instance."""
     names = {node["name"] for node in header["nodes"]}
     wanted = {f"tree_{t['id']:06d}/{SPECIES[int(t['species'])]}" for t in near}
     for one in things:
@@ -138,7 +140,8 @@ def test_materials_are_few_and_seen_from_both_sides(header):
 
 
 def test_ground_is_that_of_the_place_and_stems_are_whole(glb, full_forest, window, near):
-    """The area of the ground is that of two half discs and a rectangle along the path; stems of near trees have all their faces."""
+    """The area of the ground is that of two half discs and a rectangle along the path; stems of near trees
+    have all their faces."""
     scene, wanted = trimesh.load_scene(io.BytesIO(glb), file_type="glb"), Counter()
     shown_m2, faces = 0.0, Counter()
     for node in scene.graph.nodes_geometry:

@@ -107,7 +107,10 @@ def operation_of(power_up: Operation, events: Iterable[Event]) -> Steps[Operatio
 
 
 def gps_of(gps: GpsInput, events: Iterable[Event], start_ns: int) -> GpsInput:
-    """Return the input of a receiver whose pulses and sentences are disturbed by events, on a sensor that may lose its power."""
+    """Return the input of a receiver whose pulses and sentences are disturbed by events.
+
+    The sensor may lose its power.
+    """
 
     def spans_of(kind: str) -> Spans:
         return Spans.union(_utc(event, start_ns) for event in events if event.kind == kind)
@@ -132,7 +135,10 @@ def gps_of(gps: GpsInput, events: Iterable[Event], start_ns: int) -> GpsInput:
 
 
 def _delays(late: Iterable[tuple[int, int, int]]) -> Steps[int]:
-    """Return the delay of sentences over time: the longest of those whose spans (begin, end, delay) contain an instant."""
+    """Return the delay of sentences over time.
+
+    Of the spans (begin, end, delay) that contain an instant, the longest delay counts.
+    """
     waiting = sorted(late, reverse=True)
     turns_ns = sorted({turn_ns for begin_ns, end_ns, _ in waiting for turn_ns in (begin_ns, end_ns)})
     steps = [(0, 0)]

@@ -1,4 +1,7 @@
-"""Control of a running stream: settings from the web interfaces become events of the scene a moment later, and the stream follows."""
+"""Control of a running stream by the web interfaces.
+
+Settings become events of the scene a moment later, and the stream follows.
+"""
 
 import math
 import threading
@@ -317,7 +320,10 @@ class Control:
             return due_ns
 
     def _wait_until_ahead(self, from_ns: int) -> None:
-        """Wait until packets of a change are computed ahead; if that took longer than their lead, the next lead is longer."""
+        """Wait until packets of a change are computed ahead.
+
+        If that took longer than their lead, the next lead is longer.
+        """
         begin_s = time.monotonic()
         has_begun = False
         while (took_s := time.monotonic() - begin_s) < _MERGED_S and not self._over.wait(_POLL_S):

@@ -73,7 +73,10 @@ class DeviceSettings(SensorSettings):
     dhcp: bool = False  # True if a server gives the addresses
 
     def after(self, changes: Mapping[str, Any]) -> Self:
-        """Return the settings after changes of `SensorSettings`; a phase lock that is switched off keeps its angle."""
+        """Return the settings after changes of `SensorSettings`.
+
+        A phase lock that is switched off keeps its angle.
+        """
         phase_deg = changes.get("phase_lock_deg", "off")
         if phase_deg == "off":
             return replace(self, **changes)
@@ -158,7 +161,10 @@ class Device:
                 raise
 
     def adopt(self, update: Callable[[DeviceSettings], DeviceSettings]) -> None:
-        """Replace the settings after the sensor has been set in another way, such as an event of the scene."""
+        """Replace the settings after the sensor has been set in another way.
+
+        Events of the scene set it too.
+        """
         with self._lock:
             self.settings = update(self.settings)
 
@@ -167,7 +173,10 @@ class Device:
         self.change(lambda _: self.power_up, restarts=True)
 
     def save(self) -> None:
-        """Save the settings for the next power-up; `OutputError` or `RunError` if the file cannot be written."""
+        """Save the settings for the next power-up.
+
+        Raises `OutputError` or `RunError` if the file cannot be written.
+        """
         with self._lock:
             if self._file is not None:
                 with OutputFile(self._file) as output, output.writing() as file:

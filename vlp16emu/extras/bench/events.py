@@ -148,7 +148,9 @@ def tables() -> TypeAdapter[list[Event]]:
 
 
 def checked(given: object, scene: dict[str, Any]) -> list[Event]:
-    """Return the checked events of a scene; `scene` has the valid ones of the tables `sensor`, `rig` and `gps`.
+    """Return the checked events of a scene.
+
+    `scene` has the valid ones of the tables `sensor`, `rig` and `gps`.
 
     Raises ValueError if one is no event (then a `pydantic.ValidationError`), or the scene cannot have it.
     """

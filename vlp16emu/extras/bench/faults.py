@@ -52,7 +52,10 @@ class PacketFault:
     counted: Mapping[PacketKind, range]  # numbers of the packets that it may affect, for events with `count`
 
     def hits(self, packet: Packet, number: int) -> bool:
-        """Return True if it affects a packet, given before all faults, with its number in its unit and kind."""
+        """Return True if it affects a packet.
+
+        The packet is that before all faults, with its number in its unit and kind.
+        """
         event = self.event
         since_ns = packet.due_ns - self.start_ns
         if packet.kind not in kinds_of(event):
@@ -73,7 +76,10 @@ class PacketFault:
         return seconds_to_ns(getattr(self.event, key)) if key else 0
 
     def change(self, packet: Packet, number: int) -> tuple[Packet, ...]:
-        """Return the packets that replace an affected packet, without effects that depend on earlier packets."""
+        """Return the packets that replace an affected packet.
+
+        Effects that depend on earlier packets are left out.
+        """
         event = self.event
         due_ns = packet.due_ns
         payload = packet.payload
@@ -97,7 +103,10 @@ class PacketFault:
         return int(self._random(Purpose.PACKET_JITTER, packet, number) * self.longest_ns)
 
     def _overtaken_ns(self, packet: Packet, by: int) -> int:
-        """Return the time until just after the departure of the packet that is `by` packets of its kind later."""
+        """Return the time until just after the departure of a later packet.
+
+        That packet is `by` packets of its kind later.
+        """
         if packet.kind is PacketKind.POSITION:
             rate = require_packets(self.unit.section).position_rate
             due_ns = position_due_ns(rate, self.unit.seed, self.unit.positions_from_ns, packet.number, by + 1)
@@ -190,7 +199,10 @@ def earliest_ns(faults: Sequence[PacketFault], start_ns: int) -> int:
 def arriving(
     scenario: Scenario, units: Sequence[Unit], streams: Streams, start_ns: int, stop_ns: int
 ) -> Iterator[Packet]:
-    """Return the packets that arrive in a span since the first pulse; without faults, the packets that leave in it."""
+    """Return the packets that arrive in a span since the first pulse.
+
+    Without faults, the packets that leave in it.
+    """
     faults = faults_of(scenario, units)
     if not faults:
         return streams(start_ns, stop_ns)

@@ -215,7 +215,10 @@ class GpsReader(StreamPart):
         self._port.close()
 
     def _poll(self, port: Any) -> tuple[bytes, bool, int]:
-        """Return the bytes that are there, the state of the line, and the instant; without a line, wait for a character."""
+        """Return the bytes that are there, the state of the line, and the instant.
+
+        Without a line, wait for a character.
+        """
         if self._pulse:
             high = bool(getattr(port, self._pulse))
             at_ns = time.monotonic_ns()

@@ -1,4 +1,7 @@
-"""Outputs beside the packets of the sensors: sentences and pulses of a receiver, inertial samples; serial ports."""
+"""Outputs beside the packets of the sensors: sentences and pulses of a receiver, and inertial samples.
+
+They leave by serial ports or UDP.
+"""
 
 import errno
 import heapq
@@ -61,7 +64,10 @@ class Beside:
         self._rate_hz = scenario.imu.rate_hz if scenario.imu else 0
 
     def among(self, packets: Iterator[Packet], start_ns: int, stop_ns: int) -> Iterator[Packet]:
-        """Merge the packets of a span since the first pulse with the additional ones; at equal due times `packets` come first."""
+        """Merge the packets of a span since the first pulse with the additional ones.
+
+        At equal due times `packets` come first.
+        """
         if not self._kinds:
             return packets
         made = {PacketKind.NMEA: self._sentences, PacketKind.PPS: self._pulses, PacketKind.IMU: self._samples}
@@ -75,7 +81,10 @@ class Beside:
         return {kind: len(self._numbers(kind, start_ns, stop_ns)) for kind in self._kinds}
 
     def _numbers(self, kind: PacketKind, start_ns: int, stop_ns: int) -> range:
-        """Return the numbers of packets in a span: UTC seconds, edges of pulses since 1970 (two a second), or samples."""
+        """Return the numbers of packets in a span.
+
+        They are UTC seconds, edges of pulses since 1970 (two a second), or samples.
+        """
         if kind is PacketKind.IMU:
             return range(*(-(-since_ns * self._rate_hz // S_NS) for since_ns in (start_ns, stop_ns)))
         span_ns = [self._start_ns + since_ns for since_ns in (start_ns, stop_ns)]
@@ -245,7 +254,10 @@ class SerialPort:
 
 
 class SerialSink(PacketSink):
-    """Sink that writes packets to a serial port, and pulses to its line, in a thread of its own: a port never delays others."""
+    """Sink that writes packets to a serial port, and pulses to its line.
+
+    It has a thread of its own, so that a port never delays others.
+    """
 
     def __init__(self, port: SerialPort) -> None:
         self._port = port
@@ -364,7 +376,10 @@ class OutletSinks(OutletPart):
 
 
 def _imu_sink(to: str, rate_hz: int) -> "SerialSink | ImuUdpSink":
-    """Open the sink of samples; InputError if `to` names none, OutputError if a serial line is too slow for the rate."""
+    """Open the sink of samples.
+
+    Raises InputError if `to` names none, OutputError if a serial line is too slow for the rate.
+    """
     if to.startswith("serial:"):
         most_hz = _BAUD // (_BITS * IMU_FRAME.itemsize)
         if rate_hz > most_hz:

@@ -50,7 +50,10 @@ def has_stamp(packet: Packet) -> bool:
 
 
 def stamp_ns(packet: Packet) -> int:
-    """Return the time stamp of a data or position packet, ns past the hour of the sensor's clock; for other packets ns past the hour of UTC."""
+    """Return the time stamp of a data or position packet, ns past the hour of the sensor's clock.
+
+    For other packets ns past the hour of UTC.
+    """
     if packet.kind not in _STAMP_AT:
         return packet.due_ns % HOUR_NS
     (stamp_us,) = _STAMP.unpack_from(packet.payload, _STAMP_AT[packet.kind])
@@ -89,7 +92,9 @@ def moved(packet: Packet, by_s: int, now_ns: int | None = None) -> Packet:
 
 
 def restamped(packet: Packet, clock_ns: int, pps: PpsState, sentence: bytes) -> Packet:
-    """Return a packet with the stamp of another clock; a position packet also gets the state and sentence of another receiver.
+    """Return a packet with the stamp of another clock.
+
+    A position packet also gets the state and sentence of another receiver.
 
     Parameters
     ----------
@@ -108,7 +113,10 @@ def restamped(packet: Packet, clock_ns: int, pps: PpsState, sentence: bytes) -> 
 
 
 def _moved_sentence(field: bytes, by_s: int, now_ns: int | None) -> bytes:
-    """Return the field of a sentence with the sentence moved; other bytes than an RMC sentence with time and date stay."""
+    """Return the field of a sentence with the sentence moved.
+
+    Other bytes than an RMC sentence with time and date stay.
+    """
     found = _RMC.match(field)
     if found is None:
         return field

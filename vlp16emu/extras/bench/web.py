@@ -136,7 +136,10 @@ class WebServer:
         await asyncio.gather(*filter(None, self._lines.values()), return_exceptions=True)
 
     async def _connected(self, reader: StreamReader, line: StreamWriter) -> None:
-        """Answer the requests of one connection in order, each within its time limit; connections above the bound are closed."""
+        """Answer the requests of one connection in order, each within its time limit.
+
+        Connections above the bound are closed.
+        """
         if len(self._lines) >= MOST_CONNECTIONS:
             line.transport.abort()
             return

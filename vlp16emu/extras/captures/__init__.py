@@ -1,1 +1,4 @@
-"""Captures of other programs: pcapng, archives, link types other than Ethernet, tags, tunnels and fragments."""
+"""Captures of other programs.
+
+They are pcapng, archives, link types other than Ethernet, tags, tunnels and fragments.
+"""

@@ -113,7 +113,10 @@ class Unwrapper:
         return self._unread + Counter({_NO_FRAGMENTS: self._dropped + len(self._held)})
 
     def udp_in(self, link_type: int, frame: bytes) -> tuple[bytes, int, int] | None:
-        """Return a frame with a whole datagram, and the offsets of its IP and UDP headers; None if `frame` completes no datagram."""
+        """Return a frame with a whole datagram, and the offsets of its IP and UDP headers.
+
+        It is None if `frame` completes no datagram.
+        """
         if link_type not in _LINK_TYPES:
             self._unread[f"frames of link type {link_type}, which is not read"] += 1
             return None
@@ -125,7 +128,10 @@ class Unwrapper:
         return frame, ip.at, ip.body
 
     def _joined(self, frame: bytes, ip: Ip) -> tuple[bytes, int, int] | None:
-        """Return the frame of the first fragment with the bytes of all fragments, when the last one has arrived."""
+        """Return the frame of the first fragment with the bytes of all fragments.
+
+        It is there when the last fragment has arrived.
+        """
         held = self._held.setdefault(ip.key, {})
         held[ip.fragment] = frame, ip
         parts = list[bytes]()

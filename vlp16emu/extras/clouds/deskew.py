@@ -1,4 +1,7 @@
-"""Deskewed points of a capture: a trajectory transforms each point to the world with the pose at its own pulse."""
+"""Deskewed points of a capture.
+
+A trajectory transforms each point to the world with the pose at its own pulse.
+"""
 
 from datetime import UTC, datetime, timedelta
 from itertools import chain
@@ -65,7 +68,10 @@ class Trajectory:
         return (self._first_ns - self._offset_ns) / S_NS, (self._last_ns - self._offset_ns) / S_NS
 
     def has(self, t_ns: I8) -> NDArray[np.bool_]:
-        """Return a mask (n,) of instants between the first and the last pose, to the whole microsecond of stamps."""
+        """Return a mask (n,) of instants between the first and the last pose.
+
+        Instants count to the whole microsecond of stamps.
+        """
         at_ns = t_ns + self._offset_ns
         return np.asarray((at_ns >= self._first_ns - US_NS) & (at_ns <= self._last_ns + US_NS))
 
@@ -134,7 +140,9 @@ def write_deskewed(
     stop: Event,
     clock: str | None = None,
 ) -> dict[str, Any]:
-    """Write the points of a capture, in the world and in the sensor's frame, to a file of `point_file`; return its contents.
+    """Write the points of a capture, in the world and in the sensor's frame, to a file of `point_file`.
+
+    Return its contents.
 
     Parameters
     ----------
@@ -217,7 +225,10 @@ def _block(
 
 
 def _of_truth(folder: Path, unit: int) -> tuple[Path, tuple[float, float, float] | None, str | None]:
-    """Return a unit's trajectory, the world's origin, and the unit's address and port if there are several."""
+    """Return a unit's trajectory and the world's origin.
+
+    If there are several units, address and port of the unit are returned too.
+    """
     rig = folder / "rig.json"
     expected = "a folder that `record --truth` has written, or a TUM file"
     tree = read_json(rig, expected)

@@ -126,7 +126,9 @@ def decode(
     frame: str | PointFrame = PointFrame.SENSOR,
     clock: str | None = None,
 ) -> Iterator[Scan]:
-    """Read the scans of a capture, from the emulator or a real sensor, with the formulas of the sensor's manual.
+    """Read the scans of a capture with the formulas of the sensor's manual.
+
+    The capture is from the emulator or a real sensor.
 
     Parameters
     ----------
@@ -154,7 +156,10 @@ def decode(
 
 
 def chunk_of(table: PacketTable, points: Points, labels: Mapping[str, NDArray[Any]]) -> Chunk:
-    """Return the points of data packets sorted by azimuth readings; labels are arrays of `Labels`, empty if there are none."""
+    """Return the points of data packets sorted by azimuth readings.
+
+    Labels are arrays of `Labels`, empty if there are none.
+    """
     block = np.arange(BLOCKS_PER_PACKET)
     is_reading = ~is_dual(table)[:, None] | (block % 2 == 0)  # in dual return two blocks share a reading
     first = np.concatenate([[0], np.cumsum(is_reading.sum(axis=1))])
@@ -173,7 +178,9 @@ def chunk_of(table: PacketTable, points: Points, labels: Mapping[str, NDArray[An
 
 
 def chunk_of_packets(packets: Iterable[Packet]) -> Chunk | None:
-    """Return the points of data packets of one sensor as they are sent; None if no packet is whole and without fault.
+    """Return the points of data packets of one sensor as they are sent.
+
+    It is None if no packet is whole and without fault.
 
     Points have labels if the packets carry ground truth. Packets of a prepared run, which do not know their
     first pulse, are dated by their sending.
@@ -199,7 +206,10 @@ def chunk_of_packets(packets: Iterable[Packet]) -> Chunk | None:
 
 
 def twins(points: Points) -> NDArray[np.bool_]:
-    """Return a mask (n,) of records in dual return that repeat the record before, which marks a single return (63-9243 Rev D, section 9.3.2)."""
+    """Return a mask (n,) of records in dual return that repeat the record before.
+
+    The repetition marks a single return (63-9243 Rev D, section 9.3.2).
+    """
     same = points.is_last[:-1] & ~points.is_last[1:]
     same &= np.diff(points.packet) == 0
     same &= np.diff(points.since_ns) == 0
@@ -222,7 +232,10 @@ def scans_of(engine: Engine, number: int, span_s: tuple[float, float], *, truth:
 
 
 def _chunk(unit: Unit, returns: Returns, begin_ns: int, end_ns: int, *, truth: bool) -> Chunk:
-    """Return the points of a block whose azimuth is read within a span, each echo once, the last echo first."""
+    """Return the points of a block whose azimuth is read within a span.
+
+    Each echo is there once, the last echo first.
+    """
     firings = returns.firings
     step = SEQUENCES_PER_BLOCK
     reading_ns = firings.t_ns[::step, 0]
@@ -258,7 +271,10 @@ def _chunk(unit: Unit, returns: Returns, begin_ns: int, end_ns: int, *, truth: b
 def points_of(
     unit: Unit, returns: Returns, inside: NDArray[np.bool_], *, truth: bool
 ) -> tuple[dict[str, NDArray[Any]], I8]:
-    """Return the points of pulses (k, L) that are `inside`, and the row (n,) of the firing sequence of each."""
+    """Return the points of pulses (k, L) that are `inside`.
+
+    The row (n,) of the firing sequence of each is returned too.
+    """
     firings = returns.firings
     beams = unit.head.beams
     t_ns = returns.firings.t_ns
@@ -292,7 +308,9 @@ def place(
     poses: Poses,
     tangents: F8 | None = None,
 ) -> dict[str, F8]:
-    """Compute points from returns with the manual's formulas (63-9243 Rev D, section 9.2), as a driver with perfect poses does.
+    """Compute points from returns with the manual's formulas (63-9243 Rev D, section 9.2).
+
+    A driver with perfect poses does the same.
 
     Errors of encoder and angles displace the points, because the sensor does not report them.
     Without such errors a point in the world is the pulse's origin + distance * direction.
@@ -339,7 +357,9 @@ def place(
 
 
 def _reported(distance_m: F4, mode: ReturnMode) -> NDArray[np.bool_]:
-    """Return a mask (k, L, 3) of the returns that the sensor would report: each echo once, a single one as the strongest.
+    """Return a mask (k, L, 3) of the returns that the sensor would report.
+
+    Each echo is reported once, a single one as the strongest.
 
     Source of the rules of dual return: 63-9243 Rev D, section 9.3.2.
     """

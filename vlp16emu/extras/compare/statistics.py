@@ -111,7 +111,10 @@ def beat_of(stretches: Stretches) -> NDArray[np.complex128]:
 
 
 def range_noise(stretches: Stretches) -> Statistics:
-    """Beat, white noise at a reflectivity of 20 (`range_sigma_m`), its kurtosis, and its correlation with reflectivity."""
+    """Beat, and white noise at a reflectivity of 20 (`range_sigma_m`).
+
+    Kurtosis and correlation with reflectivity belong to it.
+    """
     white_mm = stretches.white_mm
     level = stretches.level
     codes = stretches.code_residual
@@ -152,7 +155,9 @@ def reflectivity_noise(stretches: Stretches) -> Statistics:
 
 
 def codes(sequences: Sequences) -> Statistics:
-    """Return the share of codes at the top of the diffuse scale, and the ruggedness of the histograms of bright codes.
+    """Return the share of codes at the top of the diffuse scale.
+
+    The ruggedness of the histograms of bright codes is returned too.
 
     Ruggedness is the second difference over counts, for each laser in each class of range. A class spans 40 %
     of range, in which steps of codes change little.
@@ -173,7 +178,9 @@ def codes(sequences: Sequences) -> Statistics:
 
 
 def gains(sequences: Sequences) -> Statistics:
-    """Return the spread of the gain over lasers: each laser against its neighbours above and below on the same surface.
+    """Return the spread of the gain over lasers.
+
+    Each laser is compared with its neighbours above and below on the same surface.
 
     Only gains that both halves of the alternate sectors of 45 deg show count, so the scene does not.
     """
@@ -232,7 +239,9 @@ def statistics_of(sequences: Sequences) -> Statistics:
 
 
 def lost_records(sequences: Sequences) -> Statistics:
-    """Return the share of records without a return between two pairs of returns of one laser, by the change across them.
+    """Return the share of records without a return between two pairs of returns of one laser.
+
+    It is given by the change across them.
 
     Changes: none of range; steps of 0.3 to 1.4 m, and larger; 20 codes of reflectivity and more on one
     surface.
@@ -256,7 +265,10 @@ def lost_records(sequences: Sequences) -> Statistics:
 
 
 def no_returns(sequences: Sequences) -> Statistics:
-    """Return statistics of the codes of records without a return: their levels, and shares raised above their laser's level."""
+    """Return statistics of the codes of records without a return.
+
+    They are their levels, and shares raised above their laser's level.
+    """
     silent = sequences.distance_lsb == 0
     r = sequences.reflectivity
     both = silent[1:] & silent[:-1]
@@ -277,7 +289,10 @@ def commonest(silent: NDArray[np.bool_], r: I8) -> I8:
 
 
 def _raised_codes(silent: NDArray[np.bool_], r: I8) -> Statistics:
-    """Return the share of raised codes beside bright returns minus the share beside dark ones, and the share of raised runs of one record."""
+    """Return how much more codes are raised beside bright returns than beside dark ones.
+
+    The share of raised runs of one record is returned too.
+    """
     mode = commonest(silent, r)
     raised = silent & (r > _RAISED * mode) & (mode > 0)
     neighbour = np.maximum(
@@ -297,7 +312,10 @@ def _raised_codes(silent: NDArray[np.bool_], r: I8) -> Statistics:
 
 
 def dual_returns(sequences: Sequences) -> Statistics:
-    """Return the share of pairs with one return whose other block has none, and of unequal codes in pairs without a return."""
+    """Return the share of pairs with one return whose other block has none.
+
+    The share of unequal codes in pairs without a return is returned too.
+    """
     if sequences.last is None:
         return {}
     (d_last, r_last) = sequences.last
@@ -394,7 +412,10 @@ def _residues(sequences: Sequences) -> Statistics:
 
 
 def _clocks(sequences: Sequences) -> Statistics:
-    """Return the rates of the sensor's clock against its firings and of the host's clock against it, and the jitter of arrivals."""
+    """Return the rates of the sensor's and of the host's clock, and the jitter of arrivals.
+
+    The sensor's rate is against its firings, the host's against the sensor's.
+    """
     clock_us, stamp_us = ((of - of[0]) / US_NS for of in (sequences.clock_ns, sequences.stamp_ns))
     arrival_us = (np.diff(stamp_us) - np.diff(clock_us)).std()
     if len(clock_us) < _LEAST_PACKETS:

@@ -22,7 +22,10 @@ class Known(NamedTuple):
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Least and greatest value, widened by half of the range (by ratio if both are above 0; for one unit by a factor of two)."""
+        """Least and greatest value, widened by half of the range.
+
+        It is widened by ratio if both are above 0, and by a factor of two for one unit.
+        """
         low, high, _ = self
         if low > 0.0:
             factor = math.sqrt(high / low) if high > low else _OF_ONE_UNIT

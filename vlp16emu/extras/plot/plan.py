@@ -37,5 +37,6 @@ def draw(figure: "Figure", report: Report) -> None:
     speed = f"ran at {measured['real_time_factor']:.2f} x real time on {report['threads']} threads"
     stream = f"a stream keeps up: {report['stream']['verdict']}"
     figure.suptitle(
-        f"{report['scene']}, seed {report['seed']}: {cost_s.sum():.2f} core seconds per second\n{speed}; {stream}"
+        f"{report['scene']}, seed {report['seed']}: {cost_s.sum():.2f} core seconds per second\n{speed}; "
+        f"{stream}"
     )

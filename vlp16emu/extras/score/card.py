@@ -118,8 +118,10 @@ def make_card(inputs: ScoreInputs) -> ScoreCard:
         card.scores = found.scores
         card.path = found.errors
         card.notes["trajectory"] = (
-            f"alignment {inputs.alignment}; RPE over {RPE_DELTA_M:g} m of path, drift the mean over longer ones; "
-            f"{found.poses} poses, {found.left_out} beyond the truth left out; RMSE by evo; the offset is to be added to the estimate's stamps"
+            f"alignment {inputs.alignment}; RPE over {RPE_DELTA_M:g} m of path, drift the mean over "
+            "longer ones; "
+            f"{found.poses} poses, {found.left_out} beyond the truth left out; RMSE by evo; the offset "
+            "is to be added to the estimate's stamps"
         )
     if inputs.map:
         points_m = read_cloud(inputs.map)["xyz"]

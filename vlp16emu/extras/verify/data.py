@@ -231,7 +231,10 @@ class DataChunk:
         return np.asarray(is_odd.any(axis=1) & (np.abs(gap_us - extra_us) <= tolerance_us))
 
     def _find_late(self, takes_longer: NDArray[np.bool_]) -> None:
-        """Compare time stamps with capture stamps; packets (n,) that take longer contain a gap of the revolution."""
+        """Compare time stamps with capture stamps.
+
+        Packets (n,) that take longer contain a gap of the revolution.
+        """
         offset_us = self.stamp_ns // US_NS - self.timestamp_us
         moved_us = wrap_hour(offset_us - offset_us[0], HOUR_US)
         after_us = np.minimum.accumulate(moved_us[::-1])[::-1]
@@ -278,7 +281,10 @@ class DataRules:
         return self._turned_cdeg / self._turned_steps / _CDEG_PER_STEP_AND_RPM if self._turned_steps else None
 
     def check(self, chunk: DataChunk) -> None:
-        """Check one chunk; the last packet is judged with the next chunk, if there is one, which has its neighbour."""
+        """Check one chunk.
+
+        The last packet is judged with the next chunk, if there is one, which has its neighbour.
+        """
         apply = self._findings.apply
         apply(TABLES["packets"] + TABLES["pairs"] * chunk.dual, chunk, chunk.own)
         apply(TABLES["steps"], chunk)
@@ -303,7 +309,10 @@ class DataRules:
 
 
 class OpticsRules:
-    """Rules of the returns of lasers and of sectors of the window, against their neighbours and the chunk before."""
+    """Rules of the returns of lasers and of sectors of the window.
+
+    They are compared with their neighbours and the chunk before.
+    """
 
     def __init__(self, findings: Findings) -> None:
         self._findings = findings
@@ -321,7 +330,10 @@ class OpticsRules:
         self._check_sectors(packet, chunk, is_return)
 
     def _check_lasers(self, packet: int, share: F8) -> None:
-        """Report lasers without any return whose neighbours have many; lasers at the edge if they had returns before."""
+        """Report lasers without any return whose neighbours have many.
+
+        Lasers at the edge if they had returns before.
+        """
         of = share[_BY_ELEVATION]
         before = self._share[_BY_ELEVATION]
         sees = of >= _SEEN
@@ -393,7 +405,10 @@ class _Sentence(NamedTuple):
 
 
 class PositionChunk:
-    """Columns of n consecutive position packets; the first one is the last packet of the chunk `before`, already judged."""
+    """Columns of n consecutive position packets.
+
+    The first one is the last packet of the chunk `before`, already judged.
+    """
 
     head_bytes = (
         14  # other sensors of the family report motion from here on; software detects the VLP-16 by the zeros
@@ -488,7 +503,10 @@ class PositionRules:
 
 @lru_cache(16)
 def _read_sentence(area: bytes) -> _Sentence:
-    """Read a sentence from its first character to the end of the payload; some 146 packets repeat one sentence."""
+    """Read a sentence from its first character to the end of the payload.
+
+    Some 146 packets repeat one sentence.
+    """
     if not any(area):
         return _Sentence()
     text, _, rest = area.partition(b"\0")

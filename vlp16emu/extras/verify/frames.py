@@ -153,7 +153,10 @@ class Findings:
         self.counts[level][rule] += 1
 
     def apply(self, table: Iterable[Row], columns: object, where: slice = slice(None)) -> None:
-        """Add a finding for each true element in the columns that a table names; `where` limits the rows of a chunk."""
+        """Add a finding for each true element in the columns that a table names.
+
+        `where` limits the rows of a chunk.
+        """
         for row in table:
             broken: NDArray[np.bool_] = getattr(columns, row.broken)
             inside = np.zeros_like(broken)
@@ -216,7 +219,10 @@ class ClockWatch:
         self._reference = None
 
     def check(self, packet: int, stamp_ns: int, offset_us: int) -> None:
-        """Compare the offset of a frame, capture stamp minus time stamp, with the offset of the first packet."""
+        """Compare the offset of a frame with the offset of the first packet.
+
+        The offset is capture stamp minus time stamp.
+        """
         if self._reference is None:
             self._reference = stamp_ns, offset_us
             return
@@ -230,7 +236,10 @@ class ClockWatch:
 
 
 def kind_of(datagram: Datagram) -> PacketKind | None:
-    """Return the kind of a datagram by its source port, else its destination port, else its length and first bytes."""
+    """Return the kind of a datagram.
+
+    It follows from the source port, else the destination port, else length and first bytes.
+    """
     for port in (datagram.source_port, datagram.destination_port):
         for kind, usual in PORT.items():
             if port == usual:
@@ -248,7 +257,10 @@ def is_rewritten(datagram: Datagram) -> bool:
 
 
 class _Frames:
-    """Columns of n frames of one kind whose payloads have the right length; header fields (n, c) beside their correct values."""
+    """Columns of n frames of one kind whose payloads have the right length.
+
+    Header fields (n, c) beside their correct values.
+    """
 
     def __init__(self, datagrams: Sequence[Datagram], kind: PacketKind) -> None:
         self.kind = kind
@@ -359,7 +371,10 @@ class InOrder:
         self._findings.add(rule, datagram.number, found, f"a new {self._kind} packet")
 
     def _is_late(self, stamp_us: int, datagram: Datagram) -> bool:
-        """Return True if a packet belongs between held ones: by the period of data packets, or the count of position packets."""
+        """Return True if a packet belongs between held ones.
+
+        It follows from the period of data packets, or the count of position packets.
+        """
         if self._since_us(stamp_us, 0) <= 0:
             return False
         if self._kind is PacketKind.POSITION:

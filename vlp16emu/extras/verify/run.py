@@ -86,7 +86,10 @@ def verify(capture: str | Path, unit: str | int | None = None, *, limit_per_rule
 def verify_units(
     path: Path, units: Sequence[CapturedUnit | None], *, limit_per_rule: int = 10
 ) -> list[Verification]:
-    """Check each of several units on its own, in one pass and with little memory; None stands for all packets."""
+    """Check each of several units on its own, in one pass and with little memory.
+
+    It is None stands for all packets.
+    """
     chunk_packets = min(_CHUNK_PACKETS, max(_HELD_PACKETS // max(len(units), 1), _SMALLEST_CHUNK))
     checks = [_Check(Findings(limit_per_rule), chunk_packets) for _ in units]
     capture = Capture(path, repeats=True)
@@ -205,7 +208,10 @@ class _Check:
         self._chunk[PacketKind.POSITION] = []
 
     def _check_rates(self) -> None:
-        """Check packets per second, lost ones included: position packets, and the time that data packets cover."""
+        """Check packets per second, lost ones included.
+
+        The counts are those of position packets and of the time that data packets cover.
+        """
         data_s, position_s = (
             (self._last[kind].stamp_ns - self._first[kind].stamp_ns) / S_NS if kind in self._first else 0.0
             for kind in (PacketKind.DATA, PacketKind.POSITION)

@@ -447,7 +447,10 @@ def _annotate(
 
 
 def _shortened(words: str, room: float, length: Callable[[str], float]) -> str:
-    """Return words, with dots in place of their end if they are too long; empty if there is no room for the dots."""
+    """Return words, with dots in place of their end if they are too long.
+
+    It is empty if there is no room for the dots.
+    """
     if length(words) <= room:
         return words
     cuts = (f"{words[:count]}..." for count in range(len(words) - 1, -1, -1))
