@@ -5,7 +5,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from vlp16emu.engine import Engine, Job, Unit
 from vlp16emu.engine.windows import window_of
@@ -24,6 +24,7 @@ from vlp16emu.raycast.texture import add_texture
 from vlp16emu.returns.detect import detect
 from vlp16emu.run.report import Recording
 from vlp16emu.scenario import Scenario
+from vlp16emu.trees import Tree
 from vlp16emu.types import ReturnMode, SensorModel
 from vlp16emu.units import S_NS
 
@@ -113,7 +114,7 @@ def needs(engine: Engine, *, audited: bool) -> list[Need]:
     ]
 
 
-def surroundings(engine: Engine) -> dict[str, Any]:
+def surroundings(engine: Engine) -> Tree:
     """Return the surroundings within range of the sensor at the start.
 
     They are the kind of the world, species, and counts by kind of object.

@@ -12,7 +12,7 @@ import math
 import weakref
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from vlp16emu.foliage.filling import fill_block
 from vlp16emu.foliage.stems import stem_lines
 from vlp16emu.foliage.tiles import FarTile
 from vlp16emu.foliage.voxel import BRICK, COLUMNS, LAW_BIT, LAW_MASK, VOXEL_M
+from vlp16emu.trees import Tree
 from vlp16emu.types import F8, I8, U4, U8
 
 T = TypeVar("T", bound=np.generic)
@@ -99,7 +100,7 @@ def stretch_of(world_T_shape: F8) -> F8:
     return stretch
 
 
-def pack_block(block: Block, library: Library, names: Sequence[str]) -> dict[str, Any]:
+def pack_block(block: Block, library: Library, names: Sequence[str]) -> Tree:
     """Return the fields of a block, with laws by the names of shapes, as each library has its own order."""
     laws, law = np.unique((block.owner >> LAW_BIT) & LAW_MASK, return_inverse=True)
     shape = np.searchsorted(library.first_law, laws.astype(np.int64), side="right") - 1
@@ -113,7 +114,7 @@ def pack_block(block: Block, library: Library, names: Sequence[str]) -> dict[str
     }
 
 
-def unpack_block(kept: dict[str, Any], library: Library, place: Mapping[str, int]) -> Block:
+def unpack_block(kept: Tree, library: Library, place: Mapping[str, int]) -> Block:
     """Return the block from packed fields, for a library whose shapes have these indices by name."""
     which = np.array([place[name] for name in kept.pop("shapes")], np.int64)
     law = library.first_law[which[kept.pop("law_shape")]] + kept.pop("law_mesh")

@@ -5,11 +5,12 @@ alone.
 """
 
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.trees import Tree
 from vlp16emu.types import F8, I8, U1, ShapeKey, Window, World
 
 STEM = np.dtype(
@@ -61,7 +62,7 @@ class TiledWindow(Window):
     far: NDArray[np.bool_]  # (n,) mask of the placements that `tiles` represent
     low: NDArray[np.bool_]  # (n,) mask of the others so low that far light meets the ground instead
 
-    def with_more(self, count: int) -> dict[str, Any]:
+    def with_more(self, count: int) -> Tree:
         """Return the fields of the window for `count` more placements that are exact at any range."""
         exact = np.zeros(count, np.bool_)
         return {"far": np.append(self.far, exact), "low": np.append(self.low, exact)}

@@ -17,6 +17,8 @@ from typing import Any
 
 from vlp16emu.store import PACKAGE, Store, read_checked, user_folder
 
+NumbaObject = Any
+"""An object of numba or llvmlite, which ship no types: a kernel, the type of an argument, a value in LLVM's code."""
 _IMPORT = re.compile(r"^ *from vlp16emu([.\w]*) import (\([^)]*\)|.*)$", re.MULTILINE)
 _SUFFIX = ".kernel"
 _LAYOUT = 3  # version of the file format
@@ -43,7 +45,7 @@ class KernelCache:
         folders = _PACKAGED, user_kernels().own
         return any(folder and (folder / self._file(signature)).exists() for folder in folders)
 
-    def load_overload(self, signature: object, context: Any) -> object:
+    def load_overload(self, signature: object, context: NumbaObject) -> object:
         """Load a kernel; None without a complete file."""
         if not self._is_kept:
             return None
@@ -55,7 +57,7 @@ class KernelCache:
 
         return load_kernel(context, *pickle.loads(content))  # noqa: S301 - from a safe folder
 
-    def save_overload(self, signature: object, result: Any) -> None:
+    def save_overload(self, signature: object, result: NumbaObject) -> None:
         """Store a kernel, unless it contains addresses of this process."""
         from vlp16emu.kernels.numba_private import kernel_bytes
 
@@ -109,7 +111,7 @@ def _files_of(module: str) -> list[str]:
     return [file for file in files if (PACKAGE / file).is_file()]
 
 
-def _modules(kind: Any) -> Iterator[str]:
+def _modules(kind: NumbaObject) -> Iterator[str]:
     """Yield the modules of the named tuples among types."""
     if owner := getattr(kind, "instance_class", None):
         yield owner.__module__

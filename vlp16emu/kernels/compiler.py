@@ -21,19 +21,16 @@ from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any, TypedDict, TypeVar
+from typing import TypedDict, TypeVar
 
 import numba
 from llvmlite import binding
 from numba import types
 
 from vlp16emu.cores import usable_cores
-from vlp16emu.kernels.cache import KernelCache, user_kernels
+from vlp16emu.kernels.cache import KernelCache, NumbaObject, user_kernels
 
 Kernel = TypeVar("Kernel", bound=Callable[..., object])
-NumbaObject = Any
-"""An object of numba or llvmlite, which ship no types: a kernel, the type of an argument, a value in LLVM's
-code."""
 
 
 class Row(TypedDict):

@@ -9,7 +9,6 @@ or C, no machine code of its own and no file. If Python calls it later, it is co
 import sys
 from collections.abc import Iterable
 from functools import cache
-from typing import Any
 
 import numba
 from llvmlite import binding
@@ -22,7 +21,7 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.registry import CPUDispatcher
 from numba.core.serialize import dumps
 
-from vlp16emu.kernels.cache import KernelCache
+from vlp16emu.kernels.cache import KernelCache, NumbaObject
 
 
 def take_over_kernels() -> None:
@@ -65,7 +64,7 @@ def check_interfaces() -> None:
     kernel_bytes(next(iter(outer.overloads.values())))
 
 
-def kernel_bytes(result: Any) -> bytes:
+def kernel_bytes(result: NumbaObject) -> bytes:
     """Return the stored form of a compiled kernel, for `load_kernel`.
 
     Its code for linking, half of numba's form, is left out.
@@ -77,13 +76,13 @@ def kernel_bytes(result: Any) -> bytes:
 
 
 def load_kernel(
-    context: Any,
+    context: NumbaObject,
     name: str,
     code: bytes,
-    described: Any,
-    environment: Any,
+    described: NumbaObject,
+    environment: NumbaObject,
     types: object,
-    environments: Iterable[Any],
+    environments: Iterable[NumbaObject],
 ) -> object:
     """Make a kernel from its stored parts, for calls from Python.
 
@@ -137,11 +136,11 @@ class KernelDispatcher(CPUDispatcher):  # type: ignore[misc]
         dispatcher._compiler.pipeline_class = _KernelCompiler
 
     @property
-    def _cache(self) -> Any:
+    def _cache(self) -> NumbaObject:
         """Cache for kernels that Python calls; for inner kernels None, as files lack code for linking."""
         return NullCache() if KernelDispatcher.depth else self.kept
 
-    def get_call_template(self, args: Any, kws: Any) -> Any:
+    def get_call_template(self, args: NumbaObject, kws: NumbaObject) -> NumbaObject:
         """Compile for a kernel that calls this one, ours or a user program's."""
         with global_compiler_lock:
             KernelDispatcher.depth += 1
@@ -150,7 +149,7 @@ class KernelDispatcher(CPUDispatcher):  # type: ignore[misc]
             finally:
                 KernelDispatcher.depth -= 1
 
-    def compile(self, sig: Any) -> Any:
+    def compile(self, sig: NumbaObject) -> NumbaObject:
         """Compile for argument types unless already done: for Python, or as an inner kernel."""
         with global_compiler_lock:
             args, _ = sigutils.normalize_signature(sig)
@@ -161,7 +160,7 @@ class KernelDispatcher(CPUDispatcher):  # type: ignore[misc]
                 del self.overloads[tuple(args)]
             return super().compile(sig)
 
-    def add_overload(self, cres: Any) -> None:
+    def add_overload(self, cres: NumbaObject) -> None:
         """Add a compiled kernel; only one with an entry can be called from Python."""
         if cres.entry_point is not None:
             super().add_overload(cres)
@@ -178,7 +177,7 @@ class _Inner:
 class _KernelCompiler(Compiler):  # type: ignore[misc]
     """Numba's compiler, limited for inner kernels to the parts that calling kernels use."""
 
-    def __init__(self, *args: Any, **options: Any) -> None:
+    def __init__(self, *args: NumbaObject, **options: NumbaObject) -> None:
         if "numba.np.arraymath" not in sys.modules:
             # It would load scipy.linalg (0.1 s) only to check that it exists; a kernel that uses it checks
             # again.
@@ -188,7 +187,7 @@ class _KernelCompiler(Compiler):  # type: ignore[misc]
             linalg.ensure_blas = lambda: setattr(linalg, "ensure_blas", ensure_blas)
         super().__init__(*args, **options)
 
-    def compile_extra(self, func: Any) -> Any:
+    def compile_extra(self, func: NumbaObject) -> NumbaObject:
         state = self.state
         state.flags.no_cfunc_wrapper = True
         if KernelDispatcher.depth:

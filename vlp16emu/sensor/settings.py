@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass, fields
 from ipaddress import IPv4Address
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from vlp16emu.errors import ScenarioError
 from vlp16emu.settings import ExpectationError, OneOf, Preset, Seed
+from vlp16emu.trees import Tree
 
 if TYPE_CHECKING:  # reading a scene does not import numpy
     from vlp16emu.sensor.beams import BeamTable
@@ -191,7 +192,7 @@ class SensorSettings:
         phase_deg = section.phase_lock_deg if isinstance(section, Sensor) else None
         return cls(section.rpm, section.return_mode, phase_lock_deg="off" if phase_deg is None else phase_deg)
 
-    def changes_from(self, other: "SensorSettings") -> dict[str, Any]:
+    def changes_from(self, other: "SensorSettings") -> Tree:
         """Return the settings that differ from others, by name."""
         names = [field.name for field in fields(SensorSettings)]
         return {name: getattr(self, name) for name in names if getattr(self, name) != getattr(other, name)}

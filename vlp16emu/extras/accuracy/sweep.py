@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,7 @@ from vlp16emu.raycast.beam import Footprint
 from vlp16emu.raycast.caster import Geometry, caster
 from vlp16emu.returns.detect import detect
 from vlp16emu.scenario import Scenario
+from vlp16emu.trees import Tree
 from vlp16emu.types import F4, I8, Firings, Hits, PlantPart, Returns
 from vlp16emu.units import seconds_to_ns
 
@@ -222,7 +223,7 @@ def beam_settings(scenario: Scenario, seed: int) -> list[BeamSetting]:
     section = scenario.beam
     counts = sorted({*_COUNTS, section.rays} if section.model == "fixed" else _COUNTS)
     targets_m = sorted({min(times * section.target_m, 1.0) for times in _TIMES_TARGET}, reverse=True)
-    ladder: list[dict[str, Any]] = [
+    ladder: list[Tree] = [
         *({"model": model} for model in ("none", *_ERRANT)),
         *({"model": "fixed", "rays": count} for count in counts),
         *({"model": "adaptive", "target_m": target_m} for target_m in targets_m),

@@ -11,6 +11,7 @@ from typing import Any, Self
 
 from vlp16emu.errors import MissingExtraError, OutputError, RunError
 from vlp16emu.output import Staged, opening
+from vlp16emu.trees import Tree
 from vlp16emu.units import S_NS
 
 _log = logging.getLogger(__name__)
@@ -85,7 +86,7 @@ class BagFile:
             self._staged.discard()
             found = getattr(error, "strerror", None) or str(error)
             raise OutputError(str(path), found, "a place that can be written") from error
-        self._connections: dict[str, Any] = {}
+        self._connections: Tree = {}
         self._held: list[tuple[int, int, str, Any]] = []
         self._number = count()
         self.counts: dict[str, int] = {}  # messages by topic

@@ -1,11 +1,10 @@
 """ROS messages of a sensor, its carrier, an inertial unit, a GNSS receiver and a camera."""
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import inverse, matvec
 from vlp16emu.errors import PacketError
@@ -26,6 +25,8 @@ from vlp16emu.packets import (
     scan_starts,
     utc_ns_of,
 )
+from vlp16emu.trees import Table
+from vlp16emu.types import AnyArray
 from vlp16emu.units import S_NS, US_NS
 
 if TYPE_CHECKING:  # bags without images load no camera
@@ -152,14 +153,7 @@ class TrueMessages:
     tf : `truth` if the true pose moves `base_link` itself, to view clouds without SLAM
     """
 
-    def __init__(
-        self,
-        bag: BagFile,
-        rig: Mapping[str, Any],
-        scenario: Mapping[str, Any],
-        frames: Sequence[str],
-        tf: str,
-    ) -> None:
+    def __init__(self, bag: BagFile, rig: Table, scenario: Table, frames: Sequence[str], tf: str) -> None:
         self._bag = bag
         self._rig = rig
         self._frames = frames
@@ -258,7 +252,7 @@ class TrueMessages:
             self._bag.write(topic, shot.t_ns, "sensor_msgs/msg/CameraInfo", *info)
 
 
-def _moved_to_base(poses: Rows, sensor_T_base: NDArray[Any]) -> Rows:
+def _moved_to_base(poses: Rows, sensor_T_base: AnyArray) -> Rows:
     """Return the poses and rates of a base from those of a sensor that is fixed to it."""
     from scipy.spatial.transform import Rotation
 

@@ -3,7 +3,7 @@
 import hashlib
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -11,7 +11,7 @@ from functools import partial
 from itertools import islice
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from vlp16emu.captures import Capture, CaptureReader, UnitClock, by_unit, chosen_unit, unit_clocks, units_in
 from vlp16emu.captures.capture import CapturedUnit, Datagram
@@ -37,6 +37,7 @@ from vlp16emu.packets import DATA_BYTES, POSITION_BYTES, Clock, PacketClock
 from vlp16emu.run.options import BagOptions
 from vlp16emu.sensor.settings import RPM_STEP
 from vlp16emu.sinks import PacketSink, PcapResult
+from vlp16emu.trees import Table, Tree
 from vlp16emu.types import Packet, PacketKind, PpsState
 from vlp16emu.units import S_NS, US_NS
 
@@ -56,8 +57,8 @@ class TruthSource:
     Functions return the samples from an instant on and before another one.
     """
 
-    rig: Mapping[str, Any]  # `rig.json`, with the units that are written
-    scenario: Mapping[str, Any]  # `scenario.json`
+    rig: Table  # `rig.json`, with the units that are written
+    scenario: Table  # `scenario.json`
     after_ns: int  # time after the last packet that is also written
     poses: Callable[[int, int], Rows]
     readings: Callable[[int, int], Rows] | None = None  # of the inertial unit
@@ -240,7 +241,7 @@ def write_bag(
     clock: str | None = None,
     options: BagOptions | None = None,
     stop: Event | None = None,
-) -> dict[str, Any]:
+) -> Tree:
     """Write the bag of a capture, and return its contents; memory does not grow with its length.
 
     Parameters

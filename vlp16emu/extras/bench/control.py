@@ -13,7 +13,6 @@ from dataclasses import asdict
 from functools import partial
 from ipaddress import ip_address
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
@@ -32,6 +31,7 @@ from vlp16emu.run.stream import Stream
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.settings import SensorSettings, require_packets
 from vlp16emu.sinks import UdpSink
+from vlp16emu.trees import Tree
 from vlp16emu.types import PpsState, SensorModel
 from vlp16emu.units import FOREVER_NS, S_NS, seconds_to_ns
 
@@ -174,7 +174,7 @@ class Control:
 
         Raises InputError if there is no such event, or this scene cannot have it.
         """
-        table: dict[str, Any] = {"kind": kind, "at_s": 0.0, "unit": unit, **keys}
+        table: Tree = {"kind": kind, "at_s": 0.0, "unit": unit, **keys}
         scene = {key: getattr(self._scenario, key) for key in ("sensor", "rig", "gps")}
         try:
             wanted = checked([table], scene)

@@ -23,6 +23,7 @@ from vlp16emu.errors import InputError, Vlp16emuError, readable
 from vlp16emu.explain import explain
 from vlp16emu.output import OutputFile
 from vlp16emu.sensor.settings import Address, Port, SensorSettings
+from vlp16emu.trees import Table, Tree
 from vlp16emu.types import PpsState, ReturnMode, SensorModel
 from vlp16emu.units import S_NS
 
@@ -72,7 +73,7 @@ class DeviceSettings(SensorSettings):
     gateway: Annotated[str, _Gateway] = "192.168.1.1"  # of its network
     dhcp: bool = False  # True if a server gives the addresses
 
-    def after(self, changes: Mapping[str, Any]) -> Self:
+    def after(self, changes: Table) -> Self:
         """Return the settings after changes of `SensorSettings`.
 
         A phase lock that is switched off keeps its angle.
@@ -446,9 +447,9 @@ def _quoted(body: bytes) -> str:
     return repr(body[:40].decode("ascii", "replace"))
 
 
-def _settings(settings: DeviceSettings) -> dict[str, Any]:
+def _settings(settings: DeviceSettings) -> Tree:
     """Return the settings with the types of real units: ports and the phase are strings."""
-    tree = dict[str, Any]()
+    tree = Tree()
     for key in _KEYS:
         table = tree.setdefault(key.form, {}) if key.form else tree
         table[key.name] = key.shown(settings)

@@ -8,6 +8,7 @@ from pydantic import Field, TypeAdapter, create_model, model_validator
 
 from vlp16emu.sensor.settings import Sector, Sensor, SensorSettings
 from vlp16emu.settings import Fraction, NonNegative, Positive, Section, toml
+from vlp16emu.trees import Tree
 from vlp16emu.units import FOREVER_NS, seconds_to_ns
 
 _MOST = 10_000
@@ -45,7 +46,7 @@ class Event(Section):
         return FOREVER_NS if lasts_s is None else seconds_to_ns(self.at_s + lasts_s)
 
     @property
-    def settings(self) -> dict[str, Any]:
+    def settings(self) -> Tree:
         """Settings that the event `setting` changes, fields of `SensorSettings`."""
         given = {name: getattr(self, name) for name in _SETTINGS}
         return {name: value for name, value in given.items() if value is not None}
@@ -137,7 +138,7 @@ def tables() -> TypeAdapter[list[Event]]:
     """Return the type of `[[events]]`, a class for each row of `KINDS`."""
     classes = []
     for name, kind in KINDS.items():
-        keys: dict[str, Any] = {"kind": (Literal[name], Field(description=f"Selects {kind.selects}."))}
+        keys: Tree = {"kind": (Literal[name], Field(description=f"Selects {kind.selects}."))}
         for key in kind.keys.split():
             of, default, meaning = KEYS.get(f"{name}.{key}") or KEYS[key]
             keys[key] = of, Field(default, description=meaning)
@@ -147,7 +148,7 @@ def tables() -> TypeAdapter[list[Event]]:
     return TypeAdapter(some)
 
 
-def checked(given: object, scene: dict[str, Any]) -> list[Event]:
+def checked(given: object, scene: Tree) -> list[Event]:
     """Return the checked events of a scene.
 
     `scene` has the valid ones of the tables `sensor`, `rig` and `gps`.

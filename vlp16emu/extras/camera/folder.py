@@ -1,7 +1,7 @@
 """Images of a run in a folder, with intrinsics, extrinsics and poses in the forms of other programs."""
 
 import csv
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -11,7 +11,6 @@ from threading import Event
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError, MissingExtraError, OutputError, RunError, readable
 from vlp16emu.extras.camera.lens import Lens
@@ -24,7 +23,8 @@ from vlp16emu.extras.truth.tables import POSES, quaternions
 from vlp16emu.extras.truth.truth import rig_of
 from vlp16emu.output import Staged, final_name, opening, write_json
 from vlp16emu.run.emulator import Emulator
-from vlp16emu.types import F4, F8, U2, U4, PlantPart, Semantic
+from vlp16emu.trees import Table, Tree
+from vlp16emu.types import F4, F8, U2, U4, AnyArray, PlantPart, Semantic
 from vlp16emu.units import S_NS, seconds_to_ns
 
 LAYERS = ("rgb", "depth", "semantic", "part", "instance")
@@ -115,7 +115,7 @@ class ImageFolder:
                 np.save(self.path / "depth" / f"{name}.npy", shot.depth_m)
         self.taken.append((shot.t_ns, shot.world_T_camera))
 
-    def finish(self, cameras: Mapping[str, Any], lens: Lens) -> None:
+    def finish(self, cameras: Table, lens: Lens) -> None:
         """Write the files that describe all images."""
         with self._complete("its description"):
             write_json(self.path / "cameras.json", cameras)
@@ -139,7 +139,7 @@ class ImageFolder:
         """Suffix of the files of depth."""
         return ".png" if self._depth == "mm" else ".npy"
 
-    def _png(self, layer: str, name: str, pixels: NDArray[Any]) -> None:
+    def _png(self, layer: str, name: str, pixels: AnyArray) -> None:
         self._image.fromarray(pixels).save(self.path / layer / f"{name}.png", compress_level=6)
 
     def _numbered(self, instance: U4) -> U2:
@@ -216,7 +216,7 @@ def write_images(
     )
 
 
-def _cameras(photographer: Photographer, scene: str, depth: str, images: ImageFolder) -> dict[str, Any]:
+def _cameras(photographer: Photographer, scene: str, depth: str, images: ImageFolder) -> Tree:
     """Return `cameras.json`."""
     lens = photographer.lens
     scenario = photographer.engine.scenario
@@ -264,7 +264,7 @@ def _cameras(photographer: Photographer, scene: str, depth: str, images: ImageFo
     }
 
 
-def read_images(folder: Path) -> tuple[dict[str, Any], Lens, Iterator[Shot]]:
+def read_images(folder: Path) -> tuple[Tree, Lens, Iterator[Shot]]:
     """Return `cameras.json` of a folder of images, the lens, and its images one after another.
 
     Raises InputError if a file is missing or is none of `images`; MissingExtraError if pillow is not
@@ -286,11 +286,11 @@ def read_images(folder: Path) -> tuple[dict[str, Any], Lens, Iterator[Shot]]:
         raise InputError(str(folder / "cameras.json"), "not all of its members", _EXPECTED) from None
     table = _instances(folder / "instances.csv")
 
-    def pixels(layer: str, name: str) -> NDArray[Any]:
+    def pixels(layer: str, name: str) -> AnyArray:
         path = folder / layer / name
         with readable(path, _EXPECTED, InputError):
             if path.suffix == ".npy":
-                loaded: NDArray[Any] = np.load(path, allow_pickle=False)
+                loaded: AnyArray = np.load(path, allow_pickle=False)
                 return loaded
             with PIL.Image.open(path) as image:
                 return np.array(image)

@@ -16,25 +16,25 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.doors import DOORS, door, has_door
 from vlp16emu.errors import InputError
 from vlp16emu.output import OutputFile
 from vlp16emu.packets import PointFrame
 from vlp16emu.settings import toml
-from vlp16emu.types import U1, U4, HeightField, PlantPart, Semantic
+from vlp16emu.trees import Table
+from vlp16emu.types import U1, U4, AnyArray, HeightField, PlantPart, Semantic
 
 
 @cache
-def _table(name: str) -> Mapping[str, Any]:
+def _table(name: str) -> Table:
     return toml(files("vlp16emu.extras.clouds").joinpath(name).read_text("utf-8"))
 
 
 class LabelScheme:
     """Class codes by semantic class and plant part, from a table of labels.toml."""
 
-    def __init__(self, name: str, table: Mapping[str, Any]) -> None:
+    def __init__(self, name: str, table: Table) -> None:
         self.name = name
         self.source: str = table["source"]  # publisher of the codes, and their meaning
         self._codes = np.full((len(Semantic), len(PlantPart)), table["none"], np.uint8)
@@ -64,7 +64,7 @@ class PointLabels:
         self._height_m = height_m
         self._numbers: dict[int, int] = {}
 
-    def of(self, points: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    def of(self, points: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
         """Return arrays (n,) `label`, `tree_id` and `height_m`.
 
         They follow from `world_m` (n, 3), and from `semantic`, `part` and `instance` (n,).
@@ -87,7 +87,7 @@ class PointLabels:
         return dense
 
 
-Block = Mapping[str, NDArray[Any]]  # arrays of one length by the names of their columns
+Block = Mapping[str, AnyArray]  # arrays of one length by the names of their columns
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +108,7 @@ class Column:
         """Type of the properties."""
         return self.ply_dtype or self.dtype
 
-    def properties(self, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    def properties(self, values: AnyArray) -> dict[str, AnyArray]:
         """Return the properties of the array of this column, arrays (n,) by name.
 
         Fixed-point numbers become fractions.

@@ -7,7 +7,6 @@ from datetime import UTC, datetime, timedelta
 from itertools import chain
 from pathlib import Path
 from threading import Event
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +25,8 @@ from vlp16emu.extras.truth.slots import SlotReader
 from vlp16emu.motion.pose import rotation, rotations
 from vlp16emu.packets import PacketTable, Points, points_in, utc_ns_of
 from vlp16emu.scenario import load
-from vlp16emu.types import F8, I8
+from vlp16emu.trees import Tree
+from vlp16emu.types import F8, I8, AnyArray
 from vlp16emu.units import S_NS, US_NS, seconds_to_ns
 
 _PACKETS = 100  # transformed together: 38 400 points, some 20 MB
@@ -122,7 +122,7 @@ class CaptureTruth:
         wanted = cloud.TRUTH_COLUMNS + cloud.LABEL_COLUMNS * (self._labels is not None)
         return tuple(column for column in wanted if column.name not in known)
 
-    def of(self, table: PacketTable, points: Points, kept: I8) -> dict[str, NDArray[Any]]:
+    def of(self, table: PacketTable, points: Points, kept: I8) -> dict[str, AnyArray]:
         """Return labels and true values (n,) of the points `kept`; heights are at true positions."""
         rows = self._rows.rows(table["timestamp_us"], points.packet[kept], points.slot[kept])
         if self._labels is None or not rows:
@@ -139,7 +139,7 @@ def write_deskewed(
     *,
     stop: Event,
     clock: str | None = None,
-) -> dict[str, Any]:
+) -> Tree:
     """Write the points of a capture, in the world and in the sensor's frame, to a file of `point_file`.
 
     Return its contents.
@@ -202,7 +202,7 @@ def _without_poses(way: Trajectory, pulses_ns: tuple[int, int], clock: str) -> T
 
 def _block(
     table: PacketTable, way: Trajectory, truth: CaptureTruth | None, start_ns: int
-) -> tuple[dict[str, NDArray[Any]], int]:
+) -> tuple[dict[str, AnyArray], int]:
     """Return the transformed points of some data packets, each echo once, and the number without a pose."""
     points = points_in(table)
     t_ns = utc_ns_of(table, points)
@@ -211,7 +211,7 @@ def _block(
     t_ns = t_ns[kept]
     sensor_m = points.xyz_m[kept]
     turn, place_m = way.poses_at(t_ns)
-    block: dict[str, NDArray[Any]] = {
+    block: dict[str, AnyArray] = {
         "t_ns": t_ns,
         "since_start_ns": t_ns - start_ns,
         "world_m": matvec(turn, sensor_m.astype(np.float64)) + place_m,

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import compress, pairwise
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +34,20 @@ from vlp16emu.packets import (
 from vlp16emu.packets.decode import block_since_ns, is_dual
 from vlp16emu.sensor.beams import BeamTable
 from vlp16emu.sensor.head import in_sensor
-from vlp16emu.types import F4, F8, I8, SURFACE, Firings, Labels, Packet, Poses, ReturnMode, Returns, Scan
+from vlp16emu.types import (
+    F4,
+    F8,
+    I8,
+    SURFACE,
+    AnyArray,
+    Firings,
+    Labels,
+    Packet,
+    Poses,
+    ReturnMode,
+    Returns,
+    Scan,
+)
 from vlp16emu.units import S_NS, seconds_to_ns
 
 _LONGEST_NS = 2 * S_NS
@@ -50,7 +63,7 @@ class Chunk:
     t_ns: I8  # (m,) UTC of the first pulse after each reading
     azimuth_deg: F8  # (m,) azimuth readings
     reading: I8  # (n,) index of each point's reading, ascending
-    arrays: Mapping[str, NDArray[Any]]  # arrays of n points by their names in a scan
+    arrays: Mapping[str, AnyArray]  # arrays of n points by their names in a scan
 
     def then(self, later: "Chunk") -> "Chunk":
         """Return this chunk with a later one appended."""
@@ -155,7 +168,7 @@ def decode(
     )
 
 
-def chunk_of(table: PacketTable, points: Points, labels: Mapping[str, NDArray[Any]]) -> Chunk:
+def chunk_of(table: PacketTable, points: Points, labels: Mapping[str, AnyArray]) -> Chunk:
     """Return the points of data packets sorted by azimuth readings.
 
     Labels are arrays of `Labels`, empty if there are none.
@@ -167,7 +180,7 @@ def chunk_of(table: PacketTable, points: Points, labels: Mapping[str, NDArray[An
     kept = ~twins(points)
     as_they_are = ("xyz_m", "distance_m", "azimuth_deg", "reflectivity", "is_last")
     ring = points.ring.astype(np.uint16)
-    arrays: dict[str, NDArray[Any]] = {"t_ns": utc_ns_of(table, points), "ring": ring, **labels}
+    arrays: dict[str, AnyArray] = {"t_ns": utc_ns_of(table, points), "ring": ring, **labels}
     arrays |= {name: getattr(points, name) for name in as_they_are}
     return Chunk(
         t_ns=block_ns[is_reading],
@@ -198,7 +211,7 @@ def chunk_of_packets(packets: Iterable[Packet]) -> Chunk | None:
         return None
     table = table[sound]
     points = points_in(table)
-    labels = dict[str, NDArray[Any]]()
+    labels = dict[str, AnyArray]()
     if whole[0].slots is not None:
         slots = np.array([packet.slots for packet in compress(whole, sound)])[points.packet, points.slot]
         labels = {name: slots[name] for name in Labels.__slots__}
@@ -270,7 +283,7 @@ def _chunk(unit: Unit, returns: Returns, begin_ns: int, end_ns: int, *, truth: b
 
 def points_of(
     unit: Unit, returns: Returns, inside: NDArray[np.bool_], *, truth: bool
-) -> tuple[dict[str, NDArray[Any]], I8]:
+) -> tuple[dict[str, AnyArray], I8]:
     """Return the points of pulses (k, L) that are `inside`.
 
     The row (n,) of the firing sequence of each is returned too.
@@ -286,7 +299,7 @@ def points_of(
     tangents = None
     if unit.beam.section.model == "offset":
         tangents = offset_tangents(distance_m, unit.beam, firings.index + sequence, laser, t_ns.shape[1])
-    points: dict[str, NDArray[Any]] = {
+    points: dict[str, AnyArray] = {
         "t_ns": pulse_ns,
         **place(beams, firings, sequence, laser, distance_m, poses, tangents),
         "distance_m": distance_m,
@@ -373,7 +386,7 @@ def _reported(distance_m: F4, mode: ReturnMode) -> NDArray[np.bool_]:
     return sent
 
 
-def _labels(returns: Returns, sent: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
+def _labels(returns: Returns, sent: NDArray[np.bool_]) -> dict[str, AnyArray]:
     """Return the labels of the surface of each point; returns from fog or rain have no class."""
     assert returns.surface is not None
     assert returns.surfaces is not None

@@ -6,14 +6,14 @@ the lasers.
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.extras.compare.sequences import Sequences
 from vlp16emu.packets.layout import AZIMUTH_CODES
-from vlp16emu.types import F8, I8
+from vlp16emu.types import F8, I8, AnyArray
 from vlp16emu.units import US_NS
 
 _PULSES = 15
@@ -346,7 +346,7 @@ def turning_of(sequences: Sequences) -> Turning:
     return Turning(complex(*found[3:5]), complex(*found[5:7]), azimuth - basis @ found)
 
 
-def local(series: NDArray[Any]) -> NDArray[Any]:
+def local(series: AnyArray) -> AnyArray:
     """Return a series without its ends, minus the running mean of nine values."""
     return np.asarray(series[9:-9] - np.convolve(series, np.ones(9) / 9, "same")[9:-9])
 

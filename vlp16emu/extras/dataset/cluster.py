@@ -9,7 +9,7 @@ import hashlib
 import json
 import os
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -25,6 +25,7 @@ from vlp16emu.extras.dataset.manifest import Entry, identity, is_list_of_files, 
 from vlp16emu.extras.dataset.processes import MOST_DEATHS, died_too_often
 from vlp16emu.extras.dataset.spec import DatasetWalk
 from vlp16emu.extras.dataset.walk import Made, forget_worlds, make_walk
+from vlp16emu.trees import Table
 
 if TYPE_CHECKING:
     from distributed import Client, Future, Worker
@@ -189,7 +190,7 @@ def connect(scheduler: str) -> Iterator[Cluster]:
             yield Cluster(address, client)
 
 
-def check_versions(address: str, versions: Mapping[str, Any]) -> None:
+def check_versions(address: str, versions: Table) -> None:
     """Raise InputError if scheduler or workers have no vlp16emu or Python of this version.
 
     Parameters

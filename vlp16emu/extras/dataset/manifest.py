@@ -10,13 +10,13 @@ import os
 from collections.abc import Iterable
 from importlib.metadata import version
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 from vlp16emu.errors import InputError, OutputError, RunError, readable
 from vlp16emu.extras.dataset.spec import DatasetWalk
 from vlp16emu.output import OutputFile
+from vlp16emu.trees import Tree
 
-Entry = dict[str, Any]
+Entry = Tree
 """A walk in its list and in the manifest."""
 
 MANIFEST = "manifest.json"

@@ -16,6 +16,7 @@ import numpy as np
 
 from vlp16emu.elementary import matvec, norm
 from vlp16emu.errors import LARGEST_BYTES, GeometryError, readable
+from vlp16emu.trees import Tree
 from vlp16emu.types import F8, I8, Mesh
 from vlp16emu.world.settings import LengthUnit, UpAxis
 
@@ -25,11 +26,7 @@ _UNIT_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 """Exact by definition (inch and foot: international agreement of 1959)."""
 _KINDS = ".obj", ".ply", ".glb", ".stl"
 _SPLIT = dict.fromkeys(("skip_materials", "split_objects", "split_groups", "maintain_order"), True)
-_AS_WRITTEN: dict[str, Any] = {
-    "process": False,
-    "group_material": False,
-    **_SPLIT,
-}  # no face is joined or moved
+_AS_WRITTEN: Tree = {"process": False, "group_material": False, **_SPLIT}  # no face is joined or moved
 _TALLEST_M = 500.0
 _WIDEST_M = 10_000.0
 _SMALLEST_M = 0.001

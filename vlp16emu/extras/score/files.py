@@ -8,12 +8,12 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.errors import LARGEST_BYTES, InputError, MissingExtraError, readable
 from vlp16emu.tables import Column, optional, read_table
+from vlp16emu.types import AnyArray
 
-Cloud = dict[str, NDArray[Any]]
+Cloud = dict[str, AnyArray]
 
 _PLACES = [
     names.split()

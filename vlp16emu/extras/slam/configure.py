@@ -10,16 +10,16 @@ from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from string import Template
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import inverse, matmul
 from vlp16emu.errors import InputError, OutputError
 from vlp16emu.extras.truth.truth import given_mount
 from vlp16emu.output import OutputFile, final_name
-from vlp16emu.types import F8
+from vlp16emu.trees import Table
+from vlp16emu.types import F8, AnyArray
 
 _COLUMNS = 1_080_000
 """Columns per revolution times rpm: 1800 at 600 rpm, as in LIO-SAM and LeGO-LOAM (config/params.yaml,
@@ -62,11 +62,11 @@ class Rig:
     rpm: float = 600.0
     base_T_lidar: F8 | None = None  # (4, 4) extrinsics; None if they are the identity, or change
     base_T_imu: F8 | None = None
-    imu: Mapping[str, Any] | None = None  # section of the scene
+    imu: Table | None = None  # section of the scene
     lidar_frame: str = "velodyne"
 
     @classmethod
-    def of(cls, rig: Mapping[str, Any], scenario: Mapping[str, Any], frame: str) -> Self:
+    def of(cls, rig: Table, scenario: Table, frame: str) -> Self:
         """Return the rig of the first unit, with lidar frame `frame`, from `rig.json` and `scenario.json`."""
         imu = given_mount(rig["imu"], "body_T_imu") if "imu" in rig else None
         lidar = given_mount(rig["units"][0], "body_T_sensor")
@@ -114,7 +114,7 @@ def _number(value: float) -> str:
     return text if "." in text else text.replace("e", ".0e")
 
 
-def pose_names(frame: str, child: str, T: NDArray[Any]) -> dict[str, list[float]]:
+def pose_names(frame: str, child: str, T: AnyArray) -> dict[str, list[float]]:
     """Return the pose (4, 4) of frame `what` in frame `of` by the names of templates.
 
     The names stand for the orders of numbers that programs use.

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.errors import CaptureError, MissingExtraError
 from vlp16emu.extras.slam.configure import Program, pose_names, programs_named
-from vlp16emu.types import F8
+from vlp16emu.trees import Tree
+from vlp16emu.types import F8, AnyArray
 from vlp16emu.units import S_NS
 
 TIME_NAMES = ("time", "t", "timestamp", "time_stamp", "timestamps", "stamps", "offset_time")
@@ -132,7 +132,7 @@ def _add_cloud(facts: Facts, message: Any, start_s: int) -> None:
     kinds = [np.dtype(end + _KINDS.get(number.datatype, "u1")) for number in message.fields]
     layout: Any = {"names": names, "formats": kinds, "offsets": [number.offset for number in message.fields]}
     layout["itemsize"] = message.point_step
-    points: NDArray[Any] = np.frombuffer(message.data, np.dtype(layout))
+    points: AnyArray = np.frombuffer(message.data, np.dtype(layout))
     facts.frame = message.header.frame_id
     facts.fields = dict(zip(names, kinds, strict=True))
     facts.time_name = next((name for name in TIME_NAMES if name in names), "")
@@ -216,7 +216,7 @@ class Unfit:
 class Fitness:
     """Summary of a bag, and its fitness for programs."""
 
-    summary: dict[str, Any]
+    summary: Tree
     programs: tuple[str, ...]
     findings: tuple[Unfit, ...]
 
@@ -345,7 +345,7 @@ def fitness(path: Path, name: str) -> Fitness:
     return Fitness({key: values[key] for key in keys}, tuple(one.name for one in programs), findings)
 
 
-def _cloud_values(facts: Facts) -> dict[str, Any]:
+def _cloud_values(facts: Facts) -> Tree:
     stamp_s, earliest, latest, last, points, sparse = np.array(facts.clouds).T
     steps_s = np.diff(stamp_s)
     sweep_s = float(np.median(steps_s)) if len(steps_s) else _SWEEP_S
@@ -383,7 +383,7 @@ def _cloud_values(facts: Facts) -> dict[str, Any]:
     }
 
 
-def _imu_values(facts: Facts) -> dict[str, Any]:
+def _imu_values(facts: Facts) -> Tree:
     imu = np.array(facts.samples).reshape(-1, 11)
     stamp_s = np.array([row[0] for row in facts.clouds])
     n = len(imu)
@@ -414,7 +414,7 @@ def _imu_values(facts: Facts) -> dict[str, Any]:
     }
 
 
-def _frame_values(facts: Facts) -> dict[str, Any]:
+def _frame_values(facts: Facts) -> Tree:
     lidar = facts.frame
     unit = facts.imu_frame
     roots = [list(facts.up(frame))[-1][0] for frame in (lidar, unit) if frame]

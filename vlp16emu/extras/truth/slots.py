@@ -13,7 +13,7 @@ from vlp16emu.errors import InputError, MissingExtraError, RunError, readable
 from vlp16emu.output import OutputFile
 from vlp16emu.packets.data import distance_lsb, odd_column
 from vlp16emu.packets.layout import DATA_BYTES, DATA_PAYLOAD, RECORDS_PER_PACKET
-from vlp16emu.types import I8, SURFACE, U4, Packet, ReturnMode, Returns
+from vlp16emu.types import I8, SURFACE, U4, AnyArray, Packet, ReturnMode, Returns
 
 _ONLY_COLUMN = {ReturnMode.STRONGEST: 0, ReturnMode.LAST: 1}
 _LABELS = ("semantic", "part", "instance", "species")
@@ -45,7 +45,7 @@ def slots_of(unit: Unit, returns: Returns, mode: ReturnMode) -> NDArray[np.void]
 def _rows(unit: Unit, returns: Returns, column: I8) -> NDArray[np.void]:
     """Return `SLOT` (k, 16) of one return of each pulse, given by its index (k, 16) on the last axis."""
 
-    def taken(values: NDArray[Any] | None) -> NDArray[Any]:
+    def taken(values: AnyArray | None) -> AnyArray:
         assert values is not None
         return np.take_along_axis(values, column[..., None], axis=-1)[..., 0]
 
@@ -210,9 +210,9 @@ class SlotReader:
             raise InputError(str(path), str(error).splitlines()[0], _EXPECTED) from None
         self._begin = np.cumsum([0, *map(len, stamps)])  # first packet of each row group
         self._stamps_us = np.concatenate([np.zeros(0, np.uint32), *stamps])
-        self._held: tuple[int, dict[str, NDArray[Any]]] = (-1, {})
+        self._held: tuple[int, dict[str, AnyArray]] = (-1, {})
 
-    def rows(self, stamp_us: U4, packet: I8, slot: I8) -> dict[str, NDArray[Any]]:
+    def rows(self, stamp_us: U4, packet: I8, slot: I8) -> dict[str, AnyArray]:
         """Return the columns (n,) from `echo` to `share` of records that have a distance.
 
         Parameters
@@ -226,7 +226,7 @@ class SlotReader:
         """
         number = self._numbers(stamp_us)[packet]
         group = np.searchsorted(self._begin, number, side="right") - 1
-        found: dict[str, NDArray[Any]] = {}
+        found: dict[str, AnyArray] = {}
         for one in np.unique(group).tolist():
             if self._held[0] != one:
                 self._held = one, self._read(one, [*_OF_RETURNS, "miss"])
@@ -241,7 +241,7 @@ class SlotReader:
             raise InputError(str(self._path), what, "one as in the capture, which is of another run")
         return found
 
-    def returns(self, names: list[str]) -> Iterator[dict[str, NDArray[Any]]]:
+    def returns(self, names: list[str]) -> Iterator[dict[str, AnyArray]]:
         """Return columns of all records that have a distance, some packets at a time."""
         for group in range(self._file.num_row_groups):
             columns = self._read(group, [*names, "miss"])
@@ -263,7 +263,7 @@ class SlotReader:
             self._next = max(self._next, int(numbers[i]) + 1)
         return numbers
 
-    def _read(self, group: int, names: list[str]) -> dict[str, NDArray[Any]]:
+    def _read(self, group: int, names: list[str]) -> dict[str, AnyArray]:
         """Return columns of a row group; 0 for records without a return."""
         table = self._file.read_row_group(group, columns=names)
         columns = ((name, table[name]) for name in names)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
 from itertools import islice
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
@@ -38,6 +38,7 @@ from vlp16emu.run.emulator import Emulator, HasEngine
 from vlp16emu.run.options import TruthPlace, TruthTo
 from vlp16emu.scenario import Scenario, named_files
 from vlp16emu.sensor.settings import Sensor, require_packets
+from vlp16emu.trees import Tree
 from vlp16emu.types import F8, Packet, PacketKind
 from vlp16emu.units import S_NS, seconds_to_ns
 
@@ -343,18 +344,18 @@ def _file(name: str, unit: Unit) -> str:
     return f"{name}_{unit.number + 1}" if unit.number else name
 
 
-def _resolved(scenario: Scenario, span_s: tuple[float, float]) -> dict[str, Any]:
+def _resolved(scenario: Scenario, span_s: tuple[float, float]) -> Tree:
     tree = scenario.model_dump(mode="json", by_alias=True, exclude_none=True) | {"duration_s": span_s[1]}
     start = f", --start {span_s[0]!r}" if span_s[0] else ""
     return {"written_by": f"vlp16emu {version('vlp16emu')}{start}"} | tree
 
 
-def rig_of(scenario: Scenario, parts: Parts) -> dict[str, Any]:
+def rig_of(scenario: Scenario, parts: Parts) -> Tree:
     """Return `rig.json`: the frames of the trajectory and the extrinsics of the devices."""
     gps = scenario.gps
     imu = scenario.imu
     camera = scenario.camera
-    devices = dict[str, Any]()
+    devices = Tree()
     if imu:
         devices["imu"] = _extrinsics("body_T_imu", parts.imu_mount, imu.mount)
     if camera:
@@ -385,29 +386,28 @@ def rig_of(scenario: Scenario, parts: Parts) -> dict[str, Any]:
     } | devices
 
 
-def _extrinsics(
-    key: str, true: Mount, given: Mount, axes: Callable[[F8], F8] = lambda R: R
-) -> dict[str, Any]:
+def _extrinsics(key: str, true: Mount, given: Mount, axes: Callable[[F8], F8] = lambda R: R) -> Tree:
     """Return the extrinsics of a device, whose own axes `axes` makes of those of its mount."""
     return {key: _mount(true, axes)} | ({f"given_{key}": _mount(given, axes)} if given.has_errors else {})
 
 
-def given_mount(device: dict[str, Any], key: str, *, true: bool = False) -> F8 | None:
+def given_mount(device: Tree, key: str, *, true: bool = False) -> F8 | None:
     """Return the extrinsics (4, 4) of a device of `rig.json`; None if it spins.
 
     They are as its user knows them, or with `true` the true ones.
     """
-    mount = device[key] if true else device.get(f"given_{key}", device[key])
+    given = f"given_{key}"
+    mount = device[key if true or given not in device else given]
     return None if "spin_hz" in mount else np.array(mount["matrix"])
 
 
-def _mount(section: Mount, axes: Callable[[F8], F8]) -> dict[str, Any]:
+def _mount(section: Mount, axes: Callable[[F8], F8]) -> Tree:
     R = axes(rotation(section.yaw_deg, section.pitch_deg, section.roll_deg))
     spin = {"spin_hz": section.spin_hz, "spin_axis": section.spin_axis} if section.spin_hz else {}
     return transform(R, np.array(section.lever_arm_m)) | spin
 
 
-def transform(R: F8, p_m: F8) -> dict[str, Any]:
+def transform(R: F8, p_m: F8) -> Tree:
     """Return a rigid transform as matrix and as translation and quaternion, for JSON."""
     T = np.eye(4)
     T[:3, :3] = R

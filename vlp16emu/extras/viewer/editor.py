@@ -22,6 +22,7 @@ from vlp16emu.extras.viewer.scene_file import write_scene
 from vlp16emu.extras.walk.settings import Walk
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.scenario import Scenario, load
+from vlp16emu.trees import Tree
 from vlp16emu.types import F8, U1
 
 _FARTHEST_M = 10_000.0  # limit of a way point from the scene's origin: nobody drags it farther
@@ -377,7 +378,7 @@ class Editor:
             before.batched_colors = rgb
             return before
         still = np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (len(places_m), 1))
-        look: dict[str, Any] = {"lod": "off", "flat_shading": True}
+        look: Tree = {"lod": "off", "flat_shading": True}
         look |= dict.fromkeys(("cast_shadow", "receive_shadow"), False)
         faces: NDArray[np.uint32] = np.array(_BALL_FACES, np.uint32)
         balls = self._server.scene.add_batched_meshes_simple(
@@ -401,7 +402,7 @@ class Editor:
         """Add the arrows of a way point, which slides level, and goes to the ground when it is let go."""
         scene = self._server.scene
         name = f"/gizmos/{place}"
-        look: dict[str, Any] = {"scale": 1.6, "line_width": 4.0}
+        look: Tree = {"scale": 1.6, "line_width": 4.0}
         look |= {"disable_rotations": True, "depth_test": False}
         gizmo = scene.add_transform_controls(name, active_axes=(True, True, False), **look)
 

@@ -7,13 +7,12 @@ They are grown once per variant and scaled where they are placed. Numbers and la
 """
 
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
 from importlib import resources
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,12 +23,13 @@ from vlp16emu.forest.plants.species import GROUND_MATERIALS
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.placement import PlacedThings
 from vlp16emu.random import generator
+from vlp16emu.trees import Table, Tree
 from vlp16emu.types import F8, I8, SURFACE, Mesh, PlantPart, Semantic
 from vlp16emu.world.vectors import closed_body, unit
 
 Generator = np.random.Generator
 Mask = NDArray[np.bool_]
-Row = Mapping[str, Any]
+Row = Table
 
 FLOOR_VARIANTS = 6  # different shapes of each kind
 STUMP_DEPTH = 0.5  # depth of a stump in the ground over its height above it
@@ -71,13 +71,13 @@ class FloorKey:
 
 
 @cache
-def floor() -> dict[str, dict[str, dict[str, Any]]]:
+def floor() -> dict[str, dict[str, Tree]]:
     """Return the rows of `floor.toml`: shapes by kind, and numbers of layers by section of a scene."""
     text = resources.files(__package__).joinpath("floor.toml").read_text(encoding="utf-8")
     return tomllib.loads(text)
 
 
-def shape_row(kind: FloorKind) -> dict[str, Any]:
+def shape_row(kind: FloorKind) -> Tree:
     """Return the row of a kind."""
     return floor()["shapes"][kind.value]
 

@@ -9,7 +9,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import Clusters, Pattern, Plantation, Scattered
 from vlp16emu.forest.tiles import TILE_M, around
 from vlp16emu.random import generator, uniform
+from vlp16emu.trees import Tree
 from vlp16emu.types import F8, I8, HeightField
 
 TilePoints = Callable[[int, int], F8]
@@ -183,7 +183,7 @@ def planted(
 def pattern_of(section: Pattern, land: Land, *, purpose: Growth, per_ha: float) -> PointPattern:
     """Make a point pattern; the density refers to all the ground, but points are only off the trails."""
     share = land.trails.free_share if land.trails else 1.0
-    options: dict[str, Any] = {"seed": land.seed, "purpose": purpose, "per_ha": per_ha / share}
+    options: Tree = {"seed": land.seed, "purpose": purpose, "per_ha": per_ha / share}
     match section:
         case Clusters():
             pattern = clustered(section, **options)

@@ -18,6 +18,7 @@ from vlp16emu.foliage.polyline import Polyline
 from vlp16emu.forest.plants.prototypes import SaplingKey
 from vlp16emu.forest.stand.floor_shapes import FloorKey, is_ground
 from vlp16emu.forest.tiles import TILE_M, TileKey
+from vlp16emu.trees import Tree
 from vlp16emu.types import F8, Mesh, PlantPart, Semantic, ShapeKey, Window
 
 Grow = Callable[[ShapeKey], tuple[Mesh, ...]]
@@ -158,7 +159,7 @@ class _Twin:
         self._species = species
         self._colours = colours
         self._places_m = places_m
-        self._materials: dict[str, Any] = {}
+        self._materials: Tree = {}
         self._nodes: dict[str, int] = {}  # number of uses of each name
         self.scene = trimesh.Scene(metadata={"unit": "m"})
         self.scene.graph.update(frame_to=_ROOT, matrix=_YUP_R_WORLD)
@@ -209,7 +210,7 @@ class _Twin:
             # Linear factors from sRGB (IEC 61966-2-1), as required for base colours in glTF (section 3.9.2).
             share = colour / 255
             linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4).tolist()
-            look: dict[str, Any] = {"metallicFactor": 0.0, "roughnessFactor": 1.0, "doubleSided": True}
+            look: Tree = {"metallicFactor": 0.0, "roughnessFactor": 1.0, "doubleSided": True}
             look["baseColorFactor"] = [*linear, 1.0]
             self._materials[name] = self.trimesh.visual.material.PBRMaterial(name, **look)
         return self._materials[name]
