@@ -34,9 +34,8 @@ def unit_clocks(
     ----------
     units : None stands for all packets
     name : "sensor", "gps" or "host"; by default the sensor's clock if the unit is locked to GPS, or if it has
-        no position
-        packets and is within a second of the host; else the host's clock, which stamps everything else of a
-        recording
+        no position packets and is within a second of the host; else the host's clock, which stamps everything
+        else of a recording
     where : name of the option in error lines
 
     Raises CaptureError if the file is not a capture; InputError if there is no such clock, or no valid

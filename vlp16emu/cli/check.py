@@ -44,10 +44,8 @@ def verify(
     """Check a capture against the rules of VLP-16 traffic, or a bag for SLAM programs.
 
     Names each broken rule with the packet number, as in Wireshark. Several units are checked separately,
-    unless
-    --unit names one. Notes are deviations that settings, receivers, old firmware or recorders explain. The
-    exit code
-    is 0 if no rule is broken, else 1; notes do not change it.
+    unless --unit names one. Notes are deviations that settings, receivers, old firmware or recorders explain.
+    The exit code is 0 if no rule is broken, else 1; notes do not change it.
     """
     if slam is not None:
         _verify_bag(file, unit, slam, as_json=as_json)

@@ -43,10 +43,8 @@ def _leaves() -> tuple[U8, U1, U1]:
     Returns
     -------
     Columns that the first n leaves occupy, (3, variants, 65) bits 8 a + b along each axis, where a and b are
-    the other two
-    axes in order; the leaf of each column, (3, variants, 64); and positions of leaves along the axes,
-    (variants, 64, 3) in
-    256ths of a voxel.
+    the other two axes in order; the leaf of each column, (3, variants, 64); and positions of leaves along the
+    axes, (variants, 64, 3) in 256ths of a voxel.
     """
     rng = np.random.default_rng(20)  # determines bytes of the output
     mask = np.zeros((3, _VARIANTS, 65), np.uint64)

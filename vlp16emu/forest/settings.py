@@ -385,9 +385,8 @@ class Woods(WorldSection):
     ivy: Ivy = Ivy()
     texture: Texture = 0.12
     """Relative variation (one sigma) of the reflectance of ground, bark and stones over patches of about 0.08
-    m on bark and
-    0.2 m elsewhere; leaves have none, as each has its own angle. Assumption: neighbouring returns then
-    scatter as with real
+    m on bark and 0.2 m elsewhere; leaves have none, as each has its own angle. Assumption: neighbouring
+    returns then scatter as with real
     sensors in rooms and streets."""
     leaf_roughness: Roughness | None = None
     """Root mean square slope of the facets of the leaves' coat; none for matt leaves. Dry leaves have 0.18 to

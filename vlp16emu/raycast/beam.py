@@ -2,12 +2,9 @@
 
 At range D the beam is `spot + divergence * D` wide: on a VLP-16 horizontally 12.7 mm + 3.0 mrad, vertically
 9.5 mm + 1.5 mrad. Divergences are full angles, the growth of the beam's diameter (VLS-128 manual, appendix
-F.2.3,
-table F-1). Assumption: the diameter is the 1/e2 diameter of a Gaussian profile, so four standard deviations.
-A sub-ray
-with standard normal coordinates (x, y) starts x and y standard deviations of the spot off the centre of the
-lens, and leans
-x and y standard deviations of the divergence off the pulse's direction.
+F.2.3, table F-1). Assumption: the diameter is the 1/e2 diameter of a Gaussian profile, so four standard
+deviations. A sub-ray with standard normal coordinates (x, y) starts x and y standard deviations of the spot
+off the centre of the lens, and leans x and y standard deviations of the divergence off the pulse's direction.
 
 Sub-rays of an adaptive beam are support points of that profile: the set of eight with the least energy
 distance to it (Mak and Joseph, "Support points", Annals of Statistics 46, 2018), and each further eight the

@@ -2,9 +2,9 @@
 
 Eight sequences are cast at a time. A far medium has loops of its own from the same steps: all pulses of eight
 sequences through the near faces, then the remaining ones through the medium, so that their memory does not
-compete for the cache. Which rays share a packet
-depends on firing numbers and hits, never on threads. Kernels without new arrays count no references
-(`_nrt=False`), and loops take arrays out of tuples first: saves a twentieth of the time.
+compete for the cache. Which rays share a packet depends on firing numbers and hits, never on threads. Kernels
+without new arrays count no references (`_nrt=False`), and loops take arrays out of tuples first: saves a
+twentieth of the time.
 """
 
 from typing import NamedTuple

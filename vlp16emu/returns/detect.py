@@ -82,8 +82,7 @@ def detect(
     truth : True to keep the range of each return before errors, and the surface of the sub-ray that gave most
         of its light
     block : firing sequences after which the state of each laser is reset, so that the result does not depend
-        on how a run
-        is divided; None for all of them
+        on how a run is divided; None for all of them
     """
     shape = (*firings.t_ns.shape, 3)
     constants = detector.constants

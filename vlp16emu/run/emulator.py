@@ -93,8 +93,7 @@ class Emulator:
     audit : cast 0.05 % of the pulses of recordings and streams again, to estimate their error; not in a live
         run
     like : another emulator; if both follow the same path through the same world, its grown and built geometry
-        is
-        reused. Never changes a byte.
+        is reused. Never changes a byte.
 
     Raises InputError if the scene cannot be read, or a part of it cannot be made.
 
@@ -265,8 +264,7 @@ class Emulator:
         Parameters
         ----------
         path : .pcap, .cap, .dump, .dmp or without an ending; overwritten if it exists; `-` is standard
-            output;
-            a bag with .mcap, .bag, or as a new folder with a slash at its end
+            output; a bag with .mcap, .bag, or as a new folder with a slash at its end
         progress : called with the simulated seconds so far, packet by packet
         stop : ends the recording from another thread; the file is valid, and there is none before the first
             packet

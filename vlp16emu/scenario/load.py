@@ -62,8 +62,7 @@ def load(
     scene : name or path (.json is the form of a run's ground truth folder), the tables of a scene
         file as a dictionary, or a scenario
     settings : values by `key.path`, or `key.path=value` with the value in TOML, in order; their files are
-        relative to
-        the current folder, words may have any case, and 600.0 is the whole number 600
+        relative to the current folder, words may have any case, and 600.0 is the whole number 600
     ideal : beams without width, clear air, and sensors without errors, unless settings change them
     folder : base of relative paths in a dictionary; by default the current folder
 

@@ -45,8 +45,7 @@ _NO_START = datetime(2106, 1, 1, tzinfo=UTC)
 _HOSTS: dict[str, dict[str, object]] = {
     "ideal": {},
     # On the hosts of units A and B (protocol/README.md) half of all stamps are within 1 us of an even
-    # spacing, and
-    # 6 % of B's are 10 to 230 us late.
+    # spacing, and 6 % of B's are 10 to 230 us late.
     "quiet_pc": {"jitter_us": 1.3, "late_share": 0.06, "late_us": 60.0, "host_spread": 0.4},
     # Up to 640 us were seen; the distribution is an assumption.
     "busy_pc": {"jitter_us": 40.0, "late_share": 0.04, "late_us": 1500.0, "host_spread": 0.4},

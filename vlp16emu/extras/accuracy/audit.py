@@ -197,14 +197,11 @@ class Tally:
         It is None if there are too few.
 
         The mean square is a ratio of sums over clusters; its variance is the variance of the clusters about
-        the ratio
-        (Cochran, Sampling Techniques, 3rd ed. 1977, section 6.3). Squares have a skewed distribution, so
-        Student's interval
-        is on their logarithm, with a quarter of the degrees of freedom of the effective number of clusters.
-        With 40 to 600
-        clusters and lognormal errors, 91 to 96 % of intervals then contain the truth at sigma 0.5 and 0.8,
-        and 87 to 90 % at
-        1.1, where few clusters dominate; intervals that miss it are too low.
+        the ratio (Cochran, Sampling Techniques, 3rd ed. 1977, section 6.3). Squares have a skewed
+        distribution, so Student's interval is on their logarithm, with a quarter of the degrees of freedom of
+        the effective number of clusters. With 40 to 600 clusters and lognormal errors, 91 to 96 % of
+        intervals then contain the truth at sigma 0.5 and 0.8, and 87 to 90 % at 1.1, where few clusters
+        dominate; intervals that miss it are too low.
         """
         if self.with_errors < FEWEST_CLUSTERS or self.range_rmse_m is None:
             return None

@@ -164,8 +164,8 @@ class LazFile(LasFile):
 def echoes_of(block: Block) -> tuple[U1, U1]:
     """Return the number (n,) of each echo in its pulse, and the count (n,) of echoes in the pulse.
 
-    The nearest echo has number 1.
-    The block has `t_ns`, `laser` and `distance_m`; the echoes of a pulse follow one another.
+    The nearest echo has number 1. The block has `t_ns`, `laser` and `distance_m`; the echoes of a pulse
+    follow one another.
     """
     t_ns = block["t_ns"]
     new = np.append(True, (np.diff(t_ns) != 0) | (np.diff(block["laser"].astype(np.int64)) != 0))[: len(t_ns)]

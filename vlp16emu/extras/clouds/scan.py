@@ -339,9 +339,8 @@ def place(
     Returns
     -------
     `azimuth_deg` (n,), encoder reading of the firing sequence plus the rotor's turn until the pulse, [0,
-    360);
-    `elevation_deg` (n,) of the beam table; `sensor_m` (n, 3) in the sensor's frame at the instant of the
-    pulse; `world_m` (n, 3)
+    360); `elevation_deg` (n,) of the beam table; `sensor_m` (n, 3) in the sensor's frame at the instant of
+    the pulse; `world_m` (n, 3)
     """
     turned_deg = firings.azimuth_deg[sequence, laser] - firings.azimuth_deg[sequence, 0]
     azimuth_deg = (firings.reading_deg[sequence] + turned_deg) % 360.0

@@ -51,8 +51,8 @@ class Imu(Preset):
 
     preset: Literal["ideal", "consumer", "tactical", "field"] = "ideal"
     """Sets the keys that are not given beside it; the defaults are `ideal`. `field` has biases that change
-    during warm-up by
-    0.15 deg/s and 0.02 m/s2 (one sigma, 63 % of it in 200 s), and errors of sensitivity and alignment of
+    during warm-up by 0.15 deg/s and 0.02 m/s2 (one sigma, 63 % of it in 200 s), and errors of sensitivity and
+    alignment of
     0.005 per axis."""
     rate_hz: Annotated[int, Field(ge=1, le=10_000)] = 200
     """Samples per second."""

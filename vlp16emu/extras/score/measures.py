@@ -26,10 +26,9 @@ def cloud_distances(found: F8, true: F8, within_m: tuple[float, ...]) -> dict[st
     Returns
     -------
     `accuracy_m`: mean from found to true points; `completeness_m`: mean from true to found points;
-    `chamfer_m`: their
-    sum (Fan, Su and Guibas, CVPR 2017, with distances instead of their squares, so that its unit is metres);
-    `precision_Ncm` and `completeness_Ncm`: shares of points nearer than N cm (Knapitsch et al., Tanks and
-    Temples, 2017)
+    `chamfer_m`: their sum (Fan, Su and Guibas, CVPR 2017, with distances instead of their squares, so that
+    its unit is metres); `precision_Ncm` and `completeness_Ncm`: shares of points nearer than N cm (Knapitsch
+    et al., Tanks and Temples, 2017)
     """
     from scipy.spatial import KDTree
 
@@ -157,10 +156,8 @@ def box_scores(found: F8, confidence: I8, true: F8) -> dict[str, float]:
     """Return average precision of boxes (k, 2, 3) against the true ones, by intersection over union in 3D.
 
     Area under the curve of precision over recall, precision made monotonous (VOC 2010); `box_ap_25` and
-    `box_ap_50` at
-    0.25 and 0.5, `box_map` the mean over 0.50 to 0.95 in steps of 0.05 (COCO). Boxes are matched by falling
-    confidence,
-    each true box once.
+    `box_ap_50` at 0.25 and 0.5, `box_map` the mean over 0.50 to 0.95 in steps of 0.05 (COCO). Boxes are
+    matched by falling confidence, each true box once.
     """
     overlap = _overlaps(found[np.argsort(-confidence, kind="stable")], true)
     scores = {"box_ap_25": _average_precision(overlap, 0.25), "box_ap_50": _average_precision(overlap, 0.5)}

@@ -140,8 +140,7 @@ def _single(
 def timetable(scenario: Scenario, units: Sequence[Unit], start_ns: int, stop_ns: int) -> Iterator[Packet]:
     """Yield the packets due in a span since the first pulse in order of sending, without casting a ray.
 
-    They have no bytes.
-    A sensor without packets yields one for each group of as many firing sequences.
+    They have no bytes. A sensor without packets yields one for each group of as many firing sequences.
     """
 
     def data(unit: Unit) -> Iterator[Packet]:

@@ -85,9 +85,8 @@ class Route:
         Returns
         -------
         (n, 6, 3) value, exact first and second time derivative of x, y, z, roll, pitch and yaw in the world,
-        where roll and
-        pitch are 0 and the yaw is continuous, so it may pass pi; and (n,) speed along the path, never
-        negative
+        where roll and pitch are 0 and the yaw is continuous, so it may pass pi; and (n,) speed along the
+        path, never negative
         """
         steps = np.clip(elapsed_s - self._stand_s, 0.0, self._moves_s) / self._step_s
         along_m, rate, second = (self._along_m(steps, order)[:, 0] for order in range(3))

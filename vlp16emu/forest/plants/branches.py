@@ -289,19 +289,17 @@ assumption. Whorls lose from none to twice the mean, so that one in five whorls 
 there."""
 _LENGTH_AT_FOOT = 0.55
 """Branch length near the ground over the length at the crown base, from the crown's width when the branch
-died: for spruce
-2.1 m at a DBH of 8 cm and 3.8 m at 24 cm (Doebbeler et al. 2002); 8 cm is an estimate of the DBH at canopy
+died: for spruce 2.1 m at a DBH of 8 cm and 3.8 m at 24 cm (Doebbeler et al. 2002); 8 cm is an estimate of the
+DBH at canopy
 closure."""
 _LENGTHS = (0.4, 1.0)
 """Unbroken lengths within a whorl over the longest; assumption. Branches in a whorl of spruces get thinner by
 rank (Hein et al. 2007, Forest Ecology and Management 242), and length follows thickness."""
 _STUB_M = 0.16
 """Mode of the length of branch stubs outside the bark at the lower end of the dead branches, so that 90 %
-have 0.05 to
-0.39 m; estimate, no published distribution was found. The probability of breaking grows with the distance
-from the stem,
-where a branch is thinner, and with the square of the time since its death: lengths have a Rayleigh
-distribution, whose
+have 0.05 to 0.39 m; estimate, no published distribution was found. The probability of breaking grows with the
+distance from the stem, where a branch is thinner, and with the square of the time since its death: lengths
+have a Rayleigh distribution, whose
 mode falls with that time to the power 1.5."""
 _LIVING_DEPTH = 0.3
 """Upper limit of `living_depth_m` over the height of the crown base: light falls faster below the short

@@ -93,9 +93,8 @@ def floor_meshes(seed: int, key: FloorKey) -> tuple[Mesh]:
     A stone spans -0.5 to 0.5 in z, and its outline seen from above has the area of a circle of diameter
     1. A log, or a piece of a broken log, lies along x from -0.5 to 0.5 with mean diameter 1. A stump
     is 1 high over the ground and 1 wide at the top. A root plate of diameter and thickness 1 stands across x,
-    with its
-    roots at -x and the butt of its log at the origin. All others are 1 high and have their foot at the
-    origin.
+    with its roots at -x and the butt of its log at the origin. All others are 1 high and have their foot at
+    the origin.
     """
     rng = generator(seed, Growth.FLOOR_SHAPE, list(FloorKind).index(key.kind), key.variant)
     row = shape_row(key.kind)

@@ -58,8 +58,8 @@ class ForestWorld:
     """Trees with the plants and things under them on a terrain; a `World`.
 
     A tree or a stone has the same shape and number in every window and from either end of the path; windows
-    may be anywhere, also far from the path. Raises
-    GeometryError for a path with numbers that are not finite, or for more things than can be numbered.
+    may be anywhere, also far from the path. Raises GeometryError for a path with numbers that are not finite,
+    or for more things than can be numbered.
 
     Parameters
     ----------

@@ -140,8 +140,7 @@ class TreeModel:
     The foot is the centre of the stem at the file's height 0, or at the stem's lower end if it does not reach
     0. Deciduous
     leaves are left out in the leaf-off season. Raises GeometryError for a part that the file does not have,
-    or a stem without
-    a closed section at breast height.
+    or a stem without a closed section at breast height.
     """
 
     def __init__(self, section: TreeModelFile, species: Species, season: Season) -> None:
