@@ -110,7 +110,16 @@ class Interrupting(io.StringIO):
         return len(text)
 
 
+@pytest.fixture
+def ctrl_c():
+    """Let Ctrl-C interrupt: a shell lets its jobs in the background ignore it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @each(GOOD)
+@pytest.mark.usefixtures("ctrl_c")
 def test_ctrl_c_ends_every_verb(words, monkeypatch, capsys):
     """Ctrl-C while a verb has something to say ends it with 130, without a word on stderr."""
     monkeypatch.setattr("sys.stdout", Interrupting())
