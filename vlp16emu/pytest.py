@@ -29,7 +29,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Register the marker."""
-    line = "vlp16(scene, settings, **options): scene of the fixture vlp16, values by key, and options of vlp16emu.stream."
+    meaning = "scene of the fixture vlp16, values by key, and options of vlp16emu.stream."
+    line = f"vlp16(scene, settings, **options): {meaning}"
     config.addinivalue_line("markers", line)
 
 

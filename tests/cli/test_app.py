@@ -69,7 +69,7 @@ def test_a_reader_that_has_had_enough_is_no_error(main_here):
     ],
 )
 def test_output_that_cannot_be_written_is_one_line(main_here, line, more):
-    """A full disk under stdout is told in one line, be it at the first word, midway or only at the end,
+    """A full disk under stdout is reported in one line: at the first word, midway or at the end,
     and the run has failed."""
     with Path("/dev/full").open("w") as full:
         said = f"error: standard output: No space left on device{more}\n"
@@ -77,7 +77,7 @@ def test_output_that_cannot_be_written_is_one_line(main_here, line, more):
 
 
 def test_warnings_are_lines_on_stderr(main_here, tmp_path):
-    """What does not stop a run but will surprise is told on stderr, as a warning and in one line."""
+    """What a run goes on with, but its user may not expect, is one line on stderr, a warning."""
     settings = "--set", "motion.x_m=100.0", "--set", "duration_s=0.1"
     with (tmp_path / "out").open("w") as stdout:
         code, said = main_here("plan", "static_bench", *settings, stdout=stdout)

@@ -198,7 +198,7 @@ def test_a_file_does_not_take_the_place_of_a_closed_output(cli, tmp_path):
 
 
 def test_a_signal_that_meets_a_library_is_not_printed(monkeypatch, capsys):
-    """Where a signal meets a `__del__`, Python prints a traceback, but not once the command is
+    """A signal during a `__del__` makes Python print a traceback, but not once the command is
     interrupted."""
 
     class Held:

@@ -38,7 +38,7 @@ def test_both_frames_are_reported(points):
 
 @pytest.mark.parametrize("beams", [8, 16, 64, 256])
 def test_a_free_table_is_what_is_seen(points, beams):
-    """Elevations reckoned from the points are those of the table, ring by ring, and the resolution is as
+    """Elevations computed from the points are those of the table, ring by ring, and the resolution is as
     asked."""
     options = ["--set", f"sensor.beams={beams}", "--set", "sensor.vertical_fov_deg=[-25, 15]"]
     own, report = points(*FREE, *options, "--set", "sensor.azimuth_resolution_deg=0.5")

@@ -177,7 +177,7 @@ def test_ctrl_c_does_not_wait_for_the_world(cli, monkeypatch, tmp_path):
 
 
 def test_a_second_ctrl_c_waits_for_nothing(program, tmp_path):
-    """Where the first Ctrl-C cannot end the run, the second does, whatever threads are at; a capture
+    """Where the first Ctrl-C cannot end the run, the second does, whatever the threads do; a capture
     without a packet is not kept."""
     path = tmp_path / "x.pcap"
     process = program("record", "static_bench", path, "--json", before=CASTS_AND_WRITES_FOR_EVER)

@@ -1,4 +1,4 @@
-"""What all verbs have in common: a good run, one JSON object, an end by Ctrl-C, and a line for an unknown
+"""What all verbs have in common: a good run, one JSON object, Ctrl-C, and a line for an unknown
 option."""
 
 import io

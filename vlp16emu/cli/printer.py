@@ -265,7 +265,8 @@ def _lateness(late: "Lateness") -> str:
 def _first(first: "FirstPacket") -> str:
     if first.sensor_ns is None:
         return ""
-    return f"{(first.host_ns - first.sensor_ns) * 1e-6:.3f} ms after its time by the sensor's clock, by this machine's"
+    late_ms = (first.host_ns - first.sensor_ns) * 1e-6
+    return f"{late_ms:.3f} ms after its time by the sensor's clock, by this machine's"
 
 
 def _outlet(sent: "OutletResult") -> str:

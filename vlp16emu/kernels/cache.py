@@ -18,7 +18,10 @@ from typing import Any
 from vlp16emu.store import PACKAGE, Store, read_checked, user_folder
 
 NumbaObject = Any
-"""An object of numba or llvmlite, which ship no types: a kernel, the type of an argument, a value in LLVM's code."""
+"""An object of numba or llvmlite, which ship no types.
+
+It is a kernel, the type of an argument, or a value in LLVM's code.
+"""
 _IMPORT = re.compile(r"^ *from vlp16emu([.\w]*) import (\([^)]*\)|.*)$", re.MULTILINE)
 _SUFFIX = ".kernel"
 _LAYOUT = 3  # version of the file format

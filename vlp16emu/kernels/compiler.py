@@ -37,7 +37,7 @@ class Row(TypedDict):
     """A kernel of the table."""
 
     kernel: str  # module:name, in this package
-    types: list[object]  # of its arguments, as `decoded` reads them
+    types: list[object]  # of its arguments, as `decode_type` reads them
     groups: list[str]  # of runs that call it
 
 
@@ -90,7 +90,10 @@ def is_plain() -> bool:
 
         check_interfaces()
     except Exception as error:  # noqa: BLE001 - whatever has changed
-        text = "numba %s: its private interfaces are not those of %d.%d (%s); kernels are compiled in its own way"
+        text = (
+            "numba %s: its private interfaces are not those of %d.%d (%s); "
+            "kernels are compiled in its own way"
+        )
         logging.getLogger(__name__).warning(text, numba.__version__, *_KNOWN, error)
         return True
     return False

@@ -4,7 +4,6 @@ import threading
 import weakref
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future
-from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
@@ -19,7 +18,6 @@ from vlp16emu.raycast.packet import PACKET, Target, ray_packet
 from vlp16emu.store import recall
 from vlp16emu.types import F4, F8, I8, U4, Firings, Hits, ShapeKey, Window, World
 from vlp16emu.units import INCLUSIVE
-from vlp16emu.world.hall import Thing, hall_shape
 
 _SECTOR_DEG = 1.6
 """Width of a sector, whose faces stay in the cache from revolution to revolution: over eight revolutions it
@@ -29,9 +27,6 @@ saves a fifth of the time for one ray per pulse in `scenes/reference_forest`, a 
 
 DISPLACE = Part[Callable[[F4, Footprint, int], None]]("vlp16emu.extras.displace:displace")
 """Function that displaces the points of hits with the beam error of LiDAR-Forest."""
-_THINGS_KEPT = 16
-"""Things of halls that the process keeps: to build the balls of `static_bench` takes as long as a second of
-its packets, and a program of tests makes many emulators of one hall."""
 
 
 class EmbreeGeometry:
@@ -188,14 +183,6 @@ class EmbreeCaster:
         return Placed(window, [meshes[which] for which in window.shape.tolist()], self._workers)
 
     def _build_shape(self, key: ShapeKey) -> EmbreeMesh:
-        if isinstance(key, Thing):
-            return _hall_thing(key)
         name = self._world.shape_name(key)
         world = self._world
         return EmbreeMesh(recall(name and f"faces {name}", lambda: shape_of(world.shape(key))))
-
-
-@lru_cache(maxsize=_THINGS_KEPT)
-def _hall_thing(key: Thing) -> EmbreeMesh:
-    """Build a thing of a hall, which its key describes whole."""
-    return EmbreeMesh(shape_of(hall_shape(key)))

@@ -3,6 +3,7 @@
 import logging
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ _TOLERANCE_M = 5e-5
 """Largest gap between a chord and its arc. Round things deviate by about half of it to either side of the
 true shape; on a sphere the gaps of both angles add up to at most twice that."""
 _FEWEST_SIDES = 256
+_SHAPES_KEPT = 16  # of all halls of a process: a ball takes 4 ms, and tests make many emulators
 _WALL_INSTANCE = 1  # walls and ceiling; things follow from 2 in the given order: boxes, poles, spheres
 
 
@@ -120,11 +122,12 @@ class HallWorld:
 
     def shape(self, key: ShapeKey) -> tuple[Mesh, ...]:
         """Meshes of the room (floor, then walls with ceiling) or of a thing, about its centre or foot."""
-        return hall_shape(key)
+        return _shape(key)
 
 
-def hall_shape(key: ShapeKey) -> tuple[Mesh, ...]:
-    """Meshes of a room or of a thing, which the key describes whole."""
+@lru_cache(maxsize=_SHAPES_KEPT)
+def _shape(key: ShapeKey) -> tuple[Mesh, ...]:
+    """Make the meshes of a room or of a thing, which the key describes whole."""
     match key:
         case _Room(size):
             box = _box_quads(size)

@@ -100,7 +100,7 @@ def test_faults_depend_on_the_seed_and_on_their_place():
 
 @pytest.mark.parametrize("packets", ["data", "position", "both"])
 def test_a_share_of_packets_is_lost(clean, packets):
-    """Of each chosen kind so many are missing as the share says, within 4 sigma; the others are the same
+    """The share of missing packets of each chosen kind is that of the event, within 4 sigma; the others are the same
     to the bit."""
     kept = sent({"kind": "drop", "at_s": 0.5, "share": 0.3, "packets": packets})
     assert all(packet in clean for packet in kept)

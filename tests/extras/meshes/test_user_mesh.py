@@ -142,7 +142,7 @@ def test_nodes_of_a_scene_stand_where_their_transforms_put_them(tmp_path):
     ],
 )
 def test_what_can_be_scanned_all_the_same_is_taken_and_said(tmp_path, caplog, faces, finding):
-    """Faces without area are dropped, holes and inverted faces kept, and each is told once by file and
+    """Faces without area are dropped, holes and inverted faces kept, and each is reported once by file and
     part."""
     mesh = load(tmp_path, CORNERS + faces)
     assert caplog.messages == [f"{tmp_path / 'thing.obj'}: {finding}"]

@@ -41,7 +41,8 @@ def draw(figure: "Figure", report: Report) -> None:
     rows, columns = np.shape(ground["heights_m"])
     tall = min(max(10.5 * rows / columns, 5.0), 11.0)
     figure.set_size_inches(14, tall + 5.2)
-    density = f"{len(stems['id'])} stems within {report['radius_m']:g} m of {report['path']['length_m']:.0f} m of path"
+    path_m = report["path"]["length_m"]
+    density = f"{len(stems['id'])} stems within {report['radius_m']:g} m of {path_m:.0f} m of path"
     title = _wrap(f"{report['scene']}, seed {report['seed']}: {report['title']}", 100)
     figure.suptitle(f"{title}\n{density}", fontsize=15)
     looks = _looks(stems["species"])
