@@ -9,8 +9,8 @@ from vlp16emu.elementary import acos, cos, norm, sin
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.extras.recorded.files import RecordedPoses
 from vlp16emu.extras.recorded.settings import Recorded
-from vlp16emu.extras.splines import interpolant
-from vlp16emu.motion.piecewise import Piecewise
+from vlp16emu.extras.splines import Spline, interpolant
+from vlp16emu.motion.piecewise import POWERS, KnotMotion
 from vlp16emu.types import F8, I8
 from vlp16emu.units import S_NS
 from vlp16emu.world.settings import Site
@@ -26,7 +26,7 @@ distorts the turn."""
 _LOOKS = 8  # samples of this norm between two poses
 
 
-class RecordedMotion(Piecewise):
+class RecordedMotion(KnotMotion):
     """Recorded poses, interpolated with two continuous derivatives in position and rotation.
 
     Positions and quaternions are cubic splines. Each quaternion has the sign that is nearer to the one
@@ -49,23 +49,21 @@ class RecordedMotion(Piecewise):
         quaternion = _sign_continuous(poses.quaternion)
         _check_steps(poses, knots_ns, quaternion, recorded.max_gap_s)
         position_m, quaternion = _to_world(recorded, poses.position_m, quaternion)
-        powers = interpolant(knots_ns / S_NS, np.column_stack([position_m, quaternion])).powers[::-1]
-        powers = np.concatenate([np.zeros((4 - len(powers), *powers.shape[1:])), powers])
+        spline = interpolant(knots_ns / S_NS, np.column_stack([position_m, quaternion]))
+        _check_norm(poses, spline)
+        powers = np.zeros((len(knots_ns) - 1, 7, POWERS))
+        powers[..., : len(spline.powers)] = np.moveaxis(spline.powers, 0, -1)
         super().__init__(start_ns, knots_ns, powers)
-        self._check_norm(poses)
-        self.position_m = np.ascontiguousarray(
-            powers[3, :, :3]
-        )  # (n - 1, 3) of all poses but the last, in the world
+        self.position_m = powers[:, :3, 0].copy()  # (n - 1, 3) of all poses but the last, in the world
 
-    def _check_norm(self, poses: RecordedPoses) -> None:
-        (knots_ns, powers) = self._arrays
-        found = "no smooth turn leads here from the pose before: times are too uneven"
-        steps_s = np.diff(knots_ns) / S_NS
-        c = powers[:, :, 3:]
-        for look in range(1, _LOOKS):
-            d = (look / _LOOKS * steps_s)[:, None]
-            off = np.abs(norm(((c[0] * d + c[1]) * d + c[2]) * d + c[3]) - 1.0)
-            _refuse(poses, off, 1.0 - _LEAST_NORM, found, "poses at more even times")
+
+def _check_norm(poses: RecordedPoses, spline: Spline) -> None:
+    found = "no smooth turn leads here from the pose before: times are too uneven"
+    steps_s = np.diff(spline.breaks)
+    for look in range(1, _LOOKS):
+        quaternion = spline(spline.breaks[:-1] + look / _LOOKS * steps_s)[:, 3:]
+        off = np.abs(norm(quaternion) - 1.0)
+        _refuse(poses, off, 1.0 - _LEAST_NORM, found, "poses at more even times")
 
 
 def _refuse(poses: RecordedPoses, values: F8, most: float, found: str, expected: str) -> None:
