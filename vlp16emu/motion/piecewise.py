@@ -159,26 +159,40 @@ def _fill_quaternion(x: float, y: float, z: float, w: float, out: F8) -> None:
 
 
 @array_kernel
-def fill_rates(powers: F8, which: I8, piece: I8, since: F8, per_s: float, rates: F8) -> None:
-    """Fill (4, n, 3): velocity, acceleration, angular rate and angular acceleration, the latter in body axes."""
-    axes = powers.shape[1]
-    q = np.empty((3, axes))
-    for n in range(len(which)):
+def derivatives(powers: F8, piece: I8, since: F8) -> F8:
+    """Return value and two derivatives (k, axes, 3) of quintics, by the unit of time of the powers.
+
+    Parameters
+    ----------
+    powers : (n, axes, 6) lowest first
+    piece, since : (k,) piece of each instant, and time from its begin
+    """
+    out = np.empty((len(piece), powers.shape[1], 3))
+    for n in range(len(piece)):
         x = since[n]
-        for axis in range(axes):
+        for axis in range(powers.shape[1]):
             c = powers[piece[n], axis]
-            q[0, axis] = c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * c[5]))))
-            q[1, axis] = c[1] + x * (2 * c[2] + x * (3 * c[3] + x * (4 * c[4] + x * 5 * c[5])))
-            q[2, axis] = 2 * c[2] + x * (6 * c[3] + x * (12 * c[4] + x * 20 * c[5]))
-        q[1] *= per_s
-        q[2] *= per_s * per_s
+            out[n, axis, 0] = c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * c[5]))))
+            out[n, axis, 1] = c[1] + x * (2 * c[2] + x * (3 * c[3] + x * (4 * c[4] + x * 5 * c[5])))
+            out[n, axis, 2] = 2 * c[2] + x * (6 * c[3] + x * (12 * c[4] + x * 20 * c[5]))
+    return out
+
+
+@array_kernel
+def fill_rates(powers: F8, which: I8, piece: I8, since: F8, per_s: float, rates: F8) -> None:
+    """Fill (4, n, 3): velocity, acceleration, and angular rate and acceleration in body axes."""
+    q = derivatives(powers, piece, since)
+    q[:, :, 1] *= per_s
+    q[:, :, 2] *= per_s * per_s
+    for n in range(len(which)):
         i = which[n]
-        rates[0, i] = q[1, :3]
-        rates[1, i] = q[2, :3]
-        if axes == _ANGLES:
-            _angle_rates(q[0, 3:], q[1, 3:], q[2, 3:], rates[2, i], rates[3, i])
+        rates[0, i] = q[n, :3, 1]
+        rates[1, i] = q[n, :3, 2]
+        attitude = q[n, 3:].T
+        if len(powers[0]) == _ANGLES:
+            _angle_rates(attitude[0], attitude[1], attitude[2], rates[2, i], rates[3, i])
         else:
-            _quaternion_rates(q[0, 3:], q[1, 3:], q[2, 3:], rates[2, i], rates[3, i])
+            _quaternion_rates(attitude[0], attitude[1], attitude[2], rates[2, i], rates[3, i])
 
 
 @array_kernel

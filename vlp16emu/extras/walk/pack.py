@@ -18,6 +18,7 @@ from vlp16emu.errors import TrajectoryError
 from vlp16emu.extras.walk.gait import AXES
 from vlp16emu.extras.walk.settings import Harness, Mast
 from vlp16emu.kernels.compiler import array_kernel
+from vlp16emu.motion.piecewise import derivatives
 from vlp16emu.types import F8
 
 KNOTS_PER_S = (
@@ -93,11 +94,8 @@ class Pack:
         pieces = self._pieces(second)
         node = np.arange(NODES_PER_KNOT * KNOTS_PER_S + 1)
         k = np.minimum(node // NODES_PER_KNOT, KNOTS_PER_S - 1)  # the last node ends the last piece
-        s = ((node - k * NODES_PER_KNOT) * (1.0 / (NODES_PER_KNOT * KNOTS_PER_S)))[:, None]
-        a = np.moveaxis(pieces[k], -1, 0)
-        value = a[0] + s * (a[1] + s * (a[2] + s * (a[3] + s * (a[4] + s * a[5]))))
-        rate = a[1] + s * (2 * a[2] + s * (3 * a[3] + s * (4 * a[4] + s * 5 * a[5])))
-        out = np.stack([value, rate, 2 * a[2] + s * (6 * a[3] + s * (12 * a[4] + s * 20 * a[5]))], axis=-1)
+        since_s = (node - k * NODES_PER_KNOT) * (1.0 / (NODES_PER_KNOT * KNOTS_PER_S))
+        out = derivatives(pieces, k, since_s)
         if self._harness is not None:
             _swing(pieces, self._steps, self._state(second), self._stiffness, self._drag, out)
         return out
