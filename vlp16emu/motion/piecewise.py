@@ -74,7 +74,8 @@ class KnotMotion(Piecewise):
         knots_ns, powers = self._arrays
         at_ns = np.clip(t_ns - self._start_ns, 0, knots_ns[-1])
         piece = np.minimum(np.searchsorted(knots_ns, at_ns, side="right") - 1, len(knots_ns) - 2)
-        return [Pieces(powers, np.arange(len(t_ns)), piece, (at_ns - knots_ns[piece]) * 1e-9)]
+        since_s = (at_ns - knots_ns[piece]).astype(np.float64) * 1e-9
+        return [Pieces(powers, np.arange(len(t_ns)), piece, since_s)]
 
     def kinematics_at(self, t_ns: I8) -> Kinematics:
         """Return poses at UTC instants (n,) with their derivatives, zero while the body is at rest."""

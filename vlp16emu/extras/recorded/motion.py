@@ -17,9 +17,8 @@ from vlp16emu.world.settings import Site
 
 _log = logging.getLogger(__name__)
 
-_MOST_TURN_DEG = (
-    90.0  # between one pose and the next: half the angle at which the sense of the turn is undefined
-)
+_MOST_TURN_DEG = 90.0
+"""Greatest turn from one pose to the next: half the angle at which the sense of a turn is undefined."""
 _LEAST_NORM = 0.5
 """Least norm of the quaternion spline: it is 1 at each pose; the lower it is between poses, the more it
 distorts the turn."""
@@ -58,6 +57,7 @@ class RecordedMotion(KnotMotion):
 
 
 def _check_norm(poses: RecordedPoses, spline: Spline) -> None:
+    """Refuse a spline (7 values) whose quaternion is too short or too long between two poses."""
     found = "no smooth turn leads here from the pose before: times are too uneven"
     steps_s = np.diff(spline.breaks)
     for look in range(1, _LOOKS):
@@ -81,6 +81,7 @@ def _sign_continuous(quaternion: F8) -> F8:
 
 
 def _check_steps(poses: RecordedPoses, knots_ns: I8, quaternion: F8, max_gap_s: float) -> None:
+    """Refuse poses with too long a time or too great a turn between them."""
     _refuse(poses, np.diff(knots_ns) / S_NS, max_gap_s, "found a gap of {:g} s", f"at most {max_gap_s:g} s")
     turn_deg = np.degrees(2 * acos(np.minimum((quaternion[1:] * quaternion[:-1]).sum(axis=1), 1.0)))
     expected = f"at most {_MOST_TURN_DEG:g} degrees, beyond which its sense is in doubt"
@@ -91,9 +92,10 @@ def check_places(position_m: F8, site: Site, reach_m: float) -> None:
     """Warn of poses (n, 3) in map coordinates, below the ground, or farther above it than the sensor sees."""
     plan_m = position_m[:, :2]
     above_m = position_m[:, 2] - site.height_m(*plan_m.T)
-    if (
-        norm(plan_m - site.origin_m[:2]) < norm(plan_m)
-    ).all():  # the origin in map coordinates is nearer than (0, 0)
+    is_nearer = norm(plan_m - site.origin_m[:2]) < norm(
+        plan_m
+    )  # to the origin in map coordinates than to (0, 0)
+    if is_nearer.all():
         _log.warning(
             "motion: recorded poses begin at (%.1f, %.1f, %.1f) m, as if in map coordinates; "
             "origin_m is not taken off"

@@ -58,13 +58,13 @@ class WalkMotion(Piecewise):
         self.run_time_s = route.run_time_s
 
     def pieces_at(self, t_ns: I8) -> Iterator[Pieces]:
-        """Yield the pieces with UTC instants (n,); outside the run time the person rests at the path's ends."""
+        """Yield the pieces with UTC instants (n,); outside the run time the person rests at an end."""
         for second, which in self._seconds(t_ns):
             since_ns = t_ns[which] - (self._start_ns + second * S_NS)
             piece = since_ns // _NODE_NS
             yield Pieces(self._table(second), which, piece, (since_ns - piece * _NODE_NS) / _NODE_NS)
 
-    def bent(self, mast: Mast) -> "WalkMotion":
+    def with_mast(self, mast: Mast) -> "WalkMotion":
         """Return the motion of the top of a mast on the pack, which swings as the pack pushes it."""
         if self._pack is None:
             return self
@@ -81,26 +81,26 @@ class WalkMotion(Piecewise):
 
     def _seconds(self, t_ns: I8) -> list[tuple[int, I8]]:
         """Return the seconds of the walk that contain instants (n,), and the indices of these instants."""
-        if (
-            len(t_ns)
-            and t_ns.max() - self._start_ns < S_NS * (low := int(t_ns.min() - self._start_ns) // S_NS) + S_NS
-        ):
-            return [(low, np.arange(len(t_ns)))]  # nine blocks in ten
+        if not len(t_ns):
+            return []
+        first = int(t_ns.min() - self._start_ns) // S_NS
+        last = int(t_ns.max() - self._start_ns) // S_NS
+        if first == last:  # nine blocks in ten
+            return [(first, np.arange(len(t_ns)))]
         seconds = (t_ns - self._start_ns) // S_NS
         order = np.argsort(seconds, kind="stable")
         parts = np.split(order, np.flatnonzero(np.diff(seconds[order])) + 1)
-        return [(int(seconds[part[0]]), part) for part in parts if len(part)]
+        return [(int(seconds[part[0]]), part) for part in parts]
 
     def _trunk_samples(self, first: int, count: int) -> F8:
         """Sample the trunk's motion (count, 6) as `_pack_samples` does."""
         elapsed_s = np.arange(first, first + count) / KNOTS_PER_S
         share = np.minimum(self._route.at(elapsed_s)[1] / self._route.speed_m_s, 1.0)
-        return self._trunk.at(
-            elapsed_s, share * share * (3.0 - 2.0 * share)
-        )  # smooth: starts and stops jerk no pack
+        effort = share * share * (3.0 - 2.0 * share)  # smooth: starts and stops jerk no pack
+        return self._trunk.at(elapsed_s, effort)
 
     def _tabulate(self, second: int) -> F8:
-        """Coefficients (1000, 6, 6) of x, y, z, roll, pitch, yaw by piece of a second, lowest power first."""
+        """Return the pieces (1000, 6, 6) of a second, powers of the share of a step as in `Pieces`."""
         elapsed_s = np.arange(second * _NODES_PER_S, (second + 1) * _NODES_PER_S + 1) / _NODES_PER_S
         nodes, _ = self._route.at(elapsed_s)
         nodes[:, 2, 0] += self._height_m
@@ -142,7 +142,7 @@ def _add_pack(pack: F8, nodes: F8) -> None:
 
 
 def _hermite(nodes: F8) -> F8:
-    """Coefficients (n - 1, 6, 6) of the quintics through value, rate and acceleration at nodes (n, 6, 3)."""
+    """Return quintics (n - 1, 6, 6) through value, rate and acceleration at nodes (n, 6, 3)."""
     h_s = 1.0 / _NODES_PER_S
     p = nodes[..., 0]
     v = nodes[..., 1] * h_s
