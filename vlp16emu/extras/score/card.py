@@ -102,7 +102,7 @@ class ScoreCard:
 
 def _score_text(name: str, value: float) -> str:
     if not math.isnan(value):
-        return f"{value:.6g}"
+        return f"{value:.6f}" if name == "time_offset_s" else f"{value:.6g}"
     reason = next((text for begin, text in _UNDEFINED if name.startswith(begin)), "nothing to find")
     return f"none: {reason}"
 
