@@ -84,7 +84,7 @@ def on_truth_clock(
     moved = _earlier(moved, -_agreeing_offset_ns(moved, true))
     rest_s = stamp_offset_s(moved, true)
     if math.isnan(rest_s):
-        how = f"{clock.clock}; the motion tells no more"
+        how = f"{clock.clock}; the motion is too uniform for more"
     else:
         moved = _earlier(moved, -seconds_to_ns(rest_s))
         how = f"{clock.clock}, then by steps that agree"
@@ -98,8 +98,8 @@ def _earlier(found: RecordedPoses, offset_ns: int) -> RecordedPoses:
 def _agreeing_offset_ns(found: RecordedPoses, true: Trajectory) -> int:
     """Return the time to add to an estimate's stamps, within `_MOST_LATE_NS`, so that its steps agree best.
 
-    Steps of `_LEAST_STEP_NS` or more are compared, at most `_MOST_STEPS` of them, of which half or more must
-    be within the truth; 0 for too few.
+    Steps of `_LEAST_STEP_NS` or more are compared, at most `_MOST_STEPS` of them; half or more must be within
+    the truth. The result is 0 for too few.
     """
     from scipy.spatial.transform import Rotation
 
