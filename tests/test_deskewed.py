@@ -191,7 +191,7 @@ def test_each_unit_of_a_rig_has_its_own_trajectory(tmp_path):
     with pytest.raises(InputError, match="--unit: found 3; expected at most 2"):
         Trajectory(tmp_path / "truth", 3)
     (tmp_path / "rig.json").write_text('{"units": 3}')
-    with pytest.raises(InputError, match="no description of a rig"):
+    with pytest.raises(InputError, match="world, antenna: missing"):
         Trajectory(tmp_path, 1)
 
 

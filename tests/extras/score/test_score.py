@@ -42,7 +42,9 @@ def truth(tmp_path):
     np.savetxt(tmp_path / "trajectory.tum", rows, fmt="%.9f")
     world = {"latitude_deg": 47.0, "longitude_deg": 8.0, "height_m": 500.0}
     unit = {"trajectory": "trajectory.tum", "address": "192.168.1.201", "data_port": 2368}
-    (tmp_path / "rig.json").write_text(json.dumps({"units": [unit], "world": world}))
+    unit["body_T_sensor"] = {"matrix": np.eye(4).tolist()}
+    rig = {"units": [unit], "world": world, "antenna": {"above_sensor_m": 0.2}}
+    (tmp_path / "rig.json").write_text(json.dumps(rig))
     with (tmp_path / "points.csv").open("w") as file:
         file.write(POINTS)
         for tree in (1, 2):
