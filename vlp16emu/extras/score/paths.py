@@ -132,10 +132,12 @@ def score_path(
     common.
 
     The file is TUM, or KITTI if `times` has a time in seconds for each pose; truth and unit are as in
-    `Trajectory`; the time offset is subtracted from the stamps, None to find it as `on_truth_clock`. Scores are `ate_m` RMSE of positions, `ate_max_m`, `rpe_m` and `rpe_deg` RMSE over
-    `RPE_DELTA_M` of path; `drift_10m_percent` and `drift_100m_percent`, the mean relative error of positions
-    over such lengths, NaN on a shorter path; `stamp_offset_s` to add to the estimate's stamps, NaN if the
-    motion is too uniform to determine it.
+    `Trajectory`. The time offset is subtracted from the stamps; None finds it as `on_truth_clock` does.
+
+    Scores are `ate_m` RMSE of positions, `ate_max_m`, `rpe_m` and `rpe_deg` RMSE over `RPE_DELTA_M` of path;
+    `drift_10m_percent` and `drift_100m_percent`, the mean relative error of positions over such lengths, NaN
+    on a shorter path; `stamp_offset_s` to add to the estimate's stamps, NaN if the motion is too uniform to
+    determine it.
     """
     try:
         from evo.core import metrics
@@ -254,7 +256,7 @@ def stamp_offset_s(found: RecordedPoses, true: Trajectory) -> float:
 
 
 def _steps(turns: "Rotation", places_m: F8) -> tuple[F8, "Rotation"]:
-    """Return the steps (n, 3) from the first half of 2 n poses to the second, in axes of the first, and turns."""
+    """Return steps (n, 3) and turns from the first half of 2 n poses to the second, in axes of the first."""
     n = len(places_m) // 2
     return turns[:n].apply(places_m[n:] - places_m[:n], inverse=True), turns[:n].inv() * turns[n:]
 
