@@ -233,7 +233,7 @@ def score(
     if as_json:
         print_json(report)
     else:
-        print_rows("scores", {name: f"{value:.6g}" for name, value in card.scores.items()})
+        print_rows("scores", card.texts())
         print_rows("measured", card.notes)
         for line in missed:
             print_line(f"missed: {line}")

@@ -95,7 +95,7 @@ def points(
         _refuse({**spans, **made}, f"the capture {scene}", "a scene")
         _deskew(Path(scene), out, trajectory, errors, options, clock=clock, as_json=as_json)
         return
-    wrong = {"--time-offset": errors.time_offset_s, "--mount": errors.mount, "--drift": errors.drift}
+    wrong = {"--time-offset": errors.time_offset_s != 0.0, "--mount": errors.mount, "--drift": errors.drift}
     _refuse({**wrong, "--clock": clock}, "a scene", "a capture and its --trajectory")
     began_s = time.perf_counter()
     emulator = make_emulator(scene, making)

@@ -14,7 +14,7 @@ from vlp16emu.elementary import norm
 from vlp16emu.engine.gps_input import GpsInput
 from vlp16emu.engine.state import SensorState
 from vlp16emu.engine.timeline import Timeline, stretches_of
-from vlp16emu.motion.mount import mounted, true_mount
+from vlp16emu.motion.mount import device_motion, true_mount
 from vlp16emu.motion.pose import Motion
 from vlp16emu.motion.settings import Gps, Mount
 from vlp16emu.packets import FACTORY_LINK, Link, positions_from_ns
@@ -198,14 +198,15 @@ def assemble(scenario: Scenario, like: "Engine | None" = None) -> Parts:
     people = None
     if imu:
         imu_mount = true_mount(imu.mount, seed, _IMU)
-        sampler = IMU.load()(mounted(carrier, imu_mount, start_ns), imu, start_ns=start_ns, seed=seed)
+        sampler = IMU.load()(device_motion(carrier, imu_mount, start_ns), imu, start_ns=start_ns, seed=seed)
     if scenario.people:
         people = PEOPLE.load()(
             scenario.people, carrier, ground_m, start_ns=start_ns, seed=scenario.motion_seed
         )
     mounts = [true_mount(mount, seed, device) for device, mount in enumerate(mounts_of(scenario))]
     units = tuple(
-        _unit(scenario, number, mount, mounted(top, mount, start_ns)) for number, mount in enumerate(mounts)
+        _unit(scenario, number, mount, device_motion(top, mount, start_ns))
+        for number, mount in enumerate(mounts)
     )
     return Parts(units, carrier, sampler, imu_mount, ground_m, world, wind, people, gps_input(scenario.gps))
 

@@ -21,7 +21,7 @@ from vlp16emu.extras.camera.lens import Lens
 from vlp16emu.extras.camera.mount import camera_mount, camera_of, optical
 from vlp16emu.extras.colours import surface_colours
 from vlp16emu.forest.plants.species import flora
-from vlp16emu.motion.mount import mounted
+from vlp16emu.motion.mount import device_motion
 from vlp16emu.motion.settings import Mount
 from vlp16emu.raycast.beam import Footprint
 from vlp16emu.raycast.caster import Geometry
@@ -101,7 +101,7 @@ class Photographer:
         self.section = camera_of(scenario)
         self.lens = Lens.of(self.section)
         base = scenario.motion.under_sensors(parts.carrier)
-        self.motion = mounted(base, camera_mount(scenario), scenario.start_ns)
+        self.motion = device_motion(base, camera_mount(scenario), scenario.start_ns)
         alone = replace(parts, units=(replace(parts.units[0], motion=self.motion),))
         windows = windows_of(alone, scenario.start_ns, engine.batching, engine.threads)
         self.windows = windows.stopped_by(engine.windows.stop)

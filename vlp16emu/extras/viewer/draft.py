@@ -9,7 +9,7 @@ import numpy as np
 
 from vlp16emu.elementary import norm
 from vlp16emu.errors import InputError
-from vlp16emu.extras.walk.path import Path
+from vlp16emu.extras.walk.path import Path, level_path
 from vlp16emu.extras.walk.settings import Walk
 from vlp16emu.extras.walk.way_points import way_points
 from vlp16emu.foliage.polyline import Polyline
@@ -178,7 +178,7 @@ class Versions:
 def plan_of(xy_m: F8) -> Path | None:
     """Return the path through way points (n, 2) on level ground; None if nobody can turn so."""
     try:
-        return Path(xy_m, lambda x_m, _y_m: np.zeros_like(x_m))
+        return level_path(xy_m)
     except InputError:
         return None
 
