@@ -14,12 +14,12 @@ from vlp16emu.types import Firings, Hits, Returns
 
 
 class Optics(Protocol):
-    """Window and lasers that are not as they should be."""
+    """Dirty window and dead lasers."""
 
-    def dimmed(self, firings: Firings, hits: Hits) -> Hits:
+    def dim(self, firings: Firings, hits: Hits) -> Hits:
         """Attenuate the light of each pulse."""
 
-    def received(self, returns: Returns) -> Returns:
+    def without_dead_lasers(self, returns: Returns) -> Returns:
         """Remove the returns of dead lasers."""
 
 

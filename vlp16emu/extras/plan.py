@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from vlp16emu.engine import Engine, Job, Unit
 from vlp16emu.engine.windows import window_of
-from vlp16emu.extras.meshes.furnished import MeshKey
+from vlp16emu.extras.meshes.furnish import MeshKey
 from vlp16emu.extras.outlook import Outlook
 from vlp16emu.extras.walk.settings import Walk
 from vlp16emu.forest.plants.foliage import IvyKey
@@ -148,7 +148,7 @@ def stages(engine: Engine, repeats: int) -> list[Stage]:
     """
     unit = engine.parts.units[0]
     parts = engine.parts
-    count = unit.beam.together * engine.batching.block * engine.batching.parts
+    count = unit.beam.revolutions_at_once * engine.batching.block * engine.batching.parts
     segment = engine.batching.segment * engine.batching.block
     geometry = engine.windows.at_block(0).result()
     spent_s = dict[str, float]()
@@ -204,7 +204,7 @@ def _stages_at(
     timed("texture", lambda: add_texture(firings, hits, geometry.surfaces, world.seed))
     if unit.state.optics is not None:
         optics = unit.state.optics
-        hits = timed("window", lambda: optics.dimmed(firings, hits))
+        hits = timed("window", lambda: optics.dim(firings, hits))
     returns = timed("detect", lambda: detect(firings, hits, geometry.surfaces, unit.detector, truth=False))
     if sensor.model in {model.value for model in SensorModel}:
         mode = ReturnMode(sensor.return_mode)

@@ -160,11 +160,11 @@ def figure_of(report: Report) -> "Figure":
     return figure
 
 
-def plain_logarithm(axes: "Axes", which: str = "xy") -> None:
+def plain_logarithm(axes: "Axes", names: str = "xy") -> None:
     """Label the logarithmic ones of the axes x and y with plain numbers at 1, 2 and 5 of each decade."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    for axis in (getattr(axes, f"{name}axis") for name in which):
+    for axis in (getattr(axes, f"{name}axis") for name in names):
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())

@@ -81,7 +81,7 @@ class WalkMotion:
             _kinematics(self._table(second), t_ns, begin_ns, which, *pose, *rates)
         return out
 
-    def bent(self, mast: Mast) -> "WalkMotion":
+    def mast_top(self, mast: Mast) -> "WalkMotion":
         """Return the motion of the top of a mast on the pack, which swings as the pack pushes it."""
         if self._pack is None:
             return self

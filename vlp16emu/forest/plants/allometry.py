@@ -63,10 +63,8 @@ def _curtis_arney_height_m(
 def _bechtold_crown_width_m(coefficients: Coefficients, dbh_cm: F8) -> F8:
     """Crown width of forest-grown trees, Bechtold (2003), in inches and feet.
 
-    Its parameters are a1, a2, a3, a4; the crown ratio is in percent.
-
-    It is proportional to diameter below 5 inches and constant above 50 inches, as in the Forest Vegetation
-    Simulator.
+    Its parameters are a1, a2, a3, a4; the crown ratio is in percent. It is proportional to diameter below 5
+    inches and constant above 50 inches, as in the Forest Vegetation Simulator.
     """
     a1, a2, a3, a4, crown_ratio_percent = coefficients
     dbh_in = np.clip(dbh_cm / _INCH_CM, 5.0, 50.0)
@@ -88,10 +86,9 @@ def _component_biomass_kg(
 ) -> F8:
     """Sum of components a + b d^c h^d u^e s^f k^g (d h)^h.
 
-    Here u is the diameter at 0.3 h, s the stump, k the crown base.
-
-    A negative component, such as coarse wood of saplings, counts as 0. Source: Vonderach et al. (2018),
-    10.1007/s13595-018-0728-4, coefficients of Vonderach and Kaendler (2021).
+    Here u is the diameter at 0.3 h, s the stump, k the crown base. A negative component, such as coarse wood
+    of saplings, counts as 0. Source: Vonderach et al. (2018), 10.1007/s13595-018-0728-4, coefficients of
+    Vonderach and Kaendler (2021).
     """
     total = np.zeros_like(dbh_cm)
     for a, b, c, d, e, f, g, h in np.reshape(coefficients, (-1, _COMPONENT_TERMS)):
@@ -112,7 +109,7 @@ class Equation(Section):
 
     @field_validator("coefficients")
     @classmethod
-    def _complete(cls, coefficients: Coefficients, info: ValidationInfo) -> Coefficients:
+    def _check_count(cls, coefficients: Coefficients, info: ValidationInfo) -> Coefficients:
         model = info.data.get("model")  # absent if it is itself in error
         if model is not None and len(coefficients) != cls.known[model][0]:
             raise ValueError(f"{cls.known[model][0]} numbers for {model!r}")
@@ -198,25 +195,25 @@ class Taper(Equation):
 @array_kernel
 def _form(row: F8, height_m: float, above_ground_m: float) -> float:
     """Relative stem radius, to be scaled to the DBH; 0 at the tip of the unbroken stem."""
-    whole_m = height_m / row[1]
-    z = min(max(above_ground_m, 0.0), whole_m)
+    unbroken_m = height_m / row[1]
+    z = min(max(above_ground_m, 0.0), unbroken_m)
     if row[0] == 0:
         # Laasasenaho (1982): exponents 1, 2, 3, 5, 8, 13, 21, 34 of the relative distance from the tip.
         # Each exponent is the sum of the two before, so each power is the product of the two before.
-        before = now = 1.0 - z / whole_m
-        form = row[4] * now
+        power_before = power_now = 1.0 - z / unbroken_m
+        form = row[4] * power_now
         for i in range(5, 12):
-            before, now = now, before * now
-            form += row[i] * now
+            power_before, power_now = power_now, power_before * power_now
+            form += row[i] * power_now
     else:
         # Brink's function as in Schmidt (2001), with a radius of 1 at breast height.
         i_share = row[4]
         p = row[5]
         q = row[6]
-        top = 1.0 - exp(q * (1.3 - whole_m))
-        butt = 1.0 - exp(p * (1.3 - whole_m))
+        top = 1.0 - exp(q * (1.3 - unbroken_m))
+        butt = 1.0 - exp(p * (1.3 - unbroken_m))
         # Two terms, exactly 1 at breast height and 0 at the tip.
-        form = i_share * ((1.0 - exp(q * (z - whole_m))) / top)
+        form = i_share * ((1.0 - exp(q * (z - unbroken_m))) / top)
         form += (1.0 - i_share) * (1.0 - (1.0 - exp(p * (1.3 - z))) / butt)
     if row[2] > 0:
         form *= 1.0 + row[2] * exp(-z / row[3])
@@ -228,11 +225,11 @@ def _radii(taper: F8, dbh_m: F8, height_m: F8, above_ground_m: F8) -> F8:
     out = np.empty_like(above_ground_m)
     for i in range(len(dbh_m)):
         breast = _form(taper[i], height_m[i], 1.3)
-        more = taper[i, 12]
+        own_taper = taper[i, 12]
         for j, z in enumerate(above_ground_m[i]):
             share = _form(taper[i], height_m[i], z) / breast
-            if more != 0 and share > 0:
-                share *= exp(more * log(share))
+            if own_taper != 0 and share > 0:
+                share *= exp(own_taper * log(share))
             out[i, j] = dbh_m[i] / 2 * share
     return out
 
