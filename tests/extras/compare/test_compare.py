@@ -1,5 +1,7 @@
 """Statistics that distinguish units, on our captures and on real ones."""
 
+import re
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,7 @@ from vlp16emu.sinks import PcapSink
 from vlp16emu.types import Packet, PacketKind
 
 CAPTURES = Path(__file__).resolve().parents[4] / "shared" / "captures"
+LAWS = Path(__file__).parents[3] / "vlp16emu/sensor/laws.toml"
 UNIT = {"noise.preset": "unit", "sensor.preset": "unit", "sensor.eccentricity_deg": 0.06}
 BEAT = {"noise.range_beat_m": 0.0055, "noise.range_beat_phase_deg": 123.0}
 
@@ -113,11 +116,48 @@ def test_a_unit_without_character_is_unlike_any_real_one(recorded):
     assert {name: unlike[name] for name in wanted} == dict.fromkeys(wanted, (True, False))
 
 
-def test_the_beat_of_real_units_is_found(real):
+@pytest.fixture(scope="module")
+def statistics(real):
+    """Statistics of the real units, by capture."""
+    return {name: statistics_of(sequences) for name, sequences in real.items()}
+
+
+def test_the_beat_of_real_units_is_found(statistics):
     """Amplitudes of 3.5 to 7.5 mm, which the four captures show."""
-    beats = {name: statistics_of(sequences)["range.beat_mm"] for name, sequences in real.items()}
+    beats = {name: found["range.beat_mm"] for name, found in statistics.items()}
     assert all(3.5 < beat_mm < 7.5 for beat_mm in beats.values())
     assert beats["mrpt"] == pytest.approx(6.0, abs=0.2)
+
+
+UNITS = {"A": "mrpt", "B": "nebula", "C": "einride", "D": "2014"}
+"""Captures by the letters of `sensor/laws.toml`, in the order of protocol/README.md."""
+
+
+@pytest.mark.parametrize(
+    ("section", "law", "statistic", "tolerance"),
+    [
+        ("clock", "spread_ppm", "clock.error_ppm", 0.01),
+        ("range", "beat", "range.beat_mm", 0.1),
+        ("code", "gain_neighbours", "reflectivity.gain_spread", 0.001),
+    ],
+)
+def test_a_law_names_the_unit_that_its_capture_shows(statistics, section, law, statistic, tolerance):
+    """The values by unit in the source of a law are those of the units' captures."""
+    laws = tomllib.loads(LAWS.read_text(encoding="utf-8"))
+    stated = dict(re.findall(r"\b([ABCD]) (-?[\d.]+\d)", laws[section][law]["source"]))
+    for letter, name in UNITS.items():
+        value = statistics[name].get(statistic)
+        assert value is None or float(stated[letter]) == pytest.approx(value, abs=tolerance)
+
+
+def test_clock_errors_stand_in_the_order_of_the_table(statistics):
+    """protocol/README.md has the clock errors of units in the order of the head of its table."""
+    page = (LAWS.parents[2] / "protocol/README.md").read_text(encoding="utf-8")
+    (errors,) = re.findall(r"stamps against firing ([-\d., ]+) ppm", page)
+    assert "| Effect | Measured: mrpt, nebula, einride, 2014 |" in page
+    for name, stated in zip(UNITS.values(), errors.split(", "), strict=True):
+        error_ppm = statistics[name].get("clock.error_ppm")
+        assert error_ppm is None or float(stated) == pytest.approx(error_ppm, abs=0.01)
 
 
 def settings_of(sequences):
