@@ -303,7 +303,7 @@ def test_a_configuration_is_written_beside_the_bag(walk, tmp_path, refused):
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        ("bag {walk}/walk.pcap {walk}/walk.db", "found the ending .db"),
+        ("bag {walk}/walk.pcap {walk}/walk.db", "found the ending '.db'"),
         ("bag {walk}/walk.pcap {walk}/walk", "is there already"),
         ("bag {walk}/walk.pcap {walk}/new.mcap --truth {walk}/nothing", "rig.json"),
         ("bag {walk}/walk.pcap {walk}/new.mcap --unit 2", "--unit: found 2"),
@@ -374,9 +374,9 @@ def test_odometry_of_a_run_has_the_rates_of_its_motion(tmp_path):
     ("file", "content", "message"),
     [
         ("trajectory.npy", None, "trajectory.npy: no such file or directory; expected a table"),
-        ("trajectory.npy", b"x y z", "trajectory.npy: no whole table of numpy"),
-        ("imu.npy", b"", "imu.npy: no whole table of numpy"),
-        ("gnss.npy", "imu.npy", "gnss.npy: another table"),
+        ("trajectory.npy", b"x y z", "trajectory.npy: no complete array of numpy"),
+        ("imu.npy", b"", "imu.npy: no complete array of numpy"),
+        ("gnss.npy", "imu.npy", "gnss.npy: found columns "),
         ("rig.json", b"{", "rig.json: no JSON"),
     ],
 )

@@ -78,7 +78,7 @@ class ReferenceScene:
         if beam.budget.adaptive:
             return self._by_rounds(cast, firings, beam)
         if beam.has_width:
-            each = beam.budget.most
+            each = beam.budget.max_rays
             return Hits(np.full(shape, each, np.uint16), *cast(self._sub_rays(firings, beam, 0, each), each))
         lines = (firings.origin_m - self._origin_m).reshape(-1, 3), firings.direction.reshape(-1, 3)
         met = cast(lines, 1)

@@ -2,7 +2,7 @@
 
 Embree finds candidates, and `_decide` selects the hit and its range. Embree's rounding depends on the
 instruction set: with another one the same ray hits a leaf at its edge or misses it, or hits the other of two
-intersecting faces. So Embree has slightly wider triangles (`build.widened`), candidates are kept up to
+intersecting faces. So Embree has slightly wider triangles (`build.widen`), candidates are kept up to
 `_SLACK_M` behind the nearest, and each is decided in float64, by sums, products and one division, from the
 original corners. Of two at the same range the one with the lower number is hit. So neither Embree's
 arithmetic nor the order of candidates matters.

@@ -178,15 +178,13 @@ def _detect(
     columns = _LAST if constants.strongest_only else _SECOND  # columns that a single echo fills
     rates = constants.lost
     before = noise[2:]
-    reflectivity_noise = constants.reflectivity_noise + constants.reflectivity_noise_share
-    needs_noise = constants.range_noise_m + reflectivity_noise + rates.any > 0.0
     for i in range(rays.counts.shape[0]):
         n = first + i
         slot = 24 * n % 5
         if i % block == 0:
             before[0] = -1.0
             before[1:] = 0.0
-        if needs_noise:
+        if _draws_noise(constants):
             normal_pairs(constants.seed, _RANGE_NOISE, n, noise[0], noise[1])
         for j in range(lasers):
             start, stop = stop, stop + int(rays.counts[i, j])
@@ -269,6 +267,13 @@ def _apply_parity(parity: F8, distance_m: F4) -> None:
                     # Codes are rounded: the edge is halfway between two codes, below or above an odd one.
                     upward = 1.0 if below % 2.0 == 0.0 else -1.0
                     distance_m[i, j, column] = np.float32((code + upward * parity[j]) / _CODES_PER_M)
+
+
+@inline_kernel
+def _draws_noise(constants: DetectorConstants) -> bool:
+    """Return True if the errors of a pulse, or its loss, need random numbers."""
+    reflectivity_noise = constants.reflectivity_noise + constants.reflectivity_noise_share
+    return constants.range_noise_m + reflectivity_noise + constants.lost.any > 0.0
 
 
 @inline_kernel

@@ -97,7 +97,7 @@ def plotting(
         yield lambda _: None
         return
     if path.suffix.lower() not in _FORMATS:
-        raise OutputError(f"{where} {path}", f"found the ending '{path.suffix}'", ".png, .svg or .pdf")
+        raise OutputError(f"{where} {path}", f"found the ending {path.suffix!r}", ".png, .svg or .pdf")
     check_matplotlib()
     with OutputFile(path, where=f"{where} {path}", inputs=inputs) as output:
 

@@ -241,9 +241,10 @@ class StoredTable:
             try:
                 self.rows: Rows = open_memmap(path, mode="r")
             except ValueError:
-                raise InputError(str(path), "no whole table of numpy", _EXPECTED) from None
+                raise InputError(str(path), "no complete array of numpy", _EXPECTED) from None
         if self.rows.dtype != dtype or self.rows.ndim != 1:
-            raise InputError(str(path), "another table", _EXPECTED)
+            columns = ", ".join(self.rows.dtype.names or [str(self.rows.dtype)])
+            raise InputError(str(path), f"found columns {columns}", _EXPECTED)
 
     def between(self, start_ns: int, stop_ns: int) -> Rows:
         """Return the rows from `start_ns` on and before `stop_ns`."""

@@ -169,7 +169,7 @@ def is_film(path: Path) -> bool:
 def check_suffix(path: Path) -> None:
     """Raise OutputError if a file is not .png or .gif by its suffix, and MissingExtraError without pillow."""
     if path.suffix.lower() != ".png" and not is_film(path):
-        raise OutputError(str(path), f"found the ending {path.suffix.lower()}", ".png, or .gif for a film")
+        raise OutputError(str(path), f"found the ending {path.suffix.lower()!r}", ".png, or .gif for a film")
     if find_spec("PIL") is None:
         raise MissingExtraError("pillow", "picture", "a picture")
 

@@ -138,10 +138,8 @@ def _add_ruts(
             # The phases of a rut's two waves take one half of the bits each.
             phases = words[2] if aside > 0 else words[3]
             along_m = along_x * x[i] + along_y * y[i]
-            first_phase, second_phase = (
-                (phases >> np.uint32(16)) * 2.0**-16,
-                (phases & np.uint32(0xFFFF)) * 2.0**-16,
-            )
+            first_phase = (phases >> np.uint32(16)) * 2.0**-16
+            second_phase = (phases & np.uint32(0xFFFF)) * 2.0**-16
             wave = cos_sin(2 * math.pi * (along_m / _WAVES_M[0] + first_phase))[0]
             wave += cos_sin(2 * math.pi * (along_m / _WAVES_M[1] + second_phase))[0]
             depth_m = _DEPTH_M[0] + (0.5 + 0.25 * wave) * (_DEPTH_M[1] - _DEPTH_M[0])
@@ -239,10 +237,8 @@ def _add_features(
                 east_m = x[i] - (ix + words[1] * 2.0**-32) * cell_m
                 north_m = y[i] - (iy + words[2] * 2.0**-32) * cell_m
                 # Two numbers from one half of the last word each: 65536 values are enough.
-                first_draw, second_draw = (
-                    (words[3] >> np.uint32(16)) * 2.0**-16,
-                    (words[3] & np.uint32(0xFFFF)) * 2.0**-16,
-                )
+                first_draw = (words[3] >> np.uint32(16)) * 2.0**-16
+                second_draw = (words[3] & np.uint32(0xFFFF)) * 2.0**-16
                 if purpose == _PIT:
                     out[i] += _pit_m(east_m, north_m, first_draw, second_draw)
                     continue

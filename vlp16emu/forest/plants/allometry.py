@@ -11,7 +11,7 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from vlp16emu.elementary import exp, expm1, log, log1p, power
 from vlp16emu.kernels.compiler import array_kernel
-from vlp16emu.settings import Section
+from vlp16emu.settings import ExpectationError, Section
 from vlp16emu.types import F8
 
 Coefficients = tuple[float, ...]
@@ -101,7 +101,7 @@ def _component_biomass_kg(
 class Equation(Section):
     """An equation by name, with its coefficients."""
 
-    known: ClassVar[Mapping[str, tuple[int, Any]]]
+    equations: ClassVar[Mapping[str, tuple[int, Any]]]
     """Number of coefficients, and function of the coefficients and the arguments, by equation."""
 
     model: str
@@ -111,26 +111,26 @@ class Equation(Section):
     @classmethod
     def _check_count(cls, coefficients: Coefficients, info: ValidationInfo) -> Coefficients:
         model = info.data.get("model")  # absent if it is itself in error
-        if model is not None and len(coefficients) != cls.known[model][0]:
-            raise ValueError(f"{cls.known[model][0]} numbers for {model!r}")
+        if model is not None and len(coefficients) != cls.equations[model][0]:
+            raise ExpectationError(f"{cls.equations[model][0]} numbers for {model!r}")
         return coefficients
 
     def __call__(self, *values: Any) -> F8:
         """Value of the equation."""
-        return self.known[self.model][1](self.coefficients, *values)
+        return self.equations[self.model][1](self.coefficients, *values)
 
 
 class HeightCurve(Equation):
     """Tree height as a function of diameter in cm, through a stand's mean diameter and mean height."""
 
-    known: ClassVar = {"uniform": (2, _uniform_height_m), "curtis_arney": (3, _curtis_arney_height_m)}
+    equations: ClassVar = {"uniform": (2, _uniform_height_m), "curtis_arney": (3, _curtis_arney_height_m)}
     model: Literal["uniform", "curtis_arney"]
 
 
 class CrownWidth(Equation):
     """Crown width of forest-grown trees as a function of diameter in cm."""
 
-    known: ClassVar = {
+    equations: ClassVar = {
         # c0, c1 and c0, c1, c2, c3 of Doebbeler et al. (2002): a straight line, and a line with less width
         # for thin trees.
         "linear": (2, lambda c, dbh_cm: c[0] + c[1] * dbh_cm),
@@ -148,7 +148,7 @@ class CrownBase(Equation):
     over the ground area.
     """
 
-    known: ClassVar = {
+    equations: ClassVar = {
         "logistic": (6, _logistic_crown_base),
         # The crown ratio, if it is the same for all trees.
         "ratio": (1, lambda c, dbh_cm, *_: np.broadcast_to(log(1 / c[0] - 1), np.shape(dbh_cm))),
@@ -162,7 +162,7 @@ class Biomass(Equation):
     It follows from diameters in cm, heights, diameters at 0.3 of the height, and crown base heights.
     """
 
-    known: ClassVar = {
+    equations: ClassVar = {
         # b0, b1: Jenkins et al. (2003), Forest Science 49(1), table 4; b0, b1, b2: the form of Smith et al.
         # (2014).
         "log_diameter": (2, lambda b, dbh_cm, *_: exp(b[0] + b[1] * log(dbh_cm))),
@@ -175,7 +175,7 @@ class Biomass(Equation):
 class Taper(Equation):
     """Taper of a stem."""
 
-    known: ClassVar = {"laasasenaho": (8, None), "brink": (3, None)}  # see `_form`
+    equations: ClassVar = {"laasasenaho": (8, None), "brink": (3, None)}  # see `_form`
     model: Literal["laasasenaho", "brink"]
     flare: Annotated[tuple[float, float], Field(strict=False)] = (0.0, 1.0)
     """Butt swell: relative extra radius at the ground, and the height in m over which it falls by a factor of

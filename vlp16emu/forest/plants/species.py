@@ -25,7 +25,7 @@ from vlp16emu.forest.plants.allometry import (
     taper_radius_m,
 )
 from vlp16emu.forest.settings import Season
-from vlp16emu.settings import Fraction, Section, toml
+from vlp16emu.settings import ExpectationError, Fraction, Section, toml
 from vlp16emu.types import F8, I8
 
 Pair = Annotated[tuple[float, float], Field(strict=False)]
@@ -66,7 +66,7 @@ class Foliage(Section):
     @classmethod
     def _check_inclination(cls, inclination: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
         if len(inclination) != 2 * (info.data.get("kind") == "leaf"):
-            raise ValueError("mu and nu for leaves, nothing for shoots")
+            raise ExpectationError("mu and nu for leaves, nothing for shoots")
         return inclination
 
 
@@ -194,7 +194,7 @@ class Plant(Section):
     def _check_number(cls, number: int, info: ValidationInfo) -> int:
         first = info.context["first_number"] if info.context else 1
         if number < first:
-            raise ValueError(f"{first} or more")
+            raise ExpectationError(f"{first} or more")
         return number
 
 
