@@ -1,6 +1,6 @@
-"""Assembly of an emulator's parts from the sections of a scenario: heads, receivers, carrier and world.
+"""Assembly of an emulator's parts, from the sections of a scenario.
 
-No geometry is built here.
+Parts are heads, receivers, carrier and world. No geometry is built here.
 """
 
 from collections.abc import Callable
@@ -325,7 +325,7 @@ def _head(scenario: Scenario, section: Lidar, seed: int, state: SensorState) -> 
         wobbles=state.wobbles,
         swings=swings,
         drift=drift,
-        locks_ns=state.operation.where(lambda now: now.settings.phase_lock_deg != "off"),
+        locks_ns=state.operation.where(lambda operation: operation.settings.phase_lock_deg != "off"),
     )
     beams = with_angle_errors(
         section.beam_table(),

@@ -1,4 +1,4 @@
-"""The program on one page: poses - aim - cast - shade - dim - detect - pack - merge in order of sending.
+"""The program on one page: poses, aim, cast, shade, dim, detect, pack, merge in order of sending.
 
 Blocks of firing sequences are computed whole, and windows of the world change at fixed blocks, so neither the
 number of threads nor the requested span can change a byte.

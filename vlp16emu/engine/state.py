@@ -41,4 +41,4 @@ class SensorState:
     @cached_property
     def silences(self) -> Spans:
         """Spans since the first pulse without power, in which no packet of any kind leaves."""
-        return self.operation.where(lambda now: not now.is_powered)
+        return self.operation.where(lambda operation: not operation.is_powered)

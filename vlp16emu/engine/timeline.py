@@ -186,11 +186,11 @@ def stretches_of(operation: Steps[Operation]) -> tuple[Stretch, ...]:
     A change takes effect with the next packet of single return, and begins a packet.
     """
     spans = list[Stretch]()
-    for begin_ns, end_ns, now in operation.spans():
+    for begin_ns, end_ns, in_force in operation.spans():
         first = _sequence(begin_ns)
         stop = None if end_ns == FOREVER_NS else _sequence(end_ns)
-        settings = now.settings
-        if not now.is_powered or not settings.laser or first == stop:
+        settings = in_force.settings
+        if not in_force.is_powered or not settings.laser or first == stop:
             continue
         mode = ReturnMode(settings.return_mode)
         fov_deg = None if settings.fov_deg == ALL_AROUND else settings.fov_deg
@@ -263,15 +263,16 @@ _BY_RETURN = ("distance_m", "reflectivity", "surface", "range_m", "share")
 def _rows(returns: Returns, rows: slice | NDArray[np.int64]) -> Returns:
     """Select firing sequences of returns for packing: in order of time, with gaps."""
     arrays = {name: getattr(returns.firings, name)[rows] for name in _BY_SEQUENCE}
-    taken = {name: whole[rows] for name in _BY_RETURN if (whole := getattr(returns, name)) is not None}
+    present = [name for name in _BY_RETURN if getattr(returns, name) is not None]
+    selected = {name: getattr(returns, name)[rows] for name in present}
     firings = Firings(index=returns.firings.index, beam_axis=None, **arrays)
-    return Returns(firings, surfaces=returns.surfaces, mode=returns.mode, **taken)
+    return Returns(firings, surfaces=returns.surfaces, mode=returns.mode, **selected)
 
 
 def _concatenate(earlier: Returns, later: Returns) -> Returns:
     """Concatenate the rows of two returns and their tables of surfaces."""
 
-    def both(first: object, second: object, names: tuple[str, ...]) -> dict[str, Any]:
+    def concatenate(first: object, second: object, names: tuple[str, ...]) -> dict[str, Any]:
         present = [name for name in names if getattr(first, name) is not None]
         return {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in present}
 
@@ -279,9 +280,11 @@ def _concatenate(earlier: Returns, later: Returns) -> Returns:
         moved = later.surface + np.uint32(len(earlier.surfaces))
         later = replace(later, surface=np.where(later.surface == NO_SURFACE, NO_SURFACE, moved))
     firings = Firings(
-        index=earlier.firings.index, beam_axis=None, **both(earlier.firings, later.firings, _BY_SEQUENCE)
+        index=earlier.firings.index,
+        beam_axis=None,
+        **concatenate(earlier.firings, later.firings, _BY_SEQUENCE),
     )
-    return Returns(firings, mode=earlier.mode, **both(earlier, later, (*_BY_RETURN, "surfaces")))
+    return Returns(firings, mode=earlier.mode, **concatenate(earlier, later, (*_BY_RETURN, "surfaces")))
 
 
 def _count(returns: Returns) -> int:

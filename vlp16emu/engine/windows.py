@@ -114,10 +114,10 @@ class Windows(Generic[S]):
         too_far = max(0, threads + 1 - self._free)
 
         @lru_cache(self.kept + math.ceil(too_far / batching.segment))
-        def opened(name: Hashable) -> Future[S]:
+        def future_of(name: Hashable) -> Future[S]:
             return opener.submit(open_segment, name)
 
-        self._future_of = opened
+        self._future_of = future_of
         self.stop = Event()  # never set; see `stopped_by`
 
     def stopped_by(self, stop: Event) -> Self:

@@ -151,7 +151,7 @@ def within_reach(
 
 
 class FarCaster(EmbreeCaster):
-    """Opens windows with tiles; parameters as in `EmbreeCaster`, but the world also describes its far tiles.
+    """Opens windows with tiles of a world that describes its far tiles; parameters as in `EmbreeCaster`.
 
     Clouds of shapes and blocks of tiles are kept from window to window.
     """

@@ -1,4 +1,4 @@
-"""The march of light through the far medium: ground as a grid, stems as tapered cones, foliage as voxels.
+"""The march of light through the far medium: a grid of ground, tapered stems, and voxels of foliage.
 
 A pulse first meets the stems in its way (`vlp16emu.foliage.stems`). Up to the range where they end it, it
 passes slabs of voxels along the axis that it is most parallel to. The voxel on its centre ray decides for all

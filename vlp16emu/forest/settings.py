@@ -1,4 +1,4 @@
-"""Settings of a generated forest or a plot of given trees: ground, trees, and what is under them."""
+"""Settings of a generated forest or a plot of given trees: ground, trees and undergrowth."""
 
 import math
 import tomllib

@@ -1,4 +1,4 @@
-"""The plane cut into square tiles: tiles near a line, and their ground as triangles, large on even ground.
+"""The plane in square tiles: tiles near a line, and their ground as triangles, large on even ground.
 
 Right triangles are bisected repeatedly from the middle of their longest side, if the ground is off that
 middle (Evans, Kirkpatrick and Townsend, "Right-triangulated irregular networks", Algorithmica 30, 2001). A
@@ -31,7 +31,7 @@ _APRON = 2
 
 
 def ground_triangles(corner_m: tuple[float, float], edge_m: float, height_m: HeightField) -> tuple[F8, I8]:
-    """Triangulate the ground of a square, with the same vertices along the border as in neighbouring squares.
+    """Triangulate the ground of a square; neighbouring squares have the same vertices along the border.
 
     The south-west corner is at whole multiples of 0.5 m, and the edge is in whole metres. Returns vertices
     (n, 3) in the world, by rows from south to north, and faces (m, 3), counter-clockwise as seen from above.

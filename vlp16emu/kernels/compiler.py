@@ -75,7 +75,7 @@ def _prepare() -> None:
 
 @cache
 def is_plain() -> bool:
-    """Return True if numba compiles and keeps kernels in its own way, which takes longer and changes no byte.
+    """Return True if numba compiles and keeps kernels in its own way: longer, with the same bytes.
 
     So it is with versions of numba whose private interfaces are not known, unless a kernel that is compiled
     through them works; or if `VLP16EMU_NUMBA` is `plain`.

@@ -49,7 +49,7 @@ class EmbreeGeometry:
 
     @property
     def as_far(self) -> "EmbreeGeometry":
-        """The same window, as nothing in it is far."""
+        """The same window: nothing in it is far."""
         return self
 
     def near_faces(self, rise: float, far_m: float) -> tuple[Target, float]:  # noqa: ARG002 - one for all

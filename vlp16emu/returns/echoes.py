@@ -166,7 +166,7 @@ def highest_peak(nodes: F8, start: int, stop: int, sigma_m: float, peaks: F8) ->
 
 @inline_kernel
 def _add_peak(peaks: F8, found: int, range_m: float, amplitude: float) -> int:
-    """Add a peak, unless it is the previous one, reached from its other side; return the number of peaks."""
+    """Add a peak, unless it is the previous one again; return the number of peaks."""
     if found > 0 and range_m - peaks[RANGE, found - 1] < _LAST_STEP_M:
         return found
     peaks[RANGE, found] = range_m

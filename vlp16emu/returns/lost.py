@@ -1,4 +1,4 @@
-"""Records that a real unit loses, and what it sends instead of a range.
+"""Records that a real unit loses, and the codes that it sends instead of a range.
 
 The receiver sets the laser power from previous pulses, so a record is lost at a step of brightness. A pulse
 that hits two surfaces gives the strongest or the last return as the manual says, and rarely nothing; a dark
@@ -183,7 +183,7 @@ def lose(
 
 @inline_kernel
 def _multiple(code: float, no_return: float, limit: float) -> float:
-    """Return the integer multiple of the laser's no-return code that is nearest to `code`, at most `limit`."""
+    """Return the multiple of the laser's no-return code nearest to `code`, at most `limit`."""
     return min(np.floor(np.rint(code / no_return) * no_return) if no_return > 0.0 else code, limit)
 
 

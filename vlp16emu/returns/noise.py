@@ -201,7 +201,7 @@ assumption: it is logarithmic between them."""
 
 @inline_kernel
 def reflectivity_byte(percent: float, gain: float, noise: float, codes: U1) -> np.uint8:
-    """Return the byte of a reflectivity: 0..100 percent for a diffuse target, 101..255 for a retroreflector.
+    """Return the byte of a reflectivity: 0..100 for a diffuse target, 101..255 for a retroreflector.
 
     Source: 63-9243 Rev D, section 6.1. Neither gain nor noise moves a target from one class to the other,
     since they are small calibration errors.

@@ -67,7 +67,7 @@ class Spin:
 
 @dataclass(frozen=True, slots=True)
 class Swing:
-    """A sine by which the motor is ahead of or behind its set speed, as a time; it stops with the motor."""
+    """A sinusoidal lead of the motor over its set speed, as a time; it stops with the motor."""
 
     amplitude_ns: float
     period_ns: float
@@ -133,7 +133,7 @@ class Wobble:
     period_s: float
 
     def ahead_deg(self, elapsed_ns: I8) -> F8:
-        """Return the angles (n,) by which the rotor is ahead of a constant rotation."""
+        """Return the lead (n,) of the rotor over a constant rotation, as angles."""
         since_s = np.clip(elapsed_ns - self.from_ns, 0, self.lasts_ns) / S_NS
         per_s = 2.0 * math.pi / self.period_s
         return np.asarray(6.0 * self.amplitude_rpm / per_s * (1.0 - cos(per_s * since_s)))
@@ -254,7 +254,7 @@ def _speeds(rpm: F8) -> tuple[F8, F8, F8]:
 
 @dataclass(frozen=True)
 class Rotor:
-    """Motor of a head: it turns clockwise, seen from above, at constant speed except for swings and events.
+    """Motor of a head: it turns clockwise, seen from above, at constant speed but for swings and events.
 
     The true angle is a function of time alone.
     """

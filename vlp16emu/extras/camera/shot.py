@@ -181,10 +181,14 @@ class Photographer:
             add_texture(firings, hits, geometry.surfaces, self.engine.parts.world.seed)
             texture = hits.cos_incidence / np.maximum(cosine, np.float32(1e-6))
             size = len(direction)
-            return origin_m, direction, *(of[:size] for of in (hits.range_m, hits.surface, cosine, texture))
+            return (
+                origin_m,
+                direction,
+                *(values[:size] for values in (hits.range_m, hits.surface, cosine, texture)),
+            )
 
         parts = zip(*self._in_parts(part, len(rays)), strict=True)
-        origin_m, direction, *met = (np.concatenate(of) for of in parts)
+        origin_m, direction, *met = (np.concatenate(column) for column in parts)
         return View(origin_m, direction, t, *met)
 
     def _in_parts(self, work: Callable[[slice], _T], count: int) -> list[_T]:
@@ -248,7 +252,7 @@ class Photographer:
         return seen
 
     def _looks(self, geometry: Geometry) -> tuple[F8, F8, NDArray[np.bool_]]:
-        """Return colours (m, 3), grain (m, 5) and whether it is a leaf (m,) of the surfaces of a window."""
+        """Return colours (m, 3), grain (m, 5) and a mask (m,) of leaves of the surfaces of a window."""
         surfaces = geometry.surfaces
         is_leaf = (surfaces["part"] == PlantPart.LEAF) | (surfaces["semantic"] == Semantic.GRASS)
         colours = light.linear(surface_colours(surfaces, self._species))

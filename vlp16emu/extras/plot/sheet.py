@@ -139,7 +139,7 @@ def _in_few_colours(file: IO[bytes]) -> bytes:
 
 
 def figure_of(report: Report) -> "Figure":
-    """Draw a report; InputError if it is none that has a picture, or lacks a member.
+    """Draw a report; InputError if it has no picture, or lacks a member.
 
     Artists that show data have an id (`gid`), which is in SVG files too.
     """

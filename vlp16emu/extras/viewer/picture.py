@@ -441,12 +441,12 @@ def _annotate(
     elif isinstance(entries, tuple):
         _draw_scale(image, entries, em, write)
     for line, words in enumerate(captions):
-        if shown := _shortened(words, room, lambda text: draw.textlength(text, font)):
+        if shown := _shorten(words, room, lambda text: draw.textlength(text, font)):
             write(edge, edge + 1.6 * em * line, shown, "ls")
     return image
 
 
-def _shortened(words: str, room: float, length: Callable[[str], float]) -> str:
+def _shorten(words: str, room: float, length: Callable[[str], float]) -> str:
     """Return words, with dots in place of their end if they are too long.
 
     It is empty if there is no room for the dots.

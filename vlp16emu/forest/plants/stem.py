@@ -1,4 +1,4 @@
-"""Stems: two meshes per tree, root flare and stem, which together are closed and exact at breast height.
+"""Stems: two meshes per tree, root flare and stem, together closed and exact at breast height.
 
 A ring of vertices lies where a stem's axis is 1.3 m above the ground at its foot. Perpendicular to the axis,
 the mesh's cross-section there has exactly the area of a circle of the recorded diameter. A second leader is a
@@ -214,7 +214,7 @@ def circles_of(
 
 
 class Stems:
-    """Stems of trees (n,) `TREE`, the vertex rings of their meshes, and second leaders (m,) of forked stems.
+    """Stems of trees (n,) `TREE`: vertex rings of their meshes, and second leaders (m,) of forked stems.
 
     Attributes
     ----------

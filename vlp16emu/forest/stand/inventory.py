@@ -1,4 +1,4 @@
-"""Ground truth of standing trees, computed from the scanned meshes: inventory, and circles along stems.
+"""Ground truth of standing trees, computed from the scanned meshes: inventory and circles.
 
 An inventory has one row per tree. Circles lie along stems and along branches of the first order.
 """

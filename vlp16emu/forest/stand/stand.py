@@ -124,7 +124,10 @@ def competition(
 
 
 def residuals(normal: F8) -> F8:
-    """Correlate normal numbers (n, 4) as residuals of height, crown ratio, crown width and volume, in sigmas."""
+    """Correlate normal numbers (n, 4) as the residuals of trees, in sigmas.
+
+    They are residuals of height, crown ratio, crown width and volume.
+    """
     z = np.clip(normal, -_MOST_SIGMAS, _MOST_SIGMAS)
     own_share = math.sqrt(1 - _WIDTH_BY_HEIGHT * _WIDTH_BY_HEIGHT - _WIDTH_BY_RATIO * _WIDTH_BY_RATIO)
     z[:, 2] = _WIDTH_BY_HEIGHT * z[:, 0] + _WIDTH_BY_RATIO * z[:, 1] + own_share * z[:, 2]

@@ -1,4 +1,4 @@
-"""Things near a path, and the digital twin of a part of the world: glTF with one labelled node per thing.
+"""Things near a path, and the digital twin of a part of the world, as labelled nodes of glTF.
 
 glTF has y up (glTF 2.0 specification, section 3.4), so the root node converts from the world's z up;
 programs with z up, such as Blender, convert it back.
