@@ -374,8 +374,8 @@ def test_odometry_of_a_run_has_the_rates_of_its_motion(tmp_path):
     ("file", "content", "message"),
     [
         ("trajectory.npy", None, "trajectory.npy: no such file or directory; expected a table"),
-        ("trajectory.npy", b"x y z", "trajectory.npy: no complete array of numpy"),
-        ("imu.npy", b"", "imu.npy: no complete array of numpy"),
+        ("trajectory.npy", b"x y z", "trajectory.npy: cannot be read: EOF"),
+        ("imu.npy", b"", "imu.npy: cannot be read: EOF"),
         ("gnss.npy", "imu.npy", "gnss.npy: found columns "),
         ("rig.json", b"{", "rig.json: no JSON"),
     ],
