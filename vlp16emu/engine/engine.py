@@ -216,14 +216,14 @@ class Engine:
         self, unit: Unit, detector: UnitDetector, blocks: range, threads: int, *, truth: bool
     ) -> Iterator[Returns]:
         """Scan blocks on several threads; yield their returns in order of blocks."""
-        together = 1 if self.prompt or self.truth_of else unit.beam.revolutions_at_once
+        at_once = 1 if self.prompt or self.truth_of else unit.beam.revolutions_at_once
         block = self.batching.block
         seed = self.parts.world.seed
 
         def work(run: range, opened: Future[Geometry]) -> Returns:
             return self._scan(Job(unit, detector, run, block, seed, truth), opened)
 
-        runs = self.windows.runs(blocks, together, threads)
+        runs = self.windows.runs(blocks, at_once, threads)
         return in_order(work, runs, self.windows, threads=threads, stop=blocks.stop)
 
     def _scan(self, job: Job, opened: Future[Geometry]) -> Returns:

@@ -63,8 +63,8 @@ class Timeline:
     head: Head
     spans: tuple[Stretch, ...]  # In order of time, without overlap
     _counts: dict[Stretch, tuple[int, ...]] = field(default_factory=dict, init=False, repr=False)
-    """Numbers of firing sequences in view from the begin of a span to each multiple of `_AT_ONCE` after it, as
-    far as they have been counted."""
+    """Numbers of firing sequences in view from the begin of a span to each multiple of `_AT_ONCE` after it,
+    as far as they have been counted."""
     _totals: dict[int, int] = field(default_factory=lambda: {0: 0}, init=False, repr=False)
     """Numbers of packets before spans, by their places."""
 

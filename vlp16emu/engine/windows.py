@@ -156,17 +156,17 @@ class Windows(Generic[S]):
         lead = int(_LEAD * self._per_segment) if self._per_segment else 0
         self.at_block(min(block + lead, stop - 1))
 
-    def runs(self, blocks: range, together: int, threads: int) -> Iterator[range]:
-        """Cut blocks into runs of at most `together` whole blocks, each within one window.
+    def runs(self, blocks: range, at_once: int, threads: int) -> Iterator[range]:
+        """Cut blocks into runs of at most `at_once` whole blocks, each within one window.
 
         Runs are short at first, so that the first packet comes soon, and at the end, so that workers end
         together; they are also short enough that workers do not get too far ahead.
         """
-        together = max(1, min(together * self._parts, self._free // (threads + 1)))
+        at_once = max(1, min(at_once * self._parts, self._free // (threads + 1)))
         first = blocks.start
         number = 0
         while first < blocks.stop:
-            size = min(together, 2 ** (number // threads), max(1, (blocks.stop - first) // (2 * threads)))
+            size = min(at_once, 2 ** (number // threads), max(1, (blocks.stop - first) // (2 * threads)))
             _, in_window = next(groupby(range(first, first + size), self.name_of))
             size = len(list(in_window))
             yield range(first, first + size)

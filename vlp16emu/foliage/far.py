@@ -126,14 +126,14 @@ class FarGeometry(EmbreeGeometry):
 
 
 def within_reach(
-    placed: Instances, track_m: F8, reach_m: float
+    instances: Instances, track_m: F8, reach_m: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return masks (n,), (n,) of the pieces in reach of positions (t, 3): by any ray, and by level rays."""
-    window = placed.window
-    placement = placed.placement
+    window = instances.window
+    placement = instances.placement
     world_T_shape = window.world_T_shape[placement]
-    half_m = np.diff(placed.boxes_m, axis=1)[:, 0] / 2
-    at_m = matvec(world_T_shape[..., :3], placed.boxes_m[:, 0] + half_m) + world_T_shape[..., 3]
+    half_m = np.diff(instances.boxes_m, axis=1)[:, 0] / 2
+    at_m = matvec(world_T_shape[..., :3], instances.boxes_m[:, 0] + half_m) + world_T_shape[..., 3]
     half_m = matvec(np.abs(world_T_shape[..., :3]), half_m)
     low_m, high_m = at_m[:, 2] - half_m[:, 2], at_m[:, 2] + half_m[:, 2]
     aside_m = hypot(half_m[:, 0], half_m[:, 1])

@@ -204,13 +204,13 @@ def _grid(M: Medium, axes: tuple[int, int, int]) -> _Grid:
 def _crossing(centre: _CentreRay, size: tuple[int, int, int]) -> tuple[np.float32, np.float32]:
     """Return the slabs at which the pulse enters and leaves the grid."""
     first, stop = f4(0.0), f4(1e6)
-    n_main, n_one, n_two = size
+    n_main, n_second, n_third = size
     k = f4(centre.k) + f4(0.5)
     step = f4(centre.step)
     for at, change, voxels in (
         (k, step, n_main),
-        (centre.p1, centre.d1, n_one),
-        (centre.p2, centre.d2, n_two),
+        (centre.p1, centre.d1, n_second),
+        (centre.p2, centre.d2, n_third),
     ):
         if abs(change) < f4(1e-9):
             if not 0 <= at < voxels:

@@ -74,7 +74,8 @@ class KernelCache:
     def _file(self, signature: object) -> str:
         args = getattr(signature, "args", signature)
         types_digest = hashlib.sha256(str(args).encode()).hexdigest()[:20]
-        return f"{_state()}-{self._name}-{types_digest}-{_content(frozenset({self._module, *_modules(args)}))}{_SUFFIX}"
+        content = _content(frozenset({self._module, *_modules(args)}))
+        return f"{_state()}-{self._name}-{types_digest}-{content}{_SUFFIX}"
 
 
 @cache

@@ -110,20 +110,20 @@ class EmbreeGeometry:
         return Hits.one_ray_each(*met)
 
 
-def target_of(placed: Instances, kept: NDArray[np.bool_] | None = None) -> Target:
+def target_of(instances: Instances, kept: NDArray[np.bool_] | None = None) -> Target:
     """Build the scene of selected pieces (n,), or of all."""
-    window = placed.window
-    placement = placed.placement
-    motion = placed.motion
-    scene = placed.scene(np.ones(len(placement), np.bool_) if kept is None else kept)
+    window = instances.window
+    placement = instances.placement
+    motion = instances.motion
+    scene = instances.scene(np.ones(len(placement), np.bool_) if kept is None else kept)
     return Target(
         scene,
         scene,
         window.origin_m,
         window.first_surface[placement],
         inverses(relative_to_window(window))[placement],
-        placed.row,
-        placed.buffers,
+        instances.row,
+        instances.buffers,
         np.ascontiguousarray(motion.shear[:, placement]),
         motion.foot_m[placement] if motion.span_ns else motion.foot_m,
         np.ascontiguousarray(window.surfaces["reflectance"]),

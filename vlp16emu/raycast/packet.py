@@ -351,8 +351,8 @@ def hit_of(target: Target, packet: RayPacket, r: int) -> tuple[np.float32, np.ui
         knot, share = knot_at(target.shear.shape[0], packet.world_rays[TIME + r])
         before = target.shear[knot, instance]
         after = target.shear[knot + 1, instance]
-        z -= (before[0] + share * (after[0] - before[0])) * x + (
-            before[1] + share * (after[1] - before[1])
-        ) * y
+        lean_x = before[0] + share * (after[0] - before[0])
+        lean_y = before[1] + share * (after[1] - before[1])
+        z -= lean_x * x + lean_y * y
     cosine = abs(state[_FACING + r]) / math.sqrt(x * x + y * y + z * z)
     return np.float32(state[_LIMIT + r]), surface, np.float32(min(cosine, 1.0))

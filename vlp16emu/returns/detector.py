@@ -171,7 +171,8 @@ class UnitDetector:
 def _parity(seed: int, lasers: int, spread: float) -> F8:
     """Draw the share of odd codes of each laser minus one half, (lasers,).
 
-    Real lasers have 20 to 82 % odd codes. Over all lasers, four real units have 48.5, 50.1, 50.4 and 51.5 %: closer to one half than by chance.
+    Real lasers have 20 to 82 % odd codes. Over all lasers, four real units have 48.5, 50.1, 50.4 and 51.5 %:
+    closer to one half than by chance.
     """
     drawn = spread * normal(seed, Purpose.DISTANCE_PARITY, 0, lasers)
     return np.clip(drawn - _BALANCED * drawn.mean(), -_MOST_PARITY, _MOST_PARITY)

@@ -285,8 +285,9 @@ def _climb(
 ) -> tuple[float, float]:
     """Return range and height of the peak between x_m, where the waveform rises towards end_m, and end_m.
 
-    Without a peak the height is 0. Newton's method is applied to the mean, with bisection as fallback. `closed` is True if the waveform is
-    known to fall at end_m; else this is evaluated when Newton's method fails. `light` is the waveform at x_m.
+    Without a peak the height is 0. Newton's method is applied to the mean, with bisection as fallback.
+    `closed` is True if the waveform is known to fall at end_m; else this is evaluated when Newton's method
+    fails. `light` is the waveform at x_m.
     """
     (mean_m, var_m2, height) = light
     low_m = min(x_m, end_m)
@@ -321,8 +322,8 @@ def find_source_surfaces(
 ) -> None:
     """Fill the surface (k, L, 3) of the sub-ray that gives most of the light, and its share.
 
-    The light is that at each distance before errors. The share (k, L, 3) is the fraction of the pulse's sub-rays that hit it at any range. Clutter and distance
-    0 have no surface.
+    The light is that at each distance before errors. The share (k, L, 3) is the fraction of the pulse's
+    sub-rays that hit it at any range. Clutter and distance 0 have no surface.
     """
     count, range_m, met, cos_incidence, reflectance = rays
     stop = 0

@@ -73,7 +73,8 @@ def loss_rates(seed: int, share: float, *, raised: bool) -> LossRates:
 def second_surface_share(rays: SubRays, sheet: U4, start: int, stop: int) -> float:
     """Return the share of the light of sub-rays that is a range step away from the brightest one.
 
-    Sub-rays are start .. stop - 1. A sheet without gaps, such as the ground (`sheet`, by surface; 0 for none), has no step at any slope.
+    Sub-rays are start .. stop - 1. A sheet without gaps, such as the ground (`sheet`, by surface; 0 for
+    none), has no step at any slope.
     """
     _, range_m, met, cosine, reflectance = rays
     brightest = at_m = total = beyond_step = 0.0

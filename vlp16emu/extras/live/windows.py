@@ -139,7 +139,7 @@ class LiveWindows(CubeWindows):
         if sys.platform == "linux":
             os.nice(_NICE)
 
-    def runs(self, blocks: range, together: int, threads: int) -> Iterator[range]:  # noqa: ARG002
+    def runs(self, blocks: range, at_once: int, threads: int) -> Iterator[range]:  # noqa: ARG002
         """Yield blocks one by one, as packets shall not wait; skip to the present if they are late."""
         block = blocks.start
         while block < blocks.stop:

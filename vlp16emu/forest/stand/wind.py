@@ -193,21 +193,18 @@ class TreeSway:
         """
         frequency_hz, lean_per_stress = mechanics(trees, self._forest.plants, self._forest.section.season)
         along_m, across_m = (trees["x_m"] * east + trees["y_m"] * north for east, north in self._axes)
-        swinging = Trees(2.0 * math.pi * frequency_hz, self._section.damping_ratio, along_m, across_m)
-        mean = self._section.speed_m_s
+        oscillators = Trees(2.0 * math.pi * frequency_hz, self._section.damping_ratio, along_m, across_m)
+        mean_m_s = self._section.speed_m_s
         t_s = np.asarray((t_ns - self._start_ns) * 1e-9, np.float64)
-        along, across = (swings(lines, mean, swinging, t_s) for lines in self._lines)
+        along, across = (swings(lines, mean_m_s, oscillators, t_s) for lines in self._lines)
         per_speed2 = _AIR_KG_M3 * _FRICTION_SHARE * _FRICTION_SHARE * lean_per_stress
-        downwind = per_speed2 * mean * (mean + 2.0 * along)
-        aside = per_speed2 * mean * across
+        downwind = per_speed2 * mean_m_s * (mean_m_s + 2.0 * along)
+        aside = per_speed2 * mean_m_s * across
         east, north = (downwind * a + aside * b for a, b in self._axes.T)
         return np.stack([east, north], axis=-1)
 
     def with_sway(self, window: Window, track_m: F8, start_ns: int, stop_ns: int) -> Window:
-        """Return `window` with the sway of its trees between `start_ns` and `stop_ns`, UTC.
-
-        It is the window around positions (n, 3).
-        """
+        """Return the window around positions (n, 3) with the sway of its trees over a span, UTC."""
         trees = self._forest.trees(track_m)
         trees = trees[trees["storey"] != REGENERATION]
         trees = trees[np.argsort(trees["id"], kind="stable")]
