@@ -23,7 +23,7 @@ from vlp16emu.kernels.numba_private import KernelDispatcher
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "base"))
-    for name in ("_state", "_content", "_files_of", "_read"):
+    for name in ("_state", "_content", "_files_of", "_digest_and_imports"):
         monkeypatch.setattr(cache, name, getattr(cache, name).__wrapped__)  # what they read changes in a test
     user_kernels.cache_clear()
     yield user_kernels().usable_folder

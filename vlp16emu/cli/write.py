@@ -124,7 +124,7 @@ def _deskew(
     as_json: bool,
 ) -> None:
     if trajectory is None:
-        expected = "--trajectory DIR or FILE.tum; `vlp16emu decode` leaves points in the sensor"
+        expected = "--trajectory DIR or FILE.tum, or `vlp16emu decode` for points in the sensor's frame"
         raise InputError(str(capture), "is a capture", expected)
     from vlp16emu.extras.clouds.cloud import label_scheme
     from vlp16emu.extras.clouds.deskew import CaptureTruth, Trajectory, write_deskewed

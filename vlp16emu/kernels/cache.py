@@ -73,8 +73,9 @@ class KernelCache:
 
     def _file(self, signature: object) -> str:
         args = getattr(signature, "args", signature)
-        of = hashlib.sha256(str(args).encode()).hexdigest()[:20]
-        return f"{_state()}-{self._name}-{of}-{_content(frozenset({self._module, *_modules(args)}))}{_SUFFIX}"
+        types_digest = hashlib.sha256(str(args).encode()).hexdigest()[:20]
+        content = _content(frozenset({self._module, *_modules(args)}))
+        return f"{_state()}-{self._name}-{types_digest}-{content}{_SUFFIX}"
 
 
 def _packaged(name: str) -> memoryview | None:
@@ -109,7 +110,7 @@ def sources_of(modules: frozenset[str]) -> list[str]:
         for file in _files_of(left.pop()):
             if file not in found:
                 found.add(file)
-                left.update(_read(file)[1])
+                left.update(_digest_and_imports(file)[1])
     return sorted(found)
 
 
@@ -129,7 +130,7 @@ def _modules(kind: NumbaObject) -> Iterator[str]:
 
 
 @cache
-def _read(file: str) -> tuple[str, list[str]]:
+def _digest_and_imports(file: str) -> tuple[str, list[str]]:
     """Return the digest of a file of the package and its tables, and the modules that it may import."""
     path = PACKAGE / file
     text = path.read_text(encoding="utf-8")
@@ -143,7 +144,7 @@ def _read(file: str) -> tuple[str, list[str]]:
 @cache
 def _content(modules: frozenset[str]) -> str:
     """Return the digest of the sources of modules."""
-    read = [(file, _read(file)[0]) for file in sources_of(modules)]
+    read = [(file, _digest_and_imports(file)[0]) for file in sources_of(modules)]
     return hashlib.sha256(repr(read).encode()).hexdigest()[:16]
 
 

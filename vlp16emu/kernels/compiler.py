@@ -1,8 +1,7 @@
 """Compilation of kernels for a fixed processor.
 
-Numba's extras for functions that may be called from anywhere are left out.
-
-Modules with kernels import `numba` from here, as it is configured before the first kernel is made.
+Numba's extras for functions that may be called from anywhere are left out. Modules with kernels import
+`numba` from here, as it is configured before the first kernel is made.
 
 A kernel that is compiled because another one calls it is code for that one only: it gets no entry from Python
 or C, no machine code of its own and no file. If Python calls it later, it is compiled again in full.
@@ -76,7 +75,7 @@ def _prepare() -> None:
 
 @cache
 def is_plain() -> bool:
-    """Return True if numba compiles and keeps kernels in its own way, which takes longer and changes no byte.
+    """Return True if numba compiles and keeps kernels in its own way: longer, with the same bytes.
 
     So it is with versions of numba whose private interfaces are not known, unless a kernel that is compiled
     through them works; or if `VLP16EMU_NUMBA` is `plain`.
@@ -137,9 +136,8 @@ def _njit(function: Kernel, **options: bool) -> Kernel:
     return compiled
 
 
-_PRIVATE = frozenset(
-    {"_nrt", "no_cfunc_wrapper", "no_cpython_wrapper"}
-)  # options that numba does not document
+_PRIVATE = frozenset({"_nrt", "no_cfunc_wrapper", "no_cpython_wrapper"})
+"""Options that numba does not document."""
 _ENDINGS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 _POLL_S = 1.0  # interval at which children are looked after
 
@@ -172,12 +170,12 @@ def compile_kernels(group: str | None = None) -> Iterator[tuple[int, int]]:
         files.setdefault(row["kernel"].partition(":")[0], []).append(row)
     # A child that a signal meets before `_ignore_signals` would end as this process does.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDINGS)
-    others = multiprocessing.active_children()
+    children_before = multiprocessing.active_children()
     try:
         pool = multiprocessing.get_context("fork").Pool(min(usable_cores(), len(files)), _ignore_signals)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-    children = [child for child in multiprocessing.active_children() if child not in others]
+    children = [child for child in multiprocessing.active_children() if child not in children_before]
     with pool:
         done = 0
         counts = pool.imap_unordered(_compile, files.values())

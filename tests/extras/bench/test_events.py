@@ -291,7 +291,7 @@ def test_counts_are_those_of_the_readings(fov_deg):
     assert len(spans) == 2
     for span in spans:
         stop = min(span.stop or 500_000, 500_000)
-        sent = unit.timeline.chosen(span, span.first, stop)
+        sent = unit.timeline.in_view(span, span.first, stop)
         for at in range(span.first, stop, 29_998):
             counted = FieldOfView(unit.head, *span.fov_deg).count(span.first, at)
             assert 2 * counted == np.searchsorted(sent, at)

@@ -316,7 +316,9 @@ def test_an_estimate_of_many_sensors_measures_eight(tmp_path, monkeypatch):
 
 def test_workers_and_a_scheduler_exclude_each_other(tmp_path):
     """The workers of a scheduler are its own: a number of others is refused before anything is made."""
-    with pytest.raises(InputError, match=r"^workers: found 2 beside a scheduler; expected one of both"):
+    with pytest.raises(
+        InputError, match=r"^workers: found 2 beside a scheduler; expected only one of the two"
+    ):
         make_dataset([], tmp_path / "out", workers=2, scheduler="tcp://127.0.0.1:9")
     assert not (tmp_path / "out").exists()
 

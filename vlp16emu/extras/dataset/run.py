@@ -89,7 +89,7 @@ def check_options(options: DatasetOptions) -> None:
     """Raise InputError for options that exclude each other."""
     if options.scheduler is not None and options.workers is not None:
         found = f"found {options.workers} beside a scheduler"
-        raise InputError("workers", found, "one of both: the workers of a scheduler are its own")
+        raise InputError("workers", found, "only one of the two: a scheduler has workers of its own")
 
 
 @contextmanager

@@ -62,9 +62,8 @@ class Knots(KnotMotion):
 
     def append(self, state: F8) -> None:
         """Append a knot (13,), one step after the last one."""
-        if self._count == len(
-            self._states
-        ):  # drop the older half, in new arrays: others may be reading these
+        if self._count == len(self._states):
+            # Drop the older half, in new arrays: other threads may be reading these.
             half = self._count // 2
             self._first = self._first + half
             self._count = self._count - half

@@ -75,7 +75,7 @@ def page_writing(path: Path | None, inputs: Iterable[Path]) -> Iterator[Callable
         yield lambda _: None
         return
     if path.suffix.lower() != ".html":
-        raise OutputError(f"--out {path}", f"found the ending '{path.suffix}'", ".html")
+        raise OutputError(f"--out {path}", f"found the ending {path.suffix!r}", ".html")
     check_matplotlib()
     with OutputFile(path, where=f"--out {path}", inputs=inputs) as output:
 

@@ -64,7 +64,7 @@ class WalkMotion(Piecewise):
             piece = since_ns // _NODE_NS
             yield Pieces(self._table(second), which, piece, (since_ns - piece * _NODE_NS) / _NODE_NS)
 
-    def with_mast(self, mast: Mast) -> "WalkMotion":
+    def mast_top(self, mast: Mast) -> "WalkMotion":
         """Return the motion of the top of a mast on the pack, which swings as the pack pushes it."""
         if self._pack is None:
             return self

@@ -273,5 +273,5 @@ class Walk(MotionSection):
         if self.mast is None:
             return carrier
         # `carrier` is a `WalkMotion`, which this file does not load.
-        top: Motion = carrier.with_mast(self.mast)  # type: ignore[attr-defined]
+        top: Motion = carrier.mast_top(self.mast)  # type: ignore[attr-defined]
         return top
