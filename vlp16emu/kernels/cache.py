@@ -6,6 +6,7 @@ libraries, the target processor, the kernel and its types.
 """
 
 import hashlib
+import logging
 import os
 import pickle
 import re
@@ -22,6 +23,7 @@ NumbaObject = Any
 
 It is a kernel, the type of an argument, or a value in LLVM's code.
 """
+_log = logging.getLogger(__name__)  # at DEBUG it names each kernel that a process loads or compiles
 _IMPORT = re.compile(r"^ *from vlp16emu([.\w]*) import (\([^)]*\)|.*)$", re.MULTILINE)
 _SUFFIX = ".kernel"
 _LAYOUT = 3  # version of the file format
@@ -35,7 +37,8 @@ class KernelCache:
     def __init__(self, function: Callable[..., object]) -> None:
         code = function.__code__
         self._module = function.__module__
-        self._name = f"{self._module.partition('.')[2]}.{code.co_qualname}-{code.co_firstlineno}"
+        self._title = f"{self._module.partition('.')[2]}.{code.co_qualname}"
+        self._name = f"{self._title}-{code.co_firstlineno}"
         self._is_kept = function.__closure__ is None  # the variables of a closure are not part of the name
 
     @property
@@ -58,12 +61,14 @@ class KernelCache:
             return None
         from vlp16emu.kernels.numba_private import load_kernel
 
+        _log.debug("loads kernel %s", self._title)
         return load_kernel(context, *pickle.loads(content))  # noqa: S301 - from a safe folder
 
     def save_overload(self, signature: object, result: NumbaObject) -> None:
         """Store a kernel, unless it contains addresses of this process."""
         from vlp16emu.kernels.numba_private import kernel_bytes
 
+        _log.debug("compiled kernel %s", self._title)
         if self._is_kept and not result.library.has_dynamic_globals:
             user_kernels().write(self._file(signature), kernel_bytes(result))
 
