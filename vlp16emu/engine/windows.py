@@ -1,5 +1,6 @@
 """Windows of the world and blocks of a run, computed ahead on several threads and yielded in order."""
 
+import logging
 import math
 from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Iterator
@@ -21,6 +22,7 @@ from vlp16emu.raycast.caster import Caster, Geometry, caster
 from vlp16emu.sensor.beams import SEQUENCE_NS, BeamTable
 from vlp16emu.types import F8, Window
 
+_log = logging.getLogger(__name__)  # at DEBUG it names each window that is opened
 BLOCK = 1_920
 """Firing sequences of a VLP-16 computed at once, 106 ms: whole packets in every return mode, and a multiple
 of 8 rays."""
@@ -227,6 +229,7 @@ def window_of(parts: Parts, start_ns: int, batching: Batching, segment: int) -> 
 
 def window_around(parts: Parts, track_m: F8, edges_ns: NDArray[np.int64]) -> Window:
     """Return the window within reach of positions (n, 3); trees sway from the first instant to the last."""
+    _log.debug("opens a window around %d positions", len(track_m))
     window = parts.world.window(track_m)
     if parts.wind is None:
         return window

@@ -15,7 +15,7 @@ import logging
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from functools import cache
 from importlib import import_module
@@ -48,17 +48,22 @@ _TABLE = Path(__file__).with_name("table.json")
 _KNOWN = (0, 68)  # latest version of numba whose private interfaces are known
 
 
+def target_for(features: Mapping[str, bool]) -> str:
+    """Return the best target for a processor with some features, in LLVM's names."""
+    fit = (name for name, needs in _TARGETS.items() if all(map(features.get, needs)))
+    return next(fit, "generic")
+
+
 def _target() -> tuple[str, str]:
     """Return the target processor and its extra features.
 
     `VLP16EMU_TARGET` selects another one, for tests; `host` is the present processor.
     """
     chosen = os.environ.get("VLP16EMU_TARGET")
-    has = binding.get_host_cpu_features()
+    features = binding.get_host_cpu_features()
     if chosen == "host":
-        return binding.get_host_cpu_name(), has.flatten()
-    best = next((name for name, needs in _TARGETS.items() if all(map(has.get, needs))), "generic")
-    return chosen or best, ""
+        return binding.get_host_cpu_name(), features.flatten()
+    return chosen or target_for(features), ""
 
 
 def _prepare() -> None:
