@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import matvec
 from vlp16emu.engine import Unit
-from vlp16emu.errors import InputError, MissingExtraError, RunError, readable
+from vlp16emu.errors import InputError, MissingExtraError, RunError
+from vlp16emu.inputs import readable
 from vlp16emu.output import OutputFile
 from vlp16emu.packets.data import distance_lsb, odd_column
 from vlp16emu.packets.layout import DATA_BYTES, DATA_PAYLOAD, RECORDS_PER_PACKET
