@@ -181,7 +181,8 @@ def _value(header: Mapping[str, float], keys: Sequence[str]) -> float:
 def _ascii_header(path: Path, lines: Iterator[Line]) -> tuple[dict[str, float], Line]:
     """Return the values of the header, and the first line of heights."""
     header = dict[str, float]()
-    number, text = 0, ""
+    number = 0
+    text = ""
     for number, text in lines:
         key, *values = text.lower().split()
         if key not in _KEYS or key in header:
