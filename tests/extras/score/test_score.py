@@ -485,3 +485,25 @@ def test_scores_are_written_as_a_page(truth, tmp_path):
     assert "<td>trees.csv</td>" not in page.read_text()
     assert f"<td>{truth / 'trees.csv'}</td>" in page.read_text()
     assert 'id="found-path"' in picture.read_text()
+
+
+def test_stems_without_a_reliable_dbh_are_scored_without_it(tmp_path):
+    """DBH 0 and "Non Reliable", as 3DFin writes stems whose circle it rejects, are as an empty cell."""
+    path = tmp_path / "stems.csv"
+    path.write_text("TH,DBH,X,Y\n24.6,0.000,1,2\n22.4,Non Reliable,3,4\n20,,5,6\n21,0.25,7,8\n")
+    dbh_m = [stem.dbh_m for stem in read_stems(path)]
+    assert [math.isnan(value) for value in dbh_m] == [True, True, True, False]
+    path.write_text("DBH,X,Y\n-0.1,1,2\n")
+    with pytest.raises(
+        InputError, match=r"line 2, column dbh: found -0\.1; expected a number from 0.001 to 15"
+    ):
+        read_stems(path)
+
+
+@pytest.mark.parametrize("header", ["x y dbh", "x, y, dbh", "x,y,dbh", "x\ty\tdbh"])
+@pytest.mark.parametrize("delimiter", [" ", ",", "\t", ";"])
+def test_stems_of_numpy_are_read_with_any_header(tmp_path, header, delimiter):
+    """`numpy.savetxt` writes its header behind `# `, with blanks or commas, whatever separates the columns."""
+    path = tmp_path / "stems.csv"
+    np.savetxt(path, [[1.0, 2.0, 0.25], [3.0, 4.0, 0.5]], header=header, delimiter=delimiter)
+    assert [(stem.x_m, stem.y_m, stem.dbh_m) for stem in read_stems(path)] == [(1, 2, 0.25), (3, 4, 0.5)]

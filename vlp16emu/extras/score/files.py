@@ -35,7 +35,12 @@ _COLUMNS = {
     "y_breast_m": optional("y_breast_m"),
     "z_m": optional("z", "z_m"),
     "dbh_m": Column(
-        {"dbh_m": 1.0, "dbh": 1.0, "dbh_cm": 0.01}, 0.001, _LARGEST_DBH_M, is_needed=False, is_filled=False
+        {"dbh_m": 1.0, "dbh": 1.0, "dbh_cm": 0.01},
+        0.001,
+        _LARGEST_DBH_M,
+        is_needed=False,
+        is_filled=False,
+        zero_is_missing=True,  # of a stem that 3DFin could not fit
     ),
     **{name: optional(name) for name in (*_NUMBERS, "list_line")},
 }
