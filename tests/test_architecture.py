@@ -27,6 +27,7 @@ FLOORS = (
     {"packets"},
     {"motion", "sensor", "world"},
     {
+        "child",
         "cores",
         "doors",
         "elementary",

@@ -2,10 +2,12 @@
 
 import csv
 import signal
+from collections import Counter
 
 import numpy as np
 import pytest
 import trimesh
+import velodyne_decoder as vd
 from kit import data_payloads, real_capture
 
 from vlp16emu import Emulator
@@ -114,6 +116,45 @@ def test_ply_opens_elsewhere(cli, bench, tmp_path):
     np.testing.assert_array_equal(data["ring"], points.ring)
     np.testing.assert_array_equal(data["intensity"], points.reflectivity)
     np.testing.assert_allclose(data["time"] % 3600, points.time_ns / 1e9, rtol=0, atol=3e-7)
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".ply", ".csv"])
+def test_files_of_dual_return_have_each_echo_once(cli, dual, tmp_path, suffix):
+    """A single echo, which the packet has twice, is one point of every format and one point of the summary;
+    velodyne_decoder counts as many."""
+    out = tmp_path / f"x{suffix}"
+    tree = cli("decode", dual, "--out", out, "--json").tree
+    payloads = data_payloads(dual)
+    records = decode_data(payloads, keep_no_returns=False)
+    assert len(xyz_in(out)) == tree["points"] == len(records.ring) - tree["repeated_records"]
+    config = vd.Config()
+    config.min_range, config.max_range = 0, 200
+    packets = [vd.VelodynePacket(i * 1e-3, payload.tobytes()) for i, payload in enumerate(payloads)]
+    assert tree["points"] == len(vd.ScanDecoder(config).decode(packets, as_pcl_structs=True)[1])
+
+
+def test_return_numbers_of_a_capture_are_those_of_its_pulses(cli, dual, tmp_path):
+    """In LAS a pulse with one echo is 1 of 1; one with two has a nearer 1 of 2 and a farther 2 of 2."""
+    laspy = pytest.importorskip("laspy")
+    out = tmp_path / "x.las"
+    record = 100 + 4 + 3 * 5  # laser 5 of block 1, whose other echo is now at 0.5 to 1 m
+    capture = changed(dual, tmp_path / "two.pcap", record + 1, 0x01)
+    cli("decode", capture, "--out", out)
+    read = laspy.read(out)
+    pairs = decode_data(data_payloads(capture), keep_no_returns=True).distance_m.reshape(-1, 2)
+    two = int(((pairs > 0).all(axis=1) & (pairs[:, 0] != pairs[:, 1])).sum())
+    single = int((pairs > 0).any(axis=1).sum()) - two
+    numbers = zip(np.asarray(read.return_number), np.asarray(read.number_of_returns), strict=True)
+    assert two > 20
+    assert Counter((int(n), int(count)) for n, count in numbers) == {(1, 1): single, (1, 2): two, (2, 2): two}
+
+
+def test_a_capture_that_changes_its_return_mode_has_each_echo_once(bench, dual):
+    """Repeats are left out of the packets in dual return alone, in one table with others."""
+    both = np.concatenate([data_payloads(bench)[:20], data_payloads(dual)[:20]])
+    parts = [points_in(data_fields(both[part])).xyz_m for part in (slice(20), slice(20, 40))]
+    assert np.array_equal(points_in(data_fields(both)).xyz_m, np.concatenate(parts))
+    assert len(parts[0]) == len(decode_data(both[:20], keep_no_returns=False).xyz_m)
 
 
 def test_a_cut_file_is_read_to_its_last_whole_packet(cli, bench, tmp_path):

@@ -16,7 +16,6 @@ from vlp16emu.elementary import matmul, matvec
 from vlp16emu.errors import InputError, TrajectoryError
 from vlp16emu.extras.clouds import cloud
 from vlp16emu.extras.clouds.epochs import clock_offset
-from vlp16emu.extras.clouds.scan import twins
 from vlp16emu.extras.options import TrajectoryErrors
 from vlp16emu.extras.recorded.files import read_tum
 from vlp16emu.extras.recorded.motion import RecordedMotion
@@ -244,8 +243,7 @@ def _block(
     """Return the transformed points of some data packets, each echo once, and the number without a pose."""
     points = points_in(table)
     t_ns = utc_ns_of(table, points)
-    once = np.flatnonzero(~twins(points))
-    kept = once[way.has(t_ns[once])]
+    kept = np.flatnonzero(way.has(t_ns))
     t_ns = t_ns[kept]
     sensor_m = points.xyz_m[kept]
     turn, place_m = way.poses_at(t_ns)
@@ -259,7 +257,7 @@ def _block(
     block |= {name: getattr(points, name)[kept] for name in _TAKEN}
     if truth:
         block |= truth.of(table, points, kept)
-    return block, len(once) - len(kept)
+    return block, len(points.slot) - len(kept)
 
 
 def _of_truth(folder: Path, unit: int) -> tuple[Path, tuple[float, float, float] | None, str | None]:
