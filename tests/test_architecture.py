@@ -33,6 +33,7 @@ FLOORS = (
         "errors",
         "explain",
         "kernels",
+        "libraries",
         "output",
         "random",
         "settings",

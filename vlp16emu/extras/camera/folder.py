@@ -12,7 +12,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from vlp16emu.errors import InputError, MissingExtraError, OutputError, RunError, readable
+from vlp16emu.errors import InputError, OutputError, RunError, readable
 from vlp16emu.extras.camera.lens import Lens
 from vlp16emu.extras.camera.mount import AXES, camera_of
 from vlp16emu.extras.camera.reconstruction import reconstruction_files
@@ -21,6 +21,7 @@ from vlp16emu.extras.options import ImageOptions
 from vlp16emu.extras.truth.folder import read_json
 from vlp16emu.extras.truth.tables import POSES, quaternions
 from vlp16emu.extras.truth.truth import rig_of
+from vlp16emu.libraries import of_extra
 from vlp16emu.output import Staged, final_name, opening, write_json
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.trees import Table, Tree
@@ -60,10 +61,8 @@ class ImageFolder:
     """
 
     def __init__(self, path: Path, depth: str) -> None:
-        try:
+        with of_extra("picture", "writing images"):
             from PIL import Image
-        except ImportError:
-            raise MissingExtraError("pillow", "picture", "writing images") from None
         self._image = Image
         self._depth = depth
         self._where = str(path)
@@ -270,10 +269,8 @@ def read_images(folder: Path) -> tuple[Tree, Lens, Iterator[Shot]]:
     Raises InputError if a file is missing or is none of `images`; MissingExtraError if pillow is not
     installed.
     """
-    try:
+    with of_extra("picture", "reading images"):
         import PIL.Image
-    except ImportError:
-        raise MissingExtraError("pillow", "picture", "reading images") from None
     cameras = read_json(folder / "cameras.json", _EXPECTED)
     try:
         known = cameras["intrinsics"]

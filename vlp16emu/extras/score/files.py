@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from vlp16emu.errors import LARGEST_BYTES, InputError, MissingExtraError, readable
+from vlp16emu.errors import LARGEST_BYTES, InputError, readable
+from vlp16emu.libraries import of_extra
 from vlp16emu.tables import Column, optional, read_table
 from vlp16emu.types import AnyArray
 
@@ -102,10 +103,8 @@ def _csv(path: Path) -> Cloud:
 
 
 def _library(name: str, path: Path) -> Any:
-    try:
+    with of_extra("cloud", f"reading {path.suffix}", name):
         return import_module(name)
-    except ImportError:
-        raise MissingExtraError(name, "cloud", f"reading {path.suffix}") from None
 
 
 def _las(path: Path) -> Cloud:
