@@ -32,6 +32,7 @@ FLOORS = (
         "elementary",
         "errors",
         "explain",
+        "inputs",
         "kernels",
         "libraries",
         "output",
@@ -100,6 +101,53 @@ LIBRARIES = {
     "typer": ("cli/",),
     "rich": ("cli/",),
 }
+
+
+OPENS = {
+    # module that opens files without `inputs.py`: what it opens
+    "cli/app.py": "its own text, and /dev/null",
+    "engine/windows.py": "geometries",
+    "extras/accuracy/sweep.py": "geometries",
+    "extras/bag/bag_file.py": "its own output",
+    "extras/bag/write.py": "its own output",
+    "extras/bench/device.py": "its own table",
+    "extras/bench/outlets.py": "serial ports",
+    "extras/bench/web.py": "its own page",
+    "extras/camera/folder.py": "images, from an opened file",
+    "extras/clouds/cloud.py": "its own output",
+    "extras/dataset/cluster.py": "its own output",
+    "extras/dataset/run.py": "a folder, to lock it",
+    "extras/doctor.py": "/proc",
+    "extras/live/windows.py": "geometries",
+    "extras/plot/sheet.py": "its own image",
+    "extras/score/files.py": "clouds, after `readable`",
+    "extras/slam/configure.py": "its own templates",
+    "extras/stand_map.py": "geometries",
+    "extras/truth/folder.py": "its own output",
+    "extras/truth/tables.py": "arrays, from an opened file",
+    "forest/ground/dem.py": "by GDAL, after `readable`",
+    "inputs.py": "all files of users",
+    "kernels/cache.py": "sources of the package",
+    "kernels/compiler.py": "its own table, and /dev/null",
+    "output.py": "all outputs",
+    "sensor/laws.py": "its own table",
+    "store.py": "the cache",
+}
+OPENERS = {"open", "read_bytes", "read_text", "memmap", "fromfile", "open_memmap", "loadtxt", "genfromtxt"}
+
+
+def opens(tree: ast.AST) -> list[int]:
+    """Lines that open a file, other than one of the package through `importlib.resources`."""
+    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
+    ours = {"files", "resources"}  # names of `importlib.resources`
+    found = []
+    for call in calls:
+        names = {node.id for node in ast.walk(call.func) if isinstance(node, ast.Name)}
+        is_opener = isinstance(call.func, ast.Attribute) and call.func.attr in OPENERS
+        is_builtin = isinstance(call.func, ast.Name) and call.func.id == "open"
+        if is_builtin or (is_opener and not names & ours):
+            found.append(call.lineno)
+    return found
 
 
 @cache
@@ -274,6 +322,14 @@ def test_a_library_is_imported_where_it_belongs():
         for full in imports(tree):
             places = LIBRARIES.get(full.split(".")[0])
             assert places is None or name.startswith(places), f"{name} imports {full}"
+
+
+def test_files_of_users_come_in_through_one_door():
+    """Only `inputs.py` opens what a user names; other modules open what the table says, and no more modules."""
+    assert {name for name, tree in trees().items() if opens(tree)} == OPENS.keys()
+    assert opens(ast.parse("with Path(name).open() as file: pass")) == [1]
+    assert opens(ast.parse("np.loadtxt(path)")) == [1]
+    assert not opens(ast.parse("files(__package__).joinpath(name).read_text()"))
 
 
 def test_only_the_command_line_prints():

@@ -4,13 +4,14 @@ import os
 
 import pytest
 
-from vlp16emu.errors import LARGEST_BYTES, LARGEST_TEXT_BYTES, InputError
+from vlp16emu.errors import InputError
 from vlp16emu.extras.meshes.files import load_mesh
 from vlp16emu.extras.recorded.files import read_kitti, read_trajectory_csv, read_tum
 from vlp16emu.extras.walk.way_points import read_way_points
 from vlp16emu.forest.ground.dem import read_grid
 from vlp16emu.forest.plants.species import flora
 from vlp16emu.forest.stand.given_stand import read_stem_list
+from vlp16emu.inputs import LARGEST_BYTES, LARGEST_TEXT_BYTES
 from vlp16emu.motion.settings import Gps
 from vlp16emu.scenario import load
 

@@ -4,20 +4,6 @@ The command line exits with 2 for bad input (`InputError`, `MissingExtraError`) 
 failed.
 """
 
-import stat
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
-
-LARGEST_BYTES = 1_000_000_000  # largest mesh or grid of heights: some 20 million triangles, 250 million cells
-LARGEST_TEXT_BYTES = 100_000_000  # largest scene, list or table: a million lines
-_KINDS = {
-    stat.S_IFDIR: "is a directory",
-    stat.S_IFIFO: "is a FIFO",
-    stat.S_IFSOCK: "is a socket",
-    stat.S_IFCHR: "is a device",
-    stat.S_IFBLK: "is a device",
-}
 _LONGEST = 1_000
 _LONGEST_FOUND = 120
 """Most characters shown of the parts of an error line: file or key, and finding."""
@@ -104,34 +90,6 @@ class MissingExtraError(Vlp16emuError):
 
 class RunError(Vlp16emuError):
     """A run that started well and could not be finished."""
-
-
-@contextmanager
-def readable(
-    path: Path, expected: str, kind: type[InputError], *, most_bytes: int = LARGEST_TEXT_BYTES
-) -> Iterator[None]:
-    """Report a user's file that cannot be read as an error of class `kind`.
-
-    So is a file that is read as text and is none.
-
-    A path that is not a regular file, or a file longer than `most_bytes`, is refused before it is opened.
-    """
-    try:
-        try:
-            status = path.stat()
-        except ValueError:  # a NUL, or half a character
-            raise kind(str(path), "no name of a file", expected) from None
-        if not stat.S_ISREG(status.st_mode):
-            raise kind(str(path), _KINDS[stat.S_IFMT(status.st_mode)], expected)
-        if status.st_size > most_bytes:
-            raise kind(
-                str(path), f"found {status.st_size} bytes", f"{expected} of at most {most_bytes} bytes"
-            )
-        yield
-    except OSError as error:
-        raise kind(str(path), (error.strerror or "cannot be read").lower(), expected) from None
-    except UnicodeDecodeError as error:
-        raise kind(str(path), f"no UTF-8 text at byte {error.start}", expected) from None
 
 
 def _one_line(text: str, most: int) -> str:

@@ -16,7 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from vlp16emu.errors import InputError, readable
+from vlp16emu.errors import InputError
+from vlp16emu.inputs import read_bytes
 from vlp16emu.types import F8
 from vlp16emu.units import S_NS
 
@@ -172,8 +173,7 @@ def read_table(
     expected : description of the file, for messages
     error : class of error for a wrong file, header or cell
     """
-    with readable(path, expected, error):
-        content = path.read_bytes()
+    content = read_bytes(path, expected, error)
     lines = _decode(path, content, error).replace("\r\n", "\n").replace("\r", "\n").split("\n")
     records = partial(_records, path, lines, expected, error)
     known = {name for column in columns.values() for name in column.units}

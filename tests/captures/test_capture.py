@@ -351,9 +351,9 @@ def test_what_cannot_be_had_is_said_with_the_remedy(tmp_path, content, cause):
 
 def test_missing_file_and_folder_are_refused(tmp_path):
     """A path that cannot be opened for reading is a CaptureError with the system's reason."""
-    with pytest.raises(CaptureError, match="No such file"):
+    with pytest.raises(CaptureError, match="no such file"):
         Capture(tmp_path / "none.pcap")
-    with pytest.raises(CaptureError, match="Is a directory"):
+    with pytest.raises(CaptureError, match="is a directory"):
         Capture(tmp_path)
 
 

@@ -4,10 +4,7 @@ Classic pcap of Ethernet, as this package writes it, is read here; `vlp16emu.ext
 """
 
 import glob
-import io
-import os
 import re
-import select
 import struct
 from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -15,16 +12,14 @@ from dataclasses import dataclass
 from ipaddress import ip_address
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, BinaryIO, NamedTuple, Protocol
+from typing import BinaryIO, NamedTuple, Protocol
 
 from vlp16emu.doors import Part
 from vlp16emu.errors import CaptureError, InputError
+from vlp16emu.inputs import open_input
 from vlp16emu.packets.layout import BLOCK, BLOCK_FLAG, DATA_BYTES, POSITION_BYTES
 from vlp16emu.packets.table import PacketClock, PacketTable, packet_row, packet_table
 from vlp16emu.units import S_NS, US_NS
-
-if TYPE_CHECKING:
-    from _typeshed import WriteableBuffer
 
 EXPECTED = "a pcap or pcapng file, also as .gz, .bz2, .xz or .zst (`editcap` converts others)"
 PCAP = {
@@ -59,7 +54,6 @@ _RECENT = 512
 milliseconds."""
 # smallest share of the data packets of the busiest unit that counts as a unit; fewer are an accident
 _STRAY = 0.02
-_POLL_S = 0.1  # interval at which a wait for a pipe checks its stop event
 _NAMED = 16  # units listed in an error line; as many as a rig may have
 _CUT_SHORT = "frames that were captured in part (capture with `tcpdump -s 0`)"
 
@@ -271,38 +265,13 @@ def _files(path: Path) -> list[Path]:
     return sorted(firsts, key=lambda file: first.stamp_ns if (first := firsts[file]) else 0)
 
 
-class _Pipe(io.RawIOBase):
-    """A pipe that ends when an event is set: Python's own read resumes its wait after a signal (PEP 475)."""
-
-    def __init__(self, path: Path, stop: Event) -> None:
-        self._opened = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
-        self._stop = stop
-
-    def readable(self) -> bool:
-        return True
-
-    def readinto(self, buffer: "WriteableBuffer") -> int:
-        while not self._stop.is_set():
-            if select.select([self._opened], [], [], _POLL_S)[0]:
-                return os.readv(self._opened, [buffer])
-        return 0
-
-    def close(self) -> None:
-        if not self.closed:
-            os.close(self._opened)
-        super().close()
-
-
 def _frames_in(path: Path, stop: Event | None = None) -> Iterator[Frame | None]:
     """Yield the frames of a file; a last None if the file ends in the middle of a record.
 
     Raises CaptureError if it cannot be read, is not a capture, or a record is damaged.
     """
-    try:
-        with io.BufferedReader(_Pipe(path, stop)) if stop and path.is_fifo() else path.open("rb") as file:
-            yield from pcap_frames(path, file) if file.peek(4)[:4] in PCAP else FRAMES.load()(path, file)
-    except OSError as error:  # gzip and bz2 also report damage this way
-        raise CaptureError(str(path), error.strerror or f"{error}", EXPECTED) from error
+    with open_input(path, EXPECTED, CaptureError, most_bytes=None, takes_pipes=True, stop=stop) as file:
+        yield from pcap_frames(path, file) if file.peek(4)[:4] in PCAP else FRAMES.load()(path, file)
 
 
 def pcap_frames(path: Path, file: BinaryIO) -> Iterator[Frame | None]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.polyline import Corridor
 from vlp16emu.forest.ground.dem import DemHeights
 from vlp16emu.forest.ground.terrain import TerrainHeights
@@ -19,6 +20,7 @@ from vlp16emu.forest.stand.given_stand import GivenStand, stems_in_the_way
 from vlp16emu.forest.stand.points import Land
 from vlp16emu.forest.stand.stand import Stand
 from vlp16emu.forest.stand.wind import TreeSway
+from vlp16emu.inputs import LARGEST_BYTES, read_bytes
 from vlp16emu.settings import Section
 from vlp16emu.types import F8, World
 
@@ -122,4 +124,7 @@ def _digest(*parts: str) -> str:
 
 
 def _content(file: str | None) -> str:
-    return hashlib.sha256(Path(file).read_bytes()).hexdigest()[:32] if file else ""
+    if not file:
+        return ""
+    content = read_bytes(Path(file), "a file of the forest", GeometryError, most_bytes=LARGEST_BYTES)
+    return hashlib.sha256(content).hexdigest()[:32]

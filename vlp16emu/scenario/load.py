@@ -17,8 +17,9 @@ from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hint
 from pydantic import ValidationError
 
 from vlp16emu.doors import Part, plug_ins
-from vlp16emu.errors import ScenarioError, readable
+from vlp16emu.errors import ScenarioError
 from vlp16emu.explain import explain
+from vlp16emu.inputs import read_text
 from vlp16emu.scenario.model import Scenario, schema
 from vlp16emu.sensor.settings import Lidar
 from vlp16emu.settings import DEEPEST, LazySection, OneOf, Preset, SceneFile, Section, toml
@@ -159,8 +160,7 @@ def _validate(source: _Source) -> Scenario:
 
 def _read(path: Path) -> Tree:
     kind, parse = ("JSON", json.loads) if path.suffix == ".json" else ("TOML", toml)
-    with readable(path, "a scene file", ScenarioError):
-        text = path.read_text(encoding="utf-8-sig")
+    text = read_text(path, "a scene file", ScenarioError)
     try:
         tree = parse(text)
     except (ValueError, RecursionError) as error:  # the parser's error, a huge integer, too deep nesting

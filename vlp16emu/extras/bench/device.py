@@ -19,8 +19,9 @@ from urllib.parse import parse_qsl
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass as checked_dataclass
 
-from vlp16emu.errors import InputError, Vlp16emuError, readable
+from vlp16emu.errors import InputError, Vlp16emuError
 from vlp16emu.explain import explain
+from vlp16emu.inputs import read_text
 from vlp16emu.output import OutputFile
 from vlp16emu.sensor.settings import Address, Port, SensorSettings
 from vlp16emu.trees import Table, Tree
@@ -192,8 +193,7 @@ def explained(error: ValidationError) -> tuple[str, str, str]:
 
 def _read(path: Path, factory: DeviceSettings) -> DeviceSettings:
     expected = "settings that a sensor has saved"
-    with readable(path, expected, InputError, most_bytes=_MOST_BYTES):
-        text = path.read_text(encoding="utf-8")
+    text = read_text(path, expected, InputError, most_bytes=_MOST_BYTES)
     try:
         tree = json.loads(text)
         if isinstance(tree, dict):

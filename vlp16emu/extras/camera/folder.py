@@ -12,7 +12,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from vlp16emu.errors import InputError, OutputError, RunError, readable
+from vlp16emu.errors import InputError, OutputError, RunError
 from vlp16emu.extras.camera.lens import Lens
 from vlp16emu.extras.camera.mount import AXES, camera_of
 from vlp16emu.extras.camera.reconstruction import reconstruction_files
@@ -21,6 +21,7 @@ from vlp16emu.extras.options import ImageOptions
 from vlp16emu.extras.truth.folder import read_json
 from vlp16emu.extras.truth.tables import POSES, quaternions
 from vlp16emu.extras.truth.truth import rig_of
+from vlp16emu.inputs import open_input, parsing, read_text
 from vlp16emu.libraries import of_extra
 from vlp16emu.output import Staged, final_name, opening, write_json
 from vlp16emu.run.emulator import Emulator
@@ -285,11 +286,11 @@ def read_images(folder: Path) -> tuple[Tree, Lens, Iterator[Shot]]:
 
     def pixels(layer: str, name: str) -> AnyArray:
         path = folder / layer / name
-        with readable(path, _EXPECTED, InputError):
+        with open_input(path, _EXPECTED, InputError) as file, parsing(path, _EXPECTED, InputError):
             if path.suffix == ".npy":
-                loaded: AnyArray = np.load(path, allow_pickle=False)
+                loaded: AnyArray = np.load(file, allow_pickle=False)
                 return loaded
-            with PIL.Image.open(path) as image:
+            with PIL.Image.open(file) as image:
                 return np.array(image)
 
     def shots() -> Iterator[Shot]:
@@ -307,7 +308,8 @@ def read_images(folder: Path) -> tuple[Tree, Lens, Iterator[Shot]]:
 def _instances(path: Path) -> U4:
     """Return the instance of each number."""
     table = np.zeros(MOST_INSTANCES + 1, np.uint32)
-    with readable(path, _EXPECTED, InputError), path.open() as lines:
+    lines = read_text(path, _EXPECTED, InputError).splitlines()
+    with parsing(path, _EXPECTED, InputError):
         for row in csv.DictReader(lines):
             table[int(row["number"])] = int(row["instance"])
     return table

@@ -20,11 +20,12 @@ from platform import node, python_version_tuple
 from shutil import rmtree
 from typing import TYPE_CHECKING, Any
 
-from vlp16emu.errors import InputError, RunError, readable
+from vlp16emu.errors import InputError, RunError
 from vlp16emu.extras.dataset.manifest import Entry, identity, is_list_of_files, read_list, write_list
 from vlp16emu.extras.dataset.processes import MOST_DEATHS, died_too_often
 from vlp16emu.extras.dataset.spec import DatasetWalk
 from vlp16emu.extras.dataset.walk import Made, forget_worlds, make_walk
+from vlp16emu.inputs import read_text
 from vlp16emu.libraries import of_extra
 from vlp16emu.trees import Table
 
@@ -221,8 +222,7 @@ def _address(scheduler: str) -> str:
     if not scheduler or "://" in scheduler or not os.path.lexists(path):
         address = scheduler
     else:
-        with readable(path, "a scheduler file", InputError):
-            text = path.read_text(encoding="utf-8")
+        text = read_text(path, "a scheduler file", InputError)
         try:
             address = str(json.loads(text)["address"])
         except (ValueError, KeyError, TypeError, RecursionError):

@@ -11,8 +11,9 @@ from collections.abc import Iterable
 from importlib.metadata import version
 from pathlib import Path, PurePosixPath
 
-from vlp16emu.errors import InputError, OutputError, RunError, readable
+from vlp16emu.errors import InputError, OutputError, RunError
 from vlp16emu.extras.dataset.spec import DatasetWalk
+from vlp16emu.inputs import open_input, read_text
 from vlp16emu.output import OutputFile
 from vlp16emu.trees import Tree
 
@@ -96,8 +97,7 @@ def check_manifest(path: Path) -> None:
     if not os.path.lexists(path):
         return
     expected = "the manifest of a dataset"
-    with readable(path, expected, OutputError, most_bytes=_LARGEST_BYTES):
-        text = path.read_text(encoding="utf-8")
+    text = read_text(path, expected, OutputError, most_bytes=_LARGEST_BYTES)
     if not _parse(text):
         raise OutputError(str(path), "is none of ours", expected)
 
@@ -146,8 +146,7 @@ def read_list(folder: Path) -> Entry:
     if path.is_symlink():
         return {}
     try:
-        with readable(path, "the list of a walk", InputError):
-            tree = _parse(path.read_text(encoding="utf-8"))
+        tree = _parse(read_text(path, "the list of a walk", InputError))
     except InputError:
         return {}
     return tree if is_list_of_files(tree.get("files")) else {}
@@ -168,6 +167,6 @@ def _parse(text: str) -> Entry:
 
 
 def _description(path: Path, folder: Path) -> Entry:
-    with path.open("rb") as file:
+    with open_input(path, "a file of a dataset", InputError, most_bytes=None) as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     return {"path": path.relative_to(folder).as_posix(), "bytes": path.stat().st_size, "sha256": digest}

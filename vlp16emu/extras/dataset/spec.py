@@ -7,8 +7,9 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 
-from vlp16emu.errors import ScenarioError, readable
+from vlp16emu.errors import ScenarioError
 from vlp16emu.explain import explain
+from vlp16emu.inputs import read_text
 from vlp16emu.random import Purpose, generator
 from vlp16emu.scenario import Scenario, find, load
 from vlp16emu.sensor.settings import require_packets
@@ -103,8 +104,7 @@ class DatasetWalk:
 
 def load_spec(path: Path) -> DatasetSpec:
     """Read the file of a dataset; ScenarioError if it cannot be read or is not valid."""
-    with readable(path, "a file of a dataset", ScenarioError):
-        text = path.read_text(encoding="utf-8-sig")
+    text = read_text(path, "a file of a dataset", ScenarioError)
     try:
         tree = toml(text)
     except (ValueError, RecursionError) as error:

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from vlp16emu.elementary import matvec, norm
-from vlp16emu.errors import LARGEST_BYTES, GeometryError, readable
+from vlp16emu.errors import GeometryError
+from vlp16emu.inputs import LARGEST_BYTES, parsing, read_bytes
 from vlp16emu.trees import Tree
 from vlp16emu.types import F8, I8, Mesh
 from vlp16emu.world.settings import LengthUnit, UpAxis
@@ -109,8 +110,7 @@ def _scene(path: Path) -> Any:
     if kind not in _KINDS:
         raise GeometryError(str(path), f"found the ending {kind!r}", f"one of {', '.join(_KINDS)}")
     expected = "a mesh in GLB with all its data inside" if kind == ".glb" else f"a mesh in {kind[1:].upper()}"
-    with readable(path, expected, GeometryError, most_bytes=LARGEST_BYTES):
-        content = path.read_bytes()
+    content = read_bytes(path, expected, GeometryError, most_bytes=LARGEST_BYTES)
     if kind == ".obj":
         content = _OBJ_ODD_LINE.sub(lambda line: b" ".join(line[0].partition(b"#")[0].split()), content)
     if kind == ".obj" and (bad := _OBJ_BAD_FACE.search(content)):
@@ -121,10 +121,8 @@ def _scene(path: Path) -> Any:
         raise GeometryError(f"{path}, line {line}", found, expected)
     import trimesh
 
-    try:
+    with parsing(path, expected, GeometryError):
         return trimesh.load_scene(BytesIO(content), file_type=kind[1:], **_AS_WRITTEN)
-    except Exception as error:  # noqa: BLE001  # trimesh's readers raise errors of any type
-        raise GeometryError(str(path), f"cannot be read: {error}", expected) from None
 
 
 def _checked_vertices(where: str, vertices: F8, faces: Faces, file_T_part: F8) -> F8:

@@ -9,7 +9,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import IO, TYPE_CHECKING, Any
 
-from vlp16emu.errors import InputError, OutputError, readable
+from vlp16emu.errors import InputError, OutputError
+from vlp16emu.inputs import read_text
 from vlp16emu.libraries import check_extra
 from vlp16emu.output import OutputFile
 from vlp16emu.trees import Table
@@ -171,11 +172,11 @@ def plain_logarithm(axes: "Axes", which: str = "xy") -> None:
 
 def read_report(path: Path) -> Report:
     """Read a report that `--json` has printed into a file; InputError if it is no JSON object."""
-    with readable(path, "a report in JSON", InputError):
-        try:
-            report = json.loads(path.read_text(encoding="utf-8"))
-        except ValueError as error:
-            raise InputError(str(path), f"no JSON ({error})", "a report that --json has printed") from None
+    text = read_text(path, "a report in JSON", InputError)
+    try:
+        report = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(str(path), f"no JSON ({error})", "a report that --json has printed") from None
     if not isinstance(report, dict):
         raise InputError(str(path), "found no JSON object", "a report that --json has printed")
     return report

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from vlp16emu.errors import LARGEST_BYTES, InputError, readable
+from vlp16emu.errors import InputError
+from vlp16emu.inputs import LARGEST_BYTES, readable
 from vlp16emu.libraries import of_extra
 from vlp16emu.tables import Column, optional, read_table
 from vlp16emu.types import AnyArray

@@ -17,6 +17,7 @@ import numpy as np
 from vlp16emu.elementary import inverse, matmul
 from vlp16emu.errors import InputError, OutputError
 from vlp16emu.extras.truth.truth import given_mount
+from vlp16emu.inputs import read_text
 from vlp16emu.output import OutputFile, final_name
 from vlp16emu.trees import Table
 from vlp16emu.types import F8, AnyArray
@@ -164,6 +165,14 @@ def _is_default(found: re.Match[str]) -> bool:
         return found["value"].strip('"') == found["default"]
 
 
+def _holds(path: Path, text: str) -> bool:
+    """Return True if a file holds a text."""
+    try:
+        return read_text(path, "a configuration", InputError) == text
+    except InputError:
+        return False
+
+
 @contextmanager
 def written_beside(bag: Path, name: str | None, rig: Callable[[], Rig]) -> Iterator[None]:
     """Write the configuration of a program, or of all, beside a bag when the block ends: `walk.lio-sam.yaml`.
@@ -176,9 +185,7 @@ def written_beside(bag: Path, name: str | None, rig: Callable[[], Rig]) -> Itera
         for file, text in configurations(program, rig()).items()
     }
     for path, text in texts.items():
-        if path.exists() and not (
-            path.is_file() and path.read_text(encoding="utf-8", errors="replace") == text
-        ):
+        if path.exists() and not _holds(path, text):
             raise OutputError(str(path), "is there already, with other values", "another name for the bag")
     yield
     for path, text in texts.items():

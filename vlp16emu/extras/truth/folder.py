@@ -14,8 +14,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.lib.format import dtype_to_descr, write_array_header_1_0
 
-from vlp16emu.errors import InputError, MissingExtraError, OutputError, RunError, readable
+from vlp16emu.errors import InputError, MissingExtraError, OutputError, RunError
 from vlp16emu.extras.truth.tables import Rows, Table
+from vlp16emu.inputs import read_text
 from vlp16emu.output import Staged, final_name, opening, spare
 
 _FILES = re.compile(
@@ -118,11 +119,11 @@ class TruthFolder:
 
 def read_json(path: Path, expected: str) -> Any:
     """Read a JSON file of a folder with ground truth; InputError if it cannot be read or is no JSON."""
-    with readable(path, expected, InputError):
-        try:
-            return json.loads(path.read_text(encoding="utf-8"))
-        except ValueError:
-            raise InputError(str(path), "no JSON", expected) from None
+    text = read_text(path, expected, InputError)
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        raise InputError(str(path), "no JSON", expected) from None
 
 
 def _append(file: FileIO, lines: bytes) -> None:
@@ -157,8 +158,8 @@ def _foreign_entry(folder: Path) -> str | None:
         file for file in present if not _FILES.fullmatch(file.name) or not stat.S_ISREG(file.lstat().st_mode)
     ]
     tree = None
-    with suppress(OSError, ValueError):
-        tree = json.loads((folder / "scenario.json").read_text(encoding="utf-8"))
+    with suppress(InputError):
+        tree = read_json(folder / "scenario.json", "the scenario of an earlier run")
     if not strange and not (isinstance(tree, dict) and "written_by" in tree):
         strange = present
     return strange[0].name if strange else None

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import matvec
 from vlp16emu.engine import Unit
-from vlp16emu.errors import InputError, RunError, readable
+from vlp16emu.errors import InputError, RunError
+from vlp16emu.inputs import readable
 from vlp16emu.libraries import of_extra
 from vlp16emu.output import OutputFile
 from vlp16emu.packets.data import distance_lsb, odd_column

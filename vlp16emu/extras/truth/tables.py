@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.lib.format import open_memmap
+from numpy.lib.format import read_array_header_1_0, read_magic
 from numpy.typing import ArrayLike, NDArray
 
 from vlp16emu.elementary import matvec
 from vlp16emu.engine import Engine
 from vlp16emu.engine.build import Sampler
-from vlp16emu.errors import InputError, readable
+from vlp16emu.errors import InputError
+from vlp16emu.inputs import open_input, parsing
 from vlp16emu.motion.gnss import Receiver, to_geodetic
 from vlp16emu.motion.pose import Kinematics, Motion
 from vlp16emu.motion.settings import Gps
@@ -237,11 +238,11 @@ class StoredTable:
 
     def __init__(self, path: Path, dtype: np.dtype[np.void]) -> None:
         self.path = path
-        with readable(path, _EXPECTED, InputError, most_bytes=_LONGEST_BYTES):
-            try:
-                self.rows: Rows = open_memmap(path, mode="r")
-            except ValueError:
-                raise InputError(str(path), "no whole table of numpy", _EXPECTED) from None
+        opened = open_input(path, _EXPECTED, InputError, most_bytes=_LONGEST_BYTES)
+        with opened as file, parsing(path, _EXPECTED, InputError):
+            _ = read_magic(file)
+            shape, _, stored = read_array_header_1_0(file)
+            self.rows: Rows = np.memmap(file, stored, "r", file.tell(), shape)
         if self.rows.dtype != dtype or self.rows.ndim != 1:
             raise InputError(str(path), "another table", _EXPECTED)
 

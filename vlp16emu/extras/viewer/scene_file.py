@@ -7,7 +7,8 @@ from operator import getitem
 from pathlib import Path
 from typing import Any
 
-from vlp16emu.errors import OutputError, ScenarioError, readable
+from vlp16emu.errors import OutputError, ScenarioError
+from vlp16emu.inputs import read_text
 from vlp16emu.libraries import of_extra
 from vlp16emu.output import OutputFile, spare
 from vlp16emu.scenario import load, rewrite
@@ -52,8 +53,7 @@ def write_scene(
         import tomlkit
 
     check_place(to, inputs)
-    with readable(scene, "a scene file", ScenarioError):
-        text = scene.read_text(encoding="utf-8-sig")
+    text = read_text(scene, "a scene file", ScenarioError)
     document = tomlkit.document()
     if scene.suffix == ".json":
         document.update({key: value for key, value in json.loads(text).items() if key != "written_by"})

@@ -9,9 +9,10 @@ from xml.parsers import expat
 import numpy as np
 
 from vlp16emu.elementary import atan2, cos, norm, sin
-from vlp16emu.errors import TrajectoryError, readable
+from vlp16emu.errors import TrajectoryError
 from vlp16emu.extras.walk.path import Path as WalkedPath
 from vlp16emu.extras.walk.settings import LawnMower, Walk
+from vlp16emu.inputs import read_bytes
 from vlp16emu.motion.gnss import to_local
 from vlp16emu.motion.settings import Gps
 from vlp16emu.tables import Column, Table, read_table
@@ -91,8 +92,7 @@ def read_way_points(path: Path, gps: Gps, origin_m: tuple[float, float]) -> WayP
         )
     if kind != ".gpx":
         raise TrajectoryError(str(path), f"found the ending {kind!r}", ".csv or .gpx")
-    with readable(path, "a GPX file", TrajectoryError):
-        points, count = _gpx_points(path)
+    points, count = _gpx_points(path)
     tracks = count["trk"]
     routes = count["rte"]
     if (tracks or routes) != 1:
@@ -112,6 +112,7 @@ def read_way_points(path: Path, gps: Gps, origin_m: tuple[float, float]) -> WayP
 
 def _gpx_points(path: Path) -> tuple[dict[str, Table], Counter[str]]:
     """Return the points of a GPX file as a table by element, and the number of elements of each kind."""
+    content = read_bytes(path, "a GPX file", TrajectoryError)
     parser = expat.ParserCreate()
     count = Counter[str]()
     names = {axis: axis for axis in _GEODETIC}
@@ -137,7 +138,7 @@ def _gpx_points(path: Path) -> tuple[dict[str, Table], Counter[str]]:
     parser.StartDoctypeDeclHandler = refuse
     parser.StartElementHandler = start
     try:
-        parser.Parse(path.read_bytes(), True)
+        parser.Parse(content, True)
     except expat.ExpatError as error:
         found = f"no XML: {expat.ErrorString(error.code)}"
         raise TrajectoryError(f"{path}, line {error.lineno}", found, "a GPX file") from None

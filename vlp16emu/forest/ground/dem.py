@@ -14,15 +14,17 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.errors import LARGEST_BYTES, GeometryError, readable
+from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.polyline import distance_m
 from vlp16emu.forest.settings import Dem
+from vlp16emu.inputs import LARGEST_BYTES, open_input, parsing, readable
 from vlp16emu.kernels.compiler import array_kernel, inline_kernel
 from vlp16emu.libraries import of_extra
 from vlp16emu.types import F8, HeightField
@@ -115,13 +117,10 @@ def _grid(path: Path, heights_m: F8, west_m: float, north_m: float, cell_m: floa
 
 
 def _read_npy(path: Path) -> F8:
-    with readable(path, "a numpy array", GeometryError, most_bytes=LARGEST_BYTES), path.open("rb") as file:
-        try:
-            heights = np.lib.format.read_array(file, allow_pickle=False)
-        except OSError:
-            raise
-        except Exception:  # noqa: BLE001  # numpy raises various errors for a broken header
-            raise GeometryError(str(path), "no .npy file", "a numpy array of numbers") from None
+    expected = "a numpy array of numbers"
+    opened = open_input(path, expected, GeometryError, most_bytes=LARGEST_BYTES)
+    with opened as file, parsing(path, expected, GeometryError):
+        heights = np.lib.format.read_array(file, allow_pickle=False)
     if heights.ndim != 2 or heights.dtype.kind not in "iuf" or heights.size > _MOST_CELLS:
         expected = f"numbers in rows and columns, {_MOST_CELLS} at most"
         raise GeometryError(str(path), f"found {heights.shape} {heights.dtype}", expected)
@@ -132,8 +131,10 @@ def _read_ascii(path: Path) -> Grid:
     # GDAL would read words as 0 and continue a short row in the next line.
     header = dict[str, float]()
     line = (0, "")
-    opened = readable(path, "an ESRI ASCII grid", GeometryError, most_bytes=LARGEST_BYTES)
-    with opened, path.open(encoding="utf-8-sig") as file:
+    expected = "an ESRI ASCII grid"
+    opened = open_input(path, expected, GeometryError, most_bytes=LARGEST_BYTES)
+    with opened as content, parsing(path, expected, GeometryError):
+        file = TextIOWrapper(content, encoding="utf-8-sig")
         lines = ((number, text.strip()) for number, text in enumerate(file, start=1) if text.strip())
         for line in lines:
             key, *values = line[1].lower().split()

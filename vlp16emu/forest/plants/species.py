@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr, ValidationError, ValidationInfo, field_validator
 
 from vlp16emu.elementary import exp, log
-from vlp16emu.errors import GeometryError, readable
+from vlp16emu.errors import GeometryError
 from vlp16emu.explain import explain
 from vlp16emu.forest.plants.allometry import (
     Biomass,
@@ -25,6 +25,7 @@ from vlp16emu.forest.plants.allometry import (
     taper_radius_m,
 )
 from vlp16emu.forest.settings import Season
+from vlp16emu.inputs import read_text
 from vlp16emu.settings import Fraction, Section, toml
 from vlp16emu.types import F8, I8
 
@@ -327,8 +328,7 @@ def flora(path: Path | str | None = None) -> Flora:
 
 
 def _plants(path: Path, first_number: int) -> tuple[dict[str, Species], dict[str, Shrub]]:
-    with readable(path, "a species file", GeometryError):
-        text = path.read_text(encoding="utf-8")
+    text = read_text(path, "a species file", GeometryError)
     try:
         tables = toml(text)
     except (ValueError, RecursionError) as error:

@@ -23,6 +23,7 @@ from vlp16emu.forest.plants.stem import STEM_CIRCLE, STEM_PARTS, circles_of, lea
 from vlp16emu.forest.settings import Season, TreeModelFile
 from vlp16emu.forest.stand.inventory import COPIED, INVENTORY, hull_m, profiles, volume_m3
 from vlp16emu.forest.stand.placement import PlacedThings, about_vertical, plant_surfaces
+from vlp16emu.inputs import LARGEST_BYTES, read_bytes
 from vlp16emu.types import F8, I8, Mesh, PlantPart, ShapeKey
 from vlp16emu.world.settings import LengthUnit, UpAxis
 from vlp16emu.world.vectors import places_m
@@ -182,7 +183,8 @@ class TreeModel:
         separate mesh."""
         self._keep_measures()
         text = f"{section.model_dump_json(exclude={'file'})} {sheds}"
-        self.content = hashlib.sha256(self.path.read_bytes() + text.encode()).hexdigest()[:32]
+        content = read_bytes(self.path, "a mesh", GeometryError, most_bytes=LARGEST_BYTES)
+        self.content = hashlib.sha256(content + text.encode()).hexdigest()[:32]
 
     def far_stems(self, world_T_model: F8, rows: I8) -> NDArray[np.void]:
         """Stems as `STEM` of placements (n, 3, 4) whose first surfaces are in rows (n,)."""
