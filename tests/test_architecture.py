@@ -35,6 +35,7 @@ FLOORS = (
         "explain",
         "inputs",
         "kernels",
+        "libraries",
         "output",
         "random",
         "settings",

@@ -5,7 +5,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,7 +13,8 @@ import typer
 from vlp16emu.cli import arguments as args
 from vlp16emu.cli.printer import finish, print_line
 from vlp16emu.cli.terminal import Progress, make_emulator, stop_on_ctrl_c
-from vlp16emu.errors import InputError, MissingExtraError
+from vlp16emu.errors import InputError
+from vlp16emu.libraries import check_extra
 from vlp16emu.run.options import LAST_PORT, Http, Option, ReplayOptions, StreamOptions, TruthTo
 from vlp16emu.run.part import StreamPart
 from vlp16emu.units import S_NS
@@ -165,8 +165,7 @@ def _is_measured(*, wanted: bool | None, is_prepared: bool, is_live: bool) -> bo
 @contextmanager
 def _page(emulator: "Emulator", port: int | None, *, quiet: bool) -> Iterator["LivePage"]:
     """Start the page of a stream and print its address."""
-    if find_spec("viser") is None:
-        raise MissingExtraError("viser", "viewer", "the page in the browser")
+    check_extra("viewer", "the page in the browser", "viser", "websockets")
     from vlp16emu.extras.viewer.live import PAGE_PORT, live_page
 
     with live_page(emulator, PAGE_PORT if port is None else port) as page:

@@ -5,13 +5,13 @@ import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
 from typing import IO, TYPE_CHECKING, Any
 
-from vlp16emu.errors import InputError, MissingExtraError, OutputError
+from vlp16emu.errors import InputError, OutputError
 from vlp16emu.inputs import read_text
+from vlp16emu.libraries import check_extra
 from vlp16emu.output import OutputFile
 from vlp16emu.trees import Table
 
@@ -110,9 +110,8 @@ def plotting(
 
 
 def check_matplotlib() -> None:
-    """Raise MissingExtraError if matplotlib is not installed."""
-    if find_spec("matplotlib") is None:
-        raise MissingExtraError("matplotlib", "plot", "a plot")
+    """Raise MissingExtraError if matplotlib is not installed, or too old."""
+    check_extra("plot", "a plot")
 
 
 def picture_of(report: Report, suffix: str) -> bytes:

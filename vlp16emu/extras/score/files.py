@@ -3,15 +3,15 @@
 import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 
 from vlp16emu.child import read_in_child
-from vlp16emu.errors import InputError, MissingExtraError
+from vlp16emu.errors import InputError
 from vlp16emu.inputs import LARGEST_BYTES, parsing, readable
+from vlp16emu.libraries import check_extra
 from vlp16emu.tables import LARGEST, Column, optional, read_table
 from vlp16emu.types import AnyArray
 
@@ -72,9 +72,8 @@ def read_cloud(path: Path) -> Cloud:
     if library is None:
         with readable(path, expected, InputError, most_bytes=LARGEST_BYTES):
             columns = _READERS[path.suffix](path)
-    elif find_spec(library) is None:
-        raise MissingExtraError(library, "cloud", f"reading {path.suffix}")
     else:
+        check_extra("cloud", f"reading {path.suffix}", library)
         columns = read_in_child(_READERS[path.suffix], path, expected, InputError)
     return _checked(path, columns, expected)
 

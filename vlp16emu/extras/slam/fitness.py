@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vlp16emu.errors import CaptureError, MissingExtraError
+from vlp16emu.errors import CaptureError
 from vlp16emu.extras.slam.configure import Program, pose_names, programs_named
+from vlp16emu.libraries import of_extra
 from vlp16emu.trees import Tree
 from vlp16emu.types import F8, AnyArray
 from vlp16emu.units import S_NS
@@ -75,11 +76,9 @@ def read_facts(path: Path) -> Facts:
     Raises CaptureError if it is no bag, is damaged, or holds no point cloud; MissingExtraError if rosbags is
     not installed.
     """
-    try:
+    with of_extra("ros", "reading bags"):
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
-    except ImportError:
-        raise MissingExtraError("rosbags", "ros", "reading bags") from None
     where = str(path)
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:

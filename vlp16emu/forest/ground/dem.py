@@ -20,11 +20,12 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.errors import GeometryError, MissingExtraError
+from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.polyline import distance_m
 from vlp16emu.forest.settings import Dem
 from vlp16emu.inputs import LARGEST_BYTES, open_input, parsing, readable
 from vlp16emu.kernels.compiler import array_kernel, inline_kernel
+from vlp16emu.libraries import of_extra
 from vlp16emu.types import F8, HeightField
 
 _MOST_CELLS = 50_000_000  # 7 km by 7 km at 1 m: a gigabyte while it is read; limits compressed files too
@@ -243,11 +244,9 @@ def _numbers(where: str, text: str, columns: int) -> Iterator[F8]:
 
 
 def _read_geotiff(path: Path) -> Grid:
-    try:
+    with of_extra("dem", f"reading {path.name}"):
         import rasterio
         from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError
-    except ImportError:
-        raise MissingExtraError("rasterio", "dem", f"reading {path.name}") from None
     with (
         readable(path, "a GeoTIFF of heights", GeometryError, most_bytes=LARGEST_BYTES),
         # Sidecar files are ignored: results are cached by the content of this file alone.
