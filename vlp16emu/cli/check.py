@@ -90,6 +90,8 @@ def _verify_bag(file: Path, unit: str | None, slam: str, *, as_json: bool) -> No
             print(finding)
         counts = {name: len(result.of(name)) for name in result.programs}
         verdicts = {name: f"{n} finding{'s' * (n > 1)}" if n else "fit" for name, n in counts.items()}
+        for name, files in result.configurations.items():
+            verdicts[name] += f", with {', '.join(files)}" if files else ""
         summary = "fit" if not result.findings else "not fit for all" if slam == "all" else "not fit"
         print_rows(f"{file}: {summary}", verdicts)
     if result.findings:
