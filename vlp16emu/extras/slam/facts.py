@@ -1,6 +1,5 @@
 """Contents of a bag that matter to SLAM programs, as numbers of each message."""
 
-import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -100,7 +99,7 @@ def read_facts(path: Path) -> Facts:
     except ImportError:
         raise MissingExtraError("rosbags", "ros", "reading bags") from None
     _check_files(path)
-    where = path
+    where = str(path)
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             facts = Facts(_topic(reader, _CLOUD, "velodyne_points"), _topic(reader, _IMU, "imu/data"))
@@ -117,7 +116,7 @@ def read_facts(path: Path) -> Facts:
                 read[connection.topic](facts, reader.deserialize(raw, connection.msgtype), start_s)
     except Exception as error:  # noqa: BLE001  # rosbags raises errors of any type for damage
         reason = str(error) or type(error).__name__
-        raise CaptureError(str(where), f"no bag: {reason}", _EXPECTED) from None
+        raise CaptureError(where, f"no bag: {reason}", _EXPECTED) from None
     if not facts.clouds:
         topic = f" on {facts.topic}" if facts.topic else ""
         raise CaptureError(str(path), f"no point clouds{topic}", "messages of sensor_msgs/PointCloud2")
@@ -129,7 +128,7 @@ def _check_files(path: Path) -> None:
     names = [path]
     if path.is_dir():
         with parsing(path, _EXPECTED, CaptureError):
-            names = sorted(path / name for name in os.listdir(path))
+            names = sorted(path.iterdir())
     for name in names:
         most_bytes = _LONGEST_METADATA_BYTES if name.suffix == ".yaml" else None
         if name is path or name.suffix in (".yaml", ".mcap", ".db3", ".zstd"):
@@ -183,7 +182,7 @@ def _add_cloud(facts: Facts, message: Any, start_s: int) -> None:
     is_hit = range_m > 0.0
     times = points[facts.time_name].astype(np.float64) if facts.time_name else np.empty(0)
     has_times = bool(len(times) and np.isfinite(times).all())
-    ring = points["ring"] if "ring" in names else np.zeros(len(points))
+    ring: AnyArray = points["ring"] if "ring" in names else np.zeros(len(points))
     azimuth_deg = np.degrees(np.arctan2(xyz[is_hit, 1], xyz[is_hit, 0]))
     hit_times = times[is_hit] if has_times else np.zeros(len(azimuth_deg))
     facts.clouds.append(
@@ -205,11 +204,12 @@ def _add_cloud(facts: Facts, message: Any, start_s: int) -> None:
 
 
 def _add_rings(facts: Facts, ring: AnyArray, sine: F8) -> None:
-    ring = np.where(np.isfinite(ring), ring, -1)
-    for number in np.unique(ring).tolist():
+    numbers: AnyArray = np.where(np.isfinite(ring), ring, -1)
+    for number in np.unique(numbers).tolist():
+        is_own = np.equal(numbers, number)
         total = facts.rings.setdefault(int(number), [0.0, 0.0])
-        total[0] += float(sine[ring == number].sum())
-        total[1] += int((ring == number).sum())
+        total[0] += float(sine[is_own].sum())
+        total[1] += int(is_own.sum())
 
 
 def _turned_deg(azimuth_deg: F8, times: F8, ring: AnyArray) -> float:
@@ -218,10 +218,10 @@ def _turned_deg(azimuth_deg: F8, times: F8, ring: AnyArray) -> float:
     The order is that of their times; without times, that of the message within a ring, as messages may be
     sorted by ring.
     """
-    if np.ptp(times) > 0 if len(times) else False:
+    if len(times) and np.ptp(times) > 0:
         return _winding_deg(azimuth_deg[np.argsort(times, kind="stable")])
-    rings = (azimuth_deg[ring == number] for number in np.unique(ring))
-    windings_deg = [_winding_deg(part_deg) for part_deg in rings if len(part_deg) >= _RING_POINTS]
+    parts_deg = (azimuth_deg[np.equal(ring, number)] for number in np.unique(ring))
+    windings_deg = [_winding_deg(part_deg) for part_deg in parts_deg if len(part_deg) >= _RING_POINTS]
     return float(np.median(windings_deg)) if windings_deg else 0.0
 
 

@@ -28,8 +28,7 @@ _CLOUD = "cloud-topic"
 
 @dataclass(frozen=True, slots=True)
 class Unfit:
-    """One reason why a bag is not fit for a program, with its configuration beside the bag or that of
-    `protocol/slam`."""
+    """One reason why a bag is not fit for a program, with its configuration beside it or in `protocol/slam`."""
 
     program: str
     rule: str
@@ -261,7 +260,7 @@ ROWS = (
         "rest",
         lambda v, program: v["rest_s"] < program.rest_s - 0.2,
         "{rest_s:.1f} s of rest at the start",
-        "no-imu imu-values",
+        "no-imu imu-values imu-stamps",
     ),
 )
 """Rules in the order of findings. A rule applies to the programs that have a text for it in `programs.toml`; it is

@@ -234,7 +234,7 @@ def frame_values(facts: Facts) -> Tree:
         "tree": tree,
         "root": roots[0],
         "edge": next(edges, ""),
-        "is_apart": T is None and unit != "" and unit != lidar,
+        "is_apart": T is None and unit not in ("", lidar),
         "lidar": lidar,
         "imu_frame": unit,
         "apart_m": float(np.linalg.norm(apart[:3, 3])),
