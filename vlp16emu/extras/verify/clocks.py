@@ -1,0 +1,119 @@
+"""The clocks of a sensor and of the host that captured its packets, held against each other."""
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.captures.capture import Datagram
+from vlp16emu.extras.verify.frames import HOUR_US, JITTER_US, PAYLOAD_BYTES, STAMP_AT, Findings, Level, Rule
+from vlp16emu.packets import layout
+from vlp16emu.packets.table import wrap_hour
+from vlp16emu.types import I8, PacketKind, PpsState
+from vlp16emu.units import S_NS, US_NS
+
+_DRIFT_PPM = 150  # clocks of sensors and hosts differed by 2 to 20 ppm; a cheap oscillator may be 100 ppm off
+_PPS_AT: int = layout.POSITION_PAYLOAD.fields["pps"][1]  # type: ignore[index]  # it has fields
+_GAIN_NS = 2 * S_NS  # a clock that gets pulse and sentence is set within a second
+_MOST_GAINS = 64
+SILENCE_US = 500_000
+"""Longest time without packets, which arrive every 20 ms or faster, also with lasers off; and the difference
+between both clocks' steps that a stall of the host does not explain."""
+
+
+class HostClock:
+    """Times of packets by the clock of the host, without the steps by which somebody has set it.
+
+    The host's clock was set where its step from packet to packet is not that of the sensor's clock, which goes
+    on. The duration is that of the sensor's clock; of the host's where the sensor's was set.
+    """
+
+    def __init__(self, findings: Findings) -> None:
+        self._findings = findings
+        self._before: tuple[int, int] | None = None  # capture stamp and time stamp of the last packet, us
+        self._set_ns = 0
+        self.elapsed_us = 0  # since the first packet
+
+    def follow(self, datagram: Datagram, kind: PacketKind) -> Datagram:
+        """Return a packet with the stamp of a host's clock that was not set."""
+        stamp_at = STAMP_AT[kind]
+        if len(datagram.payload) != PAYLOAD_BYTES[kind]:
+            return self._corrected(datagram)
+        sensor_us = int.from_bytes(datagram.payload[stamp_at : stamp_at + 4], "little")
+        host_us = datagram.stamp_ns // US_NS
+        if self._before is not None:
+            self._step(
+                datagram.number, host_us - self._before[0], wrap_hour(sensor_us - self._before[1], HOUR_US)
+            )
+        self._before = host_us, sensor_us
+        return self._corrected(datagram)
+
+    def _step(self, number: int, host_step_us: int, sensor_step_us: int) -> None:
+        """Take the step to a packet by both clocks; the sensor's is known but for whole hours."""
+        goes_on = abs(sensor_step_us) < SILENCE_US
+        step_us = host_step_us
+        if abs(host_step_us - sensor_step_us) <= SILENCE_US:
+            step_us = sensor_step_us
+        elif goes_on or host_step_us < 0:
+            step_us = sensor_step_us if goes_on else max(sensor_step_us, 0)
+            set_us = host_step_us - step_us
+            self._set_ns += set_us * US_NS
+            found = f"capture stamps set by {set_us / 1e6:+.3f} s, while time stamps go on"
+            self._findings.add(Rule.HOST_CLOCK, number, found, "a clock that is not set", Level.NOTE)
+        if step_us > SILENCE_US:
+            found = f"no packet for {step_us / 1e6:.2f} s before it"
+            self._findings.add(Rule.SILENCE, number, found, "data or position packets all the time")
+        self.elapsed_us += step_us
+
+    def _corrected(self, datagram: Datagram) -> Datagram:
+        if not self._set_ns:
+            return datagram
+        return datagram._replace(stamp_ns=datagram.stamp_ns - self._set_ns)
+
+
+class GpsGains:
+    """Times at which the sensor's state of the pulse per second rose, which may set its clock (appendix G)."""
+
+    def __init__(self) -> None:
+        self._state: int | None = None
+        self._stamps_ns = deque[int](maxlen=_MOST_GAINS)
+
+    def take(self, datagram: Datagram) -> None:
+        """Take a position packet."""
+        state = datagram.payload[_PPS_AT]
+        if self._state is not None and self._state < state <= PpsState.LOCKED:
+            self._stamps_ns.append(datagram.stamp_ns)
+        self._state = state
+
+    def near(self, stamps_ns: I8) -> NDArray[np.bool_]:
+        """Return which capture stamps (n,) are near such a time."""
+        apart_ns = np.abs(stamps_ns[:, None] - np.array(self._stamps_ns, np.int64))
+        return np.asarray((apart_ns < _GAIN_NS).any(axis=1))
+
+
+class ClockWatch:
+    """Monitor of the offset between capture stamps and time stamps of one stream."""
+
+    def __init__(self, findings: Findings) -> None:
+        self._findings = findings
+        self._reference: tuple[int, int] | None = None
+
+    def restart(self) -> None:
+        """Forget the past, because the sensor's clock has been set."""
+        self._reference = None
+
+    def check(self, packet: int, stamp_ns: int, offset_us: int) -> None:
+        """Compare the offset of a frame with the offset of the first packet.
+
+        The offset is capture stamp minus time stamp.
+        """
+        if self._reference is None:
+            self._reference = stamp_ns, offset_us
+            return
+        since_ns = abs(stamp_ns - self._reference[0])
+        moved_us = wrap_hour(offset_us - self._reference[1], HOUR_US)
+        if abs(moved_us) > JITTER_US + since_ns / US_NS * _DRIFT_PPM / 1e6:
+            found = f"time stamps {-moved_us / 1e3:+.1f} ms off the capture stamps"
+            expected = f"within {JITTER_US / 1e3:.0f} ms and {_DRIFT_PPM} ppm"
+            self._findings.add(Rule.CLOCK_DRIFT, packet, found, expected)
+            self._reference = stamp_ns, offset_us
