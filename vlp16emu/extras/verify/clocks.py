@@ -6,7 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.captures.capture import Datagram
-from vlp16emu.extras.verify.frames import HOUR_US, JITTER_US, PAYLOAD_BYTES, STAMP_AT, Findings, Level, Rule
+from vlp16emu.extras.verify.frames import (
+    HOUR_US,
+    JITTER_US,
+    PAYLOAD_BYTES,
+    SENTENCE_OFFSET,
+    STAMP_AT,
+    Findings,
+    Level,
+    Rule,
+)
 from vlp16emu.packets import layout
 from vlp16emu.packets.table import wrap_hour
 from vlp16emu.types import I8, PacketKind, PpsState
@@ -72,7 +81,7 @@ class HostClock:
 
 
 class GpsGains:
-    """Times at which the sensor's state of the pulse per second rose, which may set its clock (appendix G)."""
+    """Times at which GPS may set the sensor's clock: its state rose (63-9243 Rev D, appendix G), or a leap second."""
 
     def __init__(self) -> None:
         self._state: int | None = None
@@ -81,7 +90,8 @@ class GpsGains:
     def take(self, datagram: Datagram) -> None:
         """Take a position packet."""
         state = datagram.payload[_PPS_AT]
-        if self._state is not None and self._state < state <= PpsState.LOCKED:
+        is_leap = datagram.payload.startswith(b"235960", SENTENCE_OFFSET + len("$GPRMC,"))
+        if is_leap or (self._state is not None and self._state < state <= PpsState.LOCKED):
             self._stamps_ns.append(datagram.stamp_ns)
         self._state = state
 

@@ -244,7 +244,9 @@ class DataChunk:
         after_us = np.minimum.accumulate(moved_us[::-1])[::-1]
         late_us = moved_us - np.maximum(np.minimum.accumulate(moved_us), after_us)
         self.late_ms = late_us / 1e3
-        self.is_late = (late_us > JITTER_US) & ~takes_longer & (not (self.is_broken | self.is_clock_set).any())
+        self.is_late = (
+            (late_us > JITTER_US) & ~takes_longer & (not (self.is_broken | self.is_clock_set).any())
+        )
         self.offset_us = int(offset_us[0]) + round(float(np.median(moved_us)))
         """Clock offset of the whole chunk: a median, which a burst does not change."""
 
@@ -390,15 +392,16 @@ _SHORTEST_INTERVAL_NS = 1_400_000  # real units leave 1.47 ms or more between po
 _UNEVEN_S = 0.25  # difference between the delays of two sentences of one receiver
 _NEXT_NS = 50 * MS_NS  # position packets farther apart than this do not show the time of a sentence
 _SENTENCE_CHARACTERS = 82  # longest sentence of NMEA 0183
+_LEAP = b"235960"  # time of a leap second
 _SENTENCE = re.compile(
     rb"\$(?P<talker>[A-Z]{2})RMC,"
-    rb"((?P<time>([01]\d|2[0-3])[0-5]\d[0-5]\d)(\.\d*)?)?,"
+    rb"((?P<time>([01]\d|2[0-3])[0-5]\d[0-5]\d|%b)(\.\d*)?)?,"
     rb"(?=(?P<status>[AV]),)"
     rb"(A,\d{4}(\.\d*)?,[NS],\d{5}(\.\d*)?,[EW]|V,(\d{4}(\.\d*)?)?,[NS]?,(\d{5}(\.\d*)?)?,[EW]?),"
     rb"(\d+(\.\d*)?)?,(\d+(\.\d*)?)?,"  # speed, course
     rb"([0-3]\d[01]\d\d\d)?,"
     rb"(\d+(\.\d*)?)?,[EW]?"  # magnetic variation
-    rb"(,[ADEFMNPRS]?(,[SCUV]?)?)?"  # mode since NMEA 0183 version 2.3, navigational status since 4.1
+    rb"(,[ADEFMNPRS]?(,[SCUV]?)?)?" % _LEAP  # mode since NMEA 0183 version 2.3, navigational status since 4.1
 )
 
 
@@ -411,6 +414,7 @@ class _Sentence(NamedTuple):
     end: str = ""
     checksum: str = ""
     right: str = ""  # the correct checksum
+    is_leap: bool = False
     talker: str = ""  # talker of a receiver with more systems than GPS, which the manual does not name
 
 
@@ -463,7 +467,7 @@ class PositionChunk:
         """Read the sentences, and compare their seconds with the clock and with earlier sentences."""
         areas = [each.payload[SENTENCE_OFFSET:] for each in every]
         columns = zip(*map(_read_sentence, areas), strict=True)
-        self.second, self.status, self.malformed, self.end, self.checksum, self.right, talker = map(
+        self.second, self.status, self.malformed, self.end, self.checksum, self.right, is_leap, talker = map(
             np.array, columns
         )
         self.talker = np.where(talker == np.append("", talker[:-1]), "", talker)
@@ -477,7 +481,10 @@ class PositionChunk:
         self.said: int = said[-1]
         self.is_void = is_known & (self.status == "V") & (self.second != earlier)
         self.late_s = (self.clock_s - self.second) % 3600
-        is_old = is_known & (self.late_s >= self.latest_s)
+        # After a leap second a clock that did not take it is a second ahead.
+        is_after = np.logical_or.accumulate(is_leap) | (before.has_leapt if before else False)
+        self.has_leapt = bool(is_after[-1])
+        is_old = is_known & (self.late_s >= self.latest_s + is_after)
         self.is_old, self.is_off = (
             of & ~np.append(False, of[:-1])
             for of in (is_old & is_locked, is_old & ~is_locked & (self.status == "A"))
@@ -488,7 +495,8 @@ class PositionChunk:
         self.comes_s: float = before.comes_s if before else math.nan
         if math.isnan(self.comes_s) and len(came_s):
             self.comes_s = float(came_s[0])
-        self.is_uneven = is_next & (np.abs(self.late_s - self.comes_s) > _UNEVEN_S)
+        off_s = np.abs(self.late_s - self.comes_s)
+        self.is_uneven = is_next & (off_s > _UNEVEN_S) & ~(is_after & (np.abs(off_s - 1.0) <= _UNEVEN_S))
 
 
 class PositionRules:
@@ -542,7 +550,8 @@ def _read_sentence(area: bytes) -> _Sentence:
     right = f"{reduce(xor, body[1:]):02X}"
     found = checksum.decode("ascii", "replace")
     return _Sentence(
-        second=60 * int(time[2:4]) + int(time[4:]) if time else -1,
+        second=(60 * int(time[2:4]) + int(time[4:])) % 3600 if time else -1,
+        is_leap=time == _LEAP,
         status=match["status"].decode(),
         end=end,
         checksum="" if found == right else found or "of no digits",

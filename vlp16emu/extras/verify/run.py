@@ -137,8 +137,7 @@ class _Check:
         self._first.setdefault(kind, datagram)
         self._last[kind] = datagram
         if len(datagram.payload) != PAYLOAD_BYTES[kind]:
-            found = f"a {kind} payload of {len(datagram.payload)} bytes"
-            self._findings.add(Rule.FRAMING, number, found, f"{PAYLOAD_BYTES[kind]} bytes")
+            self._report_length(kind, datagram)
             if kind is PacketKind.DATA:
                 self._finish_data()
             return
@@ -150,6 +149,14 @@ class _Check:
             found = f"{kind} packets from {datagram.source_port}, as a relay sends them"
             self._findings.add(Rule.PORTS, number, found, f"from {PORT[kind]}")
         self._collect(kind, self._in_order[kind].take(datagram))
+
+    def _report_length(self, kind: PacketKind, datagram: Datagram) -> None:
+        found = f"a {kind} payload of {len(datagram.payload)} bytes"
+        expected = f"{PAYLOAD_BYTES[kind]} bytes"
+        if datagram.captured_bytes < datagram.wire_bytes:
+            found = f"a {kind} frame of which {datagram.captured_bytes} of {datagram.wire_bytes} bytes were captured"
+            expected = "whole frames (`tcpdump -s 0`)"
+        self._findings.add(Rule.FRAMING, datagram.number, found, expected)
 
     def finish(self, path: Path, capture: Capture) -> Verification:
         """Check the remaining packets, and return the result."""
@@ -167,13 +174,20 @@ class _Check:
             other_frames=capture.frames - self._packets.total(),
             lost_packets=self._data.lost_packets + self._position.lost_packets,
             void_sentences=self._position.void_sentences,
-            span_s=self._clock.elapsed_us * US_NS / S_NS,
+            span_s=self._span_s(),
             rpm=self._data.rpm,
             is_cut=capture.cut,
             counts=dict(self._findings.counts[Level.ERROR]),
             notes=dict(self._findings.counts[Level.NOTE]),
             findings=tuple(sorted(self._findings.kept, key=lambda finding: finding.packet)),
         )
+
+    def _span_s(self) -> float:
+        """Return the duration, by capture stamps if no packet has a time stamp."""
+        if self._clock.elapsed_us:
+            return self._clock.elapsed_us * US_NS / S_NS
+        stamps_ns = [each.stamp_ns for ends in (self._first, self._last) for each in ends.values()]
+        return (max(stamps_ns) - min(stamps_ns)) / S_NS
 
     def _collect(self, kind: PacketKind, datagrams: Iterable[Datagram]) -> None:
         """Collect packets in order; a chunk of data packets ends at a change of return mode."""
