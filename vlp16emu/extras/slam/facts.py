@@ -111,7 +111,7 @@ def read_facts(path: Path) -> Facts:
                 "/tf_static": _add_fixed,
             }
             wanted = [connection for connection in reader.connections if connection.topic in read]
-            for connection, _, raw in reader.messages(wanted):
+            for connection, _, raw in reader.messages(wanted) if wanted else ():
                 where = f"{path}, {connection.topic}"
                 read[connection.topic](facts, reader.deserialize(raw, connection.msgtype), start_s)
     except Exception as error:  # noqa: BLE001  # rosbags raises errors of any type for damage
@@ -220,7 +220,7 @@ def _turned_deg(azimuth_deg: F8, times: F8, ring: AnyArray) -> float:
     """
     if len(times) and np.ptp(times) > 0:
         return _winding_deg(azimuth_deg[np.argsort(times, kind="stable")])
-    parts_deg = (azimuth_deg[np.equal(ring, number)] for number in np.unique(ring))
+    parts_deg = (azimuth_deg[np.asarray(ring == number)] for number in np.unique(ring))
     windings_deg = [_winding_deg(part_deg) for part_deg in parts_deg if len(part_deg) >= _RING_POINTS]
     return float(np.median(windings_deg)) if windings_deg else 0.0
 

@@ -1,6 +1,7 @@
 """The clocks of a sensor and of the host that captured its packets, held against each other."""
 
 from collections import deque
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,10 @@ SILENCE_US = 500_000
 between both clocks' steps that a stall of the host does not explain."""
 
 
+_BACK_US = 20_000  # step back of a clock that goes on, between packets of both kinds
+_SOUND_US = 100_000  # difference between the steps of both clocks behind a packet at which one was set
+
+
 class HostClock:
     """Times of packets by the clock of the host, without the steps by which somebody has set it.
 
@@ -40,35 +45,59 @@ class HostClock:
     def __init__(self, findings: Findings) -> None:
         self._findings = findings
         self._before: tuple[int, int] | None = None  # capture stamp and time stamp of the last packet, us
+        self._doubtful: tuple[PacketKind, Datagram, int, int] | None = None
+        """Packet at which the host's clock may have been set, and the steps to it by both clocks, us."""
         self._set_ns = 0
         self.elapsed_us = 0  # since the first packet
 
-    def follow(self, datagram: Datagram, kind: PacketKind) -> Datagram:
-        """Return a packet with the stamp of a host's clock that was not set."""
-        stamp_at = STAMP_AT[kind]
-        if len(datagram.payload) != PAYLOAD_BYTES[kind]:
-            return self._corrected(datagram)
-        sensor_us = int.from_bytes(datagram.payload[stamp_at : stamp_at + 4], "little")
-        host_us = datagram.stamp_ns // US_NS
-        if self._before is not None:
-            self._step(
-                datagram.number, host_us - self._before[0], wrap_hour(sensor_us - self._before[1], HOUR_US)
-            )
-        self._before = host_us, sensor_us
-        return self._corrected(datagram)
+    def follow(self, datagram: Datagram, kind: PacketKind) -> Iterator[tuple[PacketKind, Datagram]]:
+        """Yield packets with the stamps of a host's clock that was not set, in the order of the capture.
 
-    def _step(self, number: int, host_step_us: int, sensor_step_us: int) -> None:
-        """Take the step to a packet by both clocks; the sensor's is known but for whole hours."""
-        goes_on = abs(sensor_step_us) < SILENCE_US
-        step_us = host_step_us
-        if abs(host_step_us - sensor_step_us) <= SILENCE_US:
-            step_us = sensor_step_us
-        elif goes_on or host_step_us < 0:
-            step_us = sensor_step_us if goes_on else max(sensor_step_us, 0)
-            set_us = host_step_us - step_us
+        A packet at which both clocks differ waits for the next one: a sensor that starts sends an old time stamp
+        first.
+        """
+        steps_us = self._steps_us(datagram, kind)
+        is_sound = steps_us is not None and abs(steps_us[0] - steps_us[1]) <= _SOUND_US
+        yield from self.rest(is_set=is_sound)
+        if steps_us is not None:
+            host_us, sensor_us = steps_us
+            may_be_set = host_us < 0 or -_BACK_US < sensor_us < SILENCE_US
+            if may_be_set and abs(host_us - sensor_us) > SILENCE_US:
+                self._doubtful = kind, datagram, host_us, sensor_us
+                return
+            self._pass(datagram.number, sensor_us if abs(host_us - sensor_us) <= SILENCE_US else host_us)
+        yield kind, self._corrected(datagram)
+
+    def rest(self, *, is_set: bool = False) -> Iterator[tuple[PacketKind, Datagram]]:
+        """Yield the packet that waits; `is_set` if the host's clock was set at it."""
+        if self._doubtful is None:
+            return
+        kind, datagram, host_us, sensor_us = self._doubtful
+        self._doubtful = None
+        step_us = max(sensor_us, 0) if is_set else max(host_us, 0)
+        if is_set:
+            set_us = host_us - step_us
             self._set_ns += set_us * US_NS
             found = f"capture stamps set by {set_us / 1e6:+.3f} s, while time stamps go on"
-            self._findings.add(Rule.HOST_CLOCK, number, found, "a clock that is not set", Level.NOTE)
+            self._findings.add(Rule.HOST_CLOCK, datagram.number, found, "a clock that is not set", Level.NOTE)
+        self._pass(datagram.number, step_us)
+        yield kind, self._corrected(datagram)
+
+    def _steps_us(self, datagram: Datagram, kind: PacketKind) -> tuple[int, int] | None:
+        """Return the steps to a packet by the host's and the sensor's clock; the latter is known but for hours.
+
+        It is None for the first packet, and for one without a time stamp.
+        """
+        if len(datagram.payload) != PAYLOAD_BYTES[kind]:
+            return None
+        stamp_at = STAMP_AT[kind]
+        sensor_us = int.from_bytes(datagram.payload[stamp_at : stamp_at + 4], "little")
+        host_us = datagram.stamp_ns // US_NS
+        before = self._before
+        self._before = host_us, sensor_us
+        return None if before is None else (host_us - before[0], wrap_hour(sensor_us - before[1], HOUR_US))
+
+    def _pass(self, number: int, step_us: int) -> None:
         if step_us > SILENCE_US:
             found = f"no packet for {step_us / 1e6:.2f} s before it"
             self._findings.add(Rule.SILENCE, number, found, "data or position packets all the time")

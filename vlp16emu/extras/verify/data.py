@@ -483,7 +483,7 @@ class PositionChunk:
         self.late_s = (self.clock_s - self.second) % 3600
         # After a leap second a clock that did not take it is a second ahead.
         is_after = np.logical_or.accumulate(is_leap) | (before.has_leapt if before else False)
-        self.has_leapt = bool(is_after[-1])
+        self.has_leapt: bool = bool(is_after[-1])
         is_old = is_known & (self.late_s >= self.latest_s + is_after)
         self.is_old, self.is_off = (
             of & ~np.append(False, of[:-1])

@@ -124,10 +124,15 @@ class _Check:
     def take(self, datagram: Datagram) -> None:
         """Check one datagram, or keep it for its chunk."""
         kind = kind_of(datagram)
+        if kind is not None:
+            self._sort(self._clock.follow(datagram, kind))
+
+    def _sort(self, datagrams: Iterable[tuple[PacketKind, Datagram]]) -> None:
+        for kind, datagram in datagrams:
+            self._take(kind, datagram)
+
+    def _take(self, kind: PacketKind, datagram: Datagram) -> None:
         number = datagram.number
-        if kind is None:
-            return
-        datagram = self._clock.follow(datagram, kind)
         since_ns = 0 if self._stamp_ns is None else datagram.stamp_ns - self._stamp_ns
         if since_ns < 0:
             found = f"{-since_ns / US_NS:.0f} us before the packet in front of it"
@@ -160,6 +165,7 @@ class _Check:
 
     def finish(self, path: Path, capture: Capture) -> Verification:
         """Check the remaining packets, and return the result."""
+        self._sort(self._clock.rest())
         if not self._packets:
             found = f"no VLP-16 packets, but {capture.missed}" if capture.missed else "no VLP-16 packets"
             raise CaptureError(str(path), found, "data packets on UDP port 2368")
