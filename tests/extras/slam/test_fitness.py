@@ -337,7 +337,7 @@ def test_the_configuration_beside_a_bag_counts(rest, tmp_path):
         assert before == {rule for rule in ("extrinsics", "sweep") if rule in program.needs}
     with written_beside(bag, "all", lambda: fast):
         pass
-    for name in ("fast-lio2", "point-lio", "lio-sam", "rko-lio", "glim", "hdl-graph-slam"):
+    for name in ("fast-lio2", "point-lio", "lio-sam", "rko-lio", "dlio", "glim", "hdl-graph-slam"):
         assert not rules & {one.rule for one in fitness(bag, name).findings} - {"clock"}
     with written_beside(tmp_path / "slow", "all", Rig):
         pass
@@ -351,7 +351,7 @@ def test_the_configuration_beside_a_bag_counts(rest, tmp_path):
     )
     found = {one.rule: one.found for one in fitness(tmp_path / "slow", "fast-lio2").findings}
     assert set(found) == {"sweep", "extrinsics"}
-    assert "slow.fast-lio2.yaml has scan_rate: 20" in found["sweep"]
+    assert "slow.fast-lio2.yaml has preprocess/scan_rate: 20" in found["sweep"]
     assert "extrinsic_T: [0.1, 0.0, 0.0]" in found["extrinsics"]
 
 

@@ -25,9 +25,9 @@ class Held(NamedTuple):
 
 
 def values_set(needs: str) -> dict[str, str]:
-    """Return the values by the last names of parameters that a need sets."""
+    """Return the values by the parameters that a need sets."""
     remedy = needs.partition("; ")[0]
-    return {re.split(r"[/.]", found["name"])[-1]: found["value"] for found in _SET.finditer(remedy)}
+    return {found["name"]: found["value"] for found in _SET.finditer(remedy)}
 
 
 def values_held(wanted: Mapping[str, str], texts: Mapping[str, str]) -> list[Held]:
@@ -41,7 +41,11 @@ def values_held(wanted: Mapping[str, str], texts: Mapping[str, str]) -> list[Hel
 
 
 def _values(text: str, name: str) -> Iterable[str]:
-    form = rf"(?<!\w){re.escape(name)}[\"']?\s*(?::=|[:=]|value=)\s*[\"']?(\[[^\]]*\]|[^\s,\"'<>]+)"
+    *_, parent, last = ["", *re.split(r"[/.]", name)]
+    own = re.escape(last)
+    if len(last) == 1:  # t and R, as parameters or as keys below their parent
+        own = rf"{re.escape(parent)}(?:/|:\s*)(?:\w:\s*\[[^\]]*\]\s*)*{own}"
+    form = rf"(?<!\w){own}[\"']?\s*(?::=|[:=]|value=)\s*[\"']?(\[[^\]]*\]|[^\s,\"'<>]+)"
     return (" ".join(found.split()) for found in re.findall(form, text))
 
 

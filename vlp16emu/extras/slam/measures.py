@@ -228,17 +228,23 @@ def frame_values(facts: Facts) -> Tree:
         for child in ("base_link", lidar, unit)
         if child in facts.parents and child not in facts.fixed
     )
-    T = facts.pose(unit, lidar) if unit else None
-    apart = np.eye(4) if T is None else T
+    apart = _pose(facts, unit, lidar)
     return {
         "tree": tree,
         "root": roots[0],
         "edge": next(edges, ""),
-        "is_apart": T is None and unit not in ("", lidar),
+        "is_apart": unit not in ("", lidar) and facts.pose(unit, lidar) is None,
         "lidar": lidar,
         "imu_frame": unit,
         "apart_m": float(np.linalg.norm(apart[:3, 3])),
         "turned_deg": math.degrees(math.acos(((np.trace(apart[:3, :3]) - 1) / 2).clip(-1.0, 1.0))),
         **pose_names("lidar", "imu", apart),
         **pose_names("imu", "lidar", np.linalg.inv(apart)),
+        **pose_names("base", "lidar", _pose(facts, lidar, roots[0])),
+        **pose_names("base", "imu", _pose(facts, unit, roots[0])),
     }
+
+
+def _pose(facts: Facts, frame: str, parent: str) -> F8:
+    pose = facts.pose(frame, parent)
+    return np.eye(4) if pose is None else pose
