@@ -82,7 +82,12 @@ def _verify_bag(file: Path, unit: str | None, slam: str, *, as_json: bool) -> No
     result = fitness(file, slam)
     if as_json:
         programs = {
-            name: {"fit": not result.of(name), "findings": result.of(name)} for name in result.programs
+            name: {
+                "fit": not result.of(name),
+                "configurations": result.configurations[name],
+                "findings": result.of(name),
+            }
+            for name in result.programs
         }
         print_json({"file": file, "fit": not result.findings, "bag": result.summary, "programs": programs})
     else:
