@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vlp16emu.errors import CaptureError, MissingExtraError
 from vlp16emu.inputs import open_input, parsing
@@ -177,9 +178,9 @@ def _add_cloud(facts: Facts, message: Any, start_s: int) -> None:
     facts.fields = dict(zip(names, kinds, strict=True))
     facts.time_name = next((name for name in TIME_NAMES if name in names), "")
     xyz = np.stack([points[axis] for axis in "xyz"], axis=1).astype(np.float64)
-    is_finite = np.isfinite(xyz).all(axis=1)
-    range_m = np.linalg.norm(np.where(is_finite[:, None], xyz, 0.0), axis=1)
-    is_hit = range_m > 0.0
+    is_finite: NDArray[np.bool_] = np.isfinite(xyz).all(axis=1)
+    range_m: F8 = np.linalg.norm(np.where(is_finite[:, None], xyz, 0.0), axis=1)
+    is_hit: NDArray[np.bool_] = np.asarray(range_m > 0.0)
     times = points[facts.time_name].astype(np.float64) if facts.time_name else np.empty(0)
     has_times = bool(len(times) and np.isfinite(times).all())
     ring: AnyArray = points["ring"] if "ring" in names else np.zeros(len(points))
