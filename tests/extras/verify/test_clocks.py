@@ -130,7 +130,7 @@ def test_frames_that_were_cut_are_named(traffic, tmp_path):
     path.write_bytes(b"".join(short))
     result = verify(path)
     assert set(result.counts) == {Rule.FRAMING}
-    assert "of which 96 of 1248 bytes were captured; expected whole frames (`tcpdump -s 0`)" in str(
+    assert "a data frame, 96 of 1248 bytes captured; expected whole frames (`tcpdump -s 0`)" in str(
         result.findings[0]
     )
     assert result.span_s == pytest.approx(0.3, abs=0.01)

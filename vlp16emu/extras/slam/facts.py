@@ -15,7 +15,7 @@ from vlp16emu.units import S_NS
 
 TIME_NAMES = ("time", "t", "timestamp", "time_stamp", "timestamps", "stamps", "offset_time")
 """Names of the time field in the programs of the table."""
-SECTORS = 72  # of a turn, to tell which part of it a message covers
+SECTORS = 72  # of a turn, for the part of it that a message covers
 _EXPECTED = "a bag: .mcap, .bag or a folder of ROS 2"
 _LONGEST_METADATA_BYTES = 10_000_000
 _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # of sensor_msgs/PointField
@@ -178,7 +178,7 @@ def _add_cloud(facts: Facts, message: Any, start_s: int) -> None:
     facts.fields = dict(zip(names, kinds, strict=True))
     facts.time_name = next((name for name in TIME_NAMES if name in names), "")
     xyz = np.stack([points[axis] for axis in "xyz"], axis=1).astype(np.float64)
-    is_finite: NDArray[np.bool_] = np.isfinite(xyz).all(axis=1)
+    is_finite: NDArray[np.bool_] = np.asarray(np.isfinite(xyz).all(axis=1))
     range_m: F8 = np.linalg.norm(np.where(is_finite[:, None], xyz, 0.0), axis=1)
     is_hit: NDArray[np.bool_] = np.asarray(range_m > 0.0)
     times = points[facts.time_name].astype(np.float64) if facts.time_name else np.empty(0)

@@ -159,7 +159,7 @@ class _Check:
         found = f"a {kind} payload of {len(datagram.payload)} bytes"
         expected = f"{PAYLOAD_BYTES[kind]} bytes"
         if datagram.captured_bytes < datagram.wire_bytes:
-            found = f"a {kind} frame of which {datagram.captured_bytes} of {datagram.wire_bytes} bytes were captured"
+            found = f"a {kind} frame, {datagram.captured_bytes} of {datagram.wire_bytes} bytes captured"
             expected = "whole frames (`tcpdump -s 0`)"
         self._findings.add(Rule.FRAMING, datagram.number, found, expected)
 
