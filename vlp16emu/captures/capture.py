@@ -35,6 +35,7 @@ PCAP = {
 of a file. Source: IETF draft-ietf-opsawg-pcap; the last magic number is the "modified" pcap of routers, as
 Wireshark's wiki describes it."""
 _PCAP_HEADER_BYTES = 24
+_HAS_CHECK = 0x0400_0000  # frames end with a frame check sequence
 _LONGEST_FRAME_BYTES = 262_144  # a longer record means damage (MAXIMUM_SNAPLEN of libpcap)
 _ENDING = re.compile(r"\.(pcap|pcapng|cap)\d*(\.(gz|bz2|xz|zst))?$", re.IGNORECASE)
 
@@ -283,12 +284,12 @@ def pcap_frames(path: Path, file: BinaryIO) -> Iterator[Frame | None]:
     record = struct.Struct(order + form)
     word = struct.Struct(f"{order}I")
     number = 0
-    link_type = word.unpack_from(header, 20)[0] & 0xFFFF  # the upper bits describe the frame check sequence
+    link_type, check_bytes = _link_of(word.unpack_from(header, 20)[0])
     while head := read(file, record.size):
         if head.startswith(header[:8]):  # a second file appended to this one with `cat`
             head += read(file, _PCAP_HEADER_BYTES - len(head))
             if len(head) == _PCAP_HEADER_BYTES:
-                link_type = word.unpack_from(head, 20)[0] & 0xFFFF
+                link_type, check_bytes = _link_of(word.unpack_from(head, 20)[0])
                 continue
         if len(head) < record.size:
             yield None
@@ -302,7 +303,16 @@ def pcap_frames(path: Path, file: BinaryIO) -> Iterator[Frame | None]:
         if len(content) < captured:
             yield None
             return
-        yield Frame(seconds * S_NS + fraction * unit_ns, link_type, wire, content)
+        wire = max(wire - check_bytes, 0)
+        yield Frame(seconds * S_NS + fraction * unit_ns, link_type, wire, content[:wire])
+
+
+def _link_of(field: int) -> tuple[int, int]:
+    """Return link type and length of the frame check sequence from the field of a pcap header.
+
+    Source: IETF draft-ietf-opsawg-pcap, section 4: bits P and FCS len, which counts words of 16 bits.
+    """
+    return field & 0xFFFF, 2 * (field >> 28) if field & _HAS_CHECK else 0
 
 
 def read(file: BinaryIO, size: int) -> bytes:

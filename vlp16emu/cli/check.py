@@ -82,7 +82,12 @@ def _verify_bag(file: Path, unit: str | None, slam: str, *, as_json: bool) -> No
     result = fitness(file, slam)
     if as_json:
         programs = {
-            name: {"fit": not result.of(name), "findings": result.of(name)} for name in result.programs
+            name: {
+                "fit": not result.of(name),
+                "configurations": result.configurations[name],
+                "findings": result.of(name),
+            }
+            for name in result.programs
         }
         print_json({"file": file, "fit": not result.findings, "bag": result.summary, "programs": programs})
     else:
@@ -90,6 +95,8 @@ def _verify_bag(file: Path, unit: str | None, slam: str, *, as_json: bool) -> No
             print_line(str(finding))
         counts = {name: len(result.of(name)) for name in result.programs}
         verdicts = {name: f"{n} finding{'s' * (n > 1)}" if n else "fit" for name, n in counts.items()}
+        for name, files in result.configurations.items():
+            verdicts[name] += f", with {', '.join(files)}" if files else ""
         summary = "fit" if not result.findings else "not fit for all" if slam == "all" else "not fit"
         print_rows(f"{file}: {summary}", verdicts)
     if result.findings:

@@ -262,6 +262,19 @@ def test_a_fault_of_the_web_interface(web, speak, monkeypatch):
     assert speak(get("/cgi/info.json", "Connection: close"))[0].startswith(b"HTTP/1.1 200 OK")
 
 
+def test_a_slow_web_interface(web, speak, monkeypatch):
+    """A delay comes before each answer, is not part of the time limit of a request, and does not delay the
+    end of the server."""
+    monkeypatch.setattr("vlp16emu.extras.bench.web.LONGEST_S", 0.2)
+    web.delay_s = 0.3
+    assert speak(get("/cgi/snapshot.hdl", "Connection: close"))[0].startswith(b"HTTP/1.1 200 OK")
+    web.delay_s = 60.0
+    with socket.create_connection(web.address, timeout=0.3) as line:
+        line.sendall(get("/cgi/snapshot.hdl"))
+        with pytest.raises(TimeoutError):
+            line.recv(1)
+
+
 def test_a_connection_that_is_kept_open_does_not_disturb_the_end(make, caplog):
     """A client that still has its connection when the sensor goes is cut off without a word in the log."""
     _, device = make()

@@ -27,6 +27,7 @@ _PACKET = 6
 """Block types of pcapng. Source of all pcapng numbers: IETF draft-ietf-opsawg-pcapng."""
 _BYTE_ORDER = 0x1A2B3C4D
 _OPTION_RESOLUTION = 9
+_OPTION_CHECK = 13
 _OPTION_OFFSET = 14
 _LONGEST_BLOCK_BYTES = 16 << 20  # a longer block means damage (MAX_BLOCK_SIZE of Wireshark)
 _ARCHIVES: dict[bytes, Any] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ\0": lzma.open}
@@ -87,6 +88,7 @@ class _Interface(NamedTuple):
     snap_bytes: int
     units_per_s: int
     offset_s: int
+    check_bytes: int  # length of the frame check sequence
 
 
 def _pcapng(path: Path, file: Any) -> Frames:
@@ -140,16 +142,19 @@ def _interface(body: bytes, order: str) -> _Interface:
     link_type, _, snap_bytes = struct.unpack_from(f"{order}2HI", body)
     units_per_s = S_NS // US_NS
     offset_s = 0
+    check_bytes = 0
     at = 8
     while at + 4 <= len(body):
         code, size = struct.unpack_from(f"{order}2H", body, at)
         value = body[at + 4 : at + 4 + size]
         if code == _OPTION_RESOLUTION and value:
             units_per_s = 2 ** (value[0] & 0x7F) if value[0] & 0x80 else 10 ** value[0]
+        elif code == _OPTION_CHECK and value:
+            check_bytes = value[0]
         elif code == _OPTION_OFFSET:
             offset_s = int.from_bytes(value, "little" if order == "<" else "big", signed=True)
         at += 4 + -(-size // 4) * 4
-    return _Interface(link_type, snap_bytes, units_per_s, offset_s)
+    return _Interface(link_type, snap_bytes, units_per_s, offset_s, check_bytes)
 
 
 def _frame(body: bytes, kind: int, order: str, interfaces: list[_Interface]) -> Frame | None:
@@ -158,7 +163,8 @@ def _frame(body: bytes, kind: int, order: str, interfaces: list[_Interface]) -> 
         wire = struct.unpack_from(f"{order}I", body)[0]
         interface = interfaces[0]
         captured = min(wire, interface.snap_bytes or wire)
-        return Frame(0, interface.link_type, wire, body[4 : 4 + captured])
+        whole = max(wire - interface.check_bytes, 0)
+        return Frame(0, interface.link_type, whole, body[4 : 4 + min(captured, whole)])
     if kind not in (_PACKET, _OLD_PACKET) or len(body) < 20:  # the fields before the frame
         return None
     number, high, low, captured, wire = struct.unpack_from(
@@ -168,4 +174,5 @@ def _frame(body: bytes, kind: int, order: str, interfaces: list[_Interface]) -> 
         return None
     interface = interfaces[number]
     stamp_ns = interface.offset_s * S_NS + (high << 32 | low) * S_NS // interface.units_per_s
-    return Frame(stamp_ns, interface.link_type, wire, body[20 : 20 + captured])
+    whole = max(wire - interface.check_bytes, 0)
+    return Frame(stamp_ns, interface.link_type, whole, body[20 : 20 + min(captured, whole)])

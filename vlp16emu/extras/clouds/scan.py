@@ -139,9 +139,10 @@ def decode(
     frame: str | PointFrame = PointFrame.SENSOR,
     clock: str | None = None,
 ) -> Iterator[Scan]:
-    """Read the scans of a capture with the formulas of the sensor's manual.
+    """Read the whole revolutions of a capture with the formulas of the sensor's manual.
 
-    The capture is from the emulator or a real sensor.
+    The capture is from the emulator or a real sensor. The parts of revolutions at its beginning and end are left
+    out: a capture of less than a revolution gives no scan.
 
     Parameters
     ----------
