@@ -123,7 +123,12 @@ class OneOf:
         ours: dict[object, type[Section]] = {
             word: door(word, self.group) for word in DOORS[self.group] if has_door(word, self.group)
         }
-        return {**ours, **dict(plug_ins(self.group)), **dict(self._subclasses(self.base)), **ours}
+        defined = {
+            word: section
+            for word, section in self._subclasses(self.base)
+            if not has_door(str(word), self.group)  # loaded, and perhaps left out
+        }
+        return {**ours, **dict(plug_ins(self.group)), **defined}
 
     def _section(self, word: object) -> type[Section] | None:
         if not isinstance(word, str):
