@@ -204,8 +204,9 @@ def _from_scene_folder(file: str, info: ValidationInfo) -> str:
 SceneFile = Annotated[str, Field(min_length=1), AfterValidator(_from_scene_folder)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 Angle = Annotated[float, Field(ge=-180, le=180)]
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
+Positive = Annotated[float, Field(gt=0, le=1e6)]
+NonNegative = Annotated[float, Field(ge=0, le=1e6)]
+"""Times and lengths; longer than any scene, of 604800 s, and than any path."""
 Place = Annotated[float, Field(ge=-2e7, le=2e7)]
 """A coordinate in the world, in m; map coordinates are within half the earth's circumference."""
 MapPoint = Annotated[tuple[Place, Place, Place], Field(strict=False)]  # easting, northing and height, in m
