@@ -21,7 +21,7 @@ from pydantic import ValidationError
 from vlp16emu.engine import Unit
 from vlp16emu.errors import InputError, OutputError
 from vlp16emu.explain import explain
-from vlp16emu.extras.bench.device import Device, DeviceInfo, DeviceSettings, DeviceStatus
+from vlp16emu.extras.bench.device import Device, DeviceInfo, DeviceSettings, DeviceStatus, check_saved
 from vlp16emu.extras.bench.events import Event, checked, event, tables
 from vlp16emu.extras.bench.web import WebServer, listen
 from vlp16emu.packets import POSITION_BYTES, decode_position
@@ -66,6 +66,9 @@ class WebInterfaces(WebPart):
 
     def __init__(self, stream: SceneStream) -> None:
         self._stream = stream
+        saved = stream.options.http.saved if stream.options.http else None
+        if saved is not None:
+            check_saved(saved)
         self.places: list[
             tuple[str, int]
         ] = []  # host and port of each; none before the first packet is ready
