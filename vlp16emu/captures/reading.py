@@ -56,6 +56,7 @@ class Summary:
     )
     gps: dict[str, str] | None  # Pulse and sentence of the last position packet
     cut: bool  # True if the file ends in the middle of a packet
+    damage: tuple[str, ...]  # Damaged parts of the file that were left out
     repeats: int  # Repeated packets that were skipped
 
 
@@ -104,7 +105,7 @@ class CaptureReader:
     def tables(self) -> Iterator[PacketTable]:
         """Read chunk by chunk; packets before a faulty packet or record come before its error is raised.
 
-        Raises CaptureError if a record is damaged or there is no data packet; PacketError if a packet is not
+        Raises CaptureError if there is no data packet; PacketError if a packet is not
         from a VLP-16.
         """
         for held in self._chunks():
@@ -180,6 +181,7 @@ class CaptureReader:
             if gps
             else None,
             cut=self._capture.cut,
+            damage=tuple(self._capture.damage),
             repeats=self._capture.repeated,
         )
 

@@ -105,6 +105,7 @@ def _tree(result: "Verification") -> Tree:
         "duration_s": result.span_s,
         "rpm": result.rpm,
         "cut": result.is_cut,
+        "damage": result.damage,
         "broken_rules": result.counts,
         "notes": result.notes,
         "findings": result.findings,

@@ -298,6 +298,7 @@ def write_bag(
         "clocks": tuple(each.clock.clock for each in clocks),  # of each unit, in the order of their topics
         "host_ahead_s": tuple((each.clock.host_ahead_ns or 0) / S_NS for each in clocks),
         "repeats": datagrams.repeated,  # packets left out as repeated
+        "damage": tuple(datagrams.damage),  # damaged parts of the capture that were left out
         "interrupted": stop.is_set(),
     }
 
