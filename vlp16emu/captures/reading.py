@@ -54,6 +54,7 @@ class Summary:
     host_ahead_s: (
         float  # Capture stamp minus the sensor's clock in the nearest hour, at the first data packet
     )
+    fit: dict[str, float] | None  # Fit of the host's clock to the sensor's, where `clock` is that
     gps: dict[str, str] | None  # Pulse and sentence of the last position packet
     cut: bool  # True if the file ends in the middle of a packet
     damage: tuple[str, ...]  # Damaged parts of the file that were left out
@@ -177,6 +178,7 @@ class CaptureReader:
             duration_s=int(np.where(is_jump, host_step_ns, step_ns).sum()) / S_NS,
             clock=self.clock.clock,
             host_ahead_s=round((self.clock.host_ahead_ns or 0) / S_NS, 6),
+            fit=self.clock.fit.summary if self.clock.fit else None,
             gps={"pps": gps.pps.name.lower(), "sentence": gps.sentence.decode("ascii", "replace").strip()}
             if gps
             else None,

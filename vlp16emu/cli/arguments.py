@@ -75,9 +75,9 @@ WhichClock = Annotated[
     str | None,
     Option(
         "Clock of all stamps: the sensor's, in the hour nearest to the capture's stamps (sensor) or in "
-        "the hour of the GPS sentences (gps), or the recording host's (host). By default the sensor's if "
-        "it is locked to GPS, else the host's.",
-        words=("sensor", "gps", "host"),
+        "the hour of the GPS sentences (gps), the recording host's (host), or the host's as a line over the "
+        "sensor's (fitted). By default the sensor's if it is locked to GPS, else the fitted one.",
+        words=("sensor", "gps", "fitted", "host"),
         shown=False,
     ),
 ]

@@ -112,7 +112,7 @@ def _read(reader: "CaptureReader", file: Path, out: Path | None, axes: "PointFra
         if out:
             from vlp16emu.extras.clouds.cloud import CAPTURE_COLUMNS, CloudAbout, capture_comments, point_file
 
-            about = CloudAbout(capture_comments(axes, f"{reader.clock.clock}'s"))
+            about = CloudAbout(capture_comments(axes, reader.clock.clock.whose))
             opened = point_file(out, CAPTURE_COLUMNS, about, where=f"--out {out}", inputs=[file])
             writer = stack.enter_context(opened)
         try:

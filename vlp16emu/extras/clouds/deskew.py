@@ -148,7 +148,7 @@ def write_deskewed(
     ----------
     truth : labels each point with its surface
     stop : ends the file between two parts of the capture
-    clock : clock of the pulses, as for `vlp16emu.packets.unit_clocks`
+    clock : clock of the pulses, as for `vlp16emu.captures.unit_clocks`
 
     Raises InputError, TrajectoryError if the ground truth belongs to another run, or no pulse has a pose;
     CaptureError, PacketError if the capture cannot be read, or is damaged; the file has the points before.
@@ -158,7 +158,7 @@ def write_deskewed(
     tables = CaptureReader(capture, known, clock=stamped).tables()
     first = next(tables)
     start_ns = int(first["utc_ns"][0])
-    comments = "x, y, z in the world by a trajectory", cloud.time_comment(f"{stamped.clock}'s")
+    comments = "x, y, z in the world by a trajectory", cloud.time_comment(stamped.clock.whose)
     start_utc = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=start_ns // 1000)
     about = cloud.CloudAbout(comments, start_utc, way.origin, way.unit)
     columns = cloud.DESKEWED_COLUMNS + (truth.columns if truth else ())
@@ -184,6 +184,7 @@ def write_deskewed(
         "truth": truth is not None,
         "simulated_s": last_ns / S_NS,  # from the first pulse of the capture to the last
         "clock": stamped.clock,
+        "fit": stamped.fit.summary if stamped.fit else None,  # of the host's clock to the sensor's
         "host_ahead_s": (stamped.host_ahead_ns or 0)
         / S_NS,  # capture stamp minus sensor's clock at the first packet
         "bytes": path.stat().st_size,
