@@ -46,6 +46,7 @@ _RECENT = 512
 milliseconds."""
 # smallest share of the data packets of the busiest unit that counts as a unit; fewer are an accident
 _STRAY = 0.02
+_BAG_FILES = (".db3", ".mcap")  # of a folder of ROS 2, in order of their numbers
 _MOST_DAMAGE = 100  # damaged parts that are reported
 _NAMED = 16  # units listed in an error line; as many as a rig may have
 _CUT_SHORT = "frames that were captured in part (capture with `tcpdump -s 0`)"
@@ -108,9 +109,14 @@ class Datagram(NamedTuple):
 def is_capture_name(name: str | Path) -> bool:
     """Return whether a name ends in .pcap, .pcapng or .cap.
 
-    A rotation number and a compression suffix may follow.
+    A rotation number and a compression suffix may follow. Bags end in .bag, .mcap or .db3, or are folders.
     """
-    return _ENDING.search(str(name)) is not None
+    return _ENDING.search(str(name)) is not None or is_bag_folder(Path(name))
+
+
+def is_bag_folder(path: Path) -> bool:
+    """Return whether a path is a folder that ROS 2 has recorded."""
+    return (path / "metadata.yaml").is_file()
 
 
 class Capture:
@@ -260,6 +266,9 @@ def _files(path: Path) -> list[Path]:
     """Return the files of a capture, in order of their first stamps."""
     if path.is_fifo():
         return [path]  # a pipe can be read only once
+    if is_bag_folder(path):
+        inside = sorted(each for each in path.iterdir() if each.suffix in _BAG_FILES)
+        return inside or [path / "*.mcap"]
     is_pattern = not path.exists() and glob.has_magic(path.name)  # a file may have brackets in its name
     found = sorted(path.parent.glob(path.name)) if is_pattern else []
     firsts = {file: next(_frames_in(file), None) for file in found or [path]}

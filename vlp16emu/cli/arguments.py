@@ -13,7 +13,12 @@ SceneOrCapture = Annotated[
     str, Option(f"{_SCENE}; or a capture, ours or a real sensor's.", name="SCENE|FILE.pcap")
 ]
 CaptureFile = Annotated[
-    Path, Option("Capture with VLP-16 packets: pcap or pcapng, also .gz, .bz2, .xz, .zst.", name="FILE.pcap")
+    Path,
+    Option(
+        "Capture with VLP-16 packets: pcap or pcapng, also .gz, .bz2, .xz, .zst; or a bag with "
+        "/velodyne_packets (.bag, .mcap, a folder of ROS 2).",
+        name="FILE.pcap",
+    ),
 ]
 Settings = Annotated[
     list[str] | None,

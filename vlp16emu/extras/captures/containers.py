@@ -26,6 +26,7 @@ from vlp16emu.captures.records import (
     pcap_frames,
 )
 from vlp16emu.errors import CaptureError
+from vlp16emu.extras.captures.bags import bag_frames, is_bag
 from vlp16emu.inputs import parsing
 from vlp16emu.units import S_NS, US_NS
 
@@ -62,6 +63,8 @@ def frames(path: Path, file: Any) -> Frames:
         raise CaptureError(str(path), "a tar archive", f"{EXPECTED}: `tar xOf {path.name} > some.pcap`")
     if head[:4] in PCAP:
         found = pcap_frames(path, unpacked)
+    elif is_bag(head):
+        found = bag_frames(path, unpacked)
     elif int.from_bytes(head[:4]) == _SECTION:
         found = _pcapng(path, Window(unpacked))
     else:
