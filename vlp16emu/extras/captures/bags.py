@@ -276,8 +276,7 @@ def _lz4(packed: bytes) -> bytes:
 
 def _zstd(packed: bytes) -> bytes:
     try:
-        import zstandard
+        from backports import zstd  # rosbags brings it
     except ImportError:
-        raise MissingExtraError("zstandard", "ros", "reading this bag") from None
-    unpacked: bytes = zstandard.ZstdDecompressor().decompressobj().decompress(packed)
-    return unpacked
+        raise MissingExtraError("backports.zstd", "ros", "reading this bag") from None
+    return zstd.decompress(packed)
