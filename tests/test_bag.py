@@ -2,8 +2,12 @@
 
 import hashlib
 import json
+import math
+import os
 import shutil
 from datetime import UTC, datetime
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 
 import numpy as np
@@ -374,8 +378,8 @@ def test_odometry_of_a_run_has_the_rates_of_its_motion(tmp_path):
     ("file", "content", "message"),
     [
         ("trajectory.npy", None, "trajectory.npy: no such file or directory; expected a table"),
-        ("trajectory.npy", b"x y z", "trajectory.npy: no whole table of numpy"),
-        ("imu.npy", b"", "imu.npy: no whole table of numpy"),
+        ("trajectory.npy", b"x y z", "trajectory.npy: cannot be read: "),
+        ("imu.npy", b"", "imu.npy: cannot be read: "),
         ("gnss.npy", "imu.npy", "gnss.npy: another table"),
         ("rig.json", b"{", "rig.json: no JSON"),
     ],
@@ -390,6 +394,60 @@ def test_damaged_truth_is_named_by_its_file(walk, tmp_path, refused, file, conte
         place.write_bytes(content if isinstance(content, bytes) else (walk / "truth" / content).read_bytes())
     assert message in refused(["bag", walk / "walk.pcap", tmp_path / "a.mcap", "--truth", tmp_path / "truth"])
     assert not (tmp_path / "a.mcap").exists()
+
+
+@pytest.mark.parametrize(
+    ("file", "keys", "value", "message"),
+    [
+        ("rig.json", ["units"], [], "rig.json: units: found a list of 0"),
+        ("rig.json", ["units", 0], None, "rig.json: units[0]: found None"),
+        ("rig.json", ["units", 0, "trajectory"], "../truth/trajectory.tum", "expected the name of a file"),
+        ("rig.json", ["units", 0, "body_T_sensor", "matrix", 1, 1], -1.0, "a rotation and a translation"),
+        ("rig.json", ["units", 0, "body_T_sensor", "matrix", 0], [1.0], "four rows of four numbers"),
+        ("rig.json", ["antenna", "above_sensor_m"], "high", 'rig.json: antenna.above_sensor_m: found "high"'),
+        ("rig.json", ["antenna", "above_sensor_m"], math.nan, "rig.json: antenna.above_sensor_m: found"),
+        ("rig.json", ["world", "latitude_deg"], 10**400, "rig.json: world.latitude_deg: "),
+        ("scenario.json", ["sensor", "rpm"], 0, "scenario.json: sensor.rpm: found 0"),
+        ("scenario.json", ["gps", "wander_m"], True, "scenario.json: gps.wander_m: found true"),
+        ("scenario.json", ["imu"], {}, "scenario.json: imu.rate_hz, "),
+    ],
+)
+def test_a_damaged_description_is_named_by_its_member(walk, tmp_path, refused, file, keys, value, message):
+    """A member of a wrong type, out of bounds, of no rigid transform, or that leads out of the folder is one
+    line with its name."""
+    shutil.copytree(walk / "truth", tmp_path / "truth")
+    place = tmp_path / "truth" / file
+    tree = json.loads(place.read_text())
+    *path, last = keys
+    reduce(getitem, path, tree)[last] = value
+    place.write_text(json.dumps(tree))
+    line = refused(["bag", walk / "walk.pcap", tmp_path / "a.mcap", "--truth", tmp_path / "truth"])
+    assert message in line
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["truth"]
+
+
+@pytest.mark.parametrize("file", ["trajectory.npy", "imu.npy", "gnss.npy"])
+@pytest.mark.parametrize("damage", ["nan", "times", "fifo", "loop", "sparse"])
+def test_damaged_rows_of_truth_are_refused(walk, tmp_path, refused, file, damage):
+    """A NaN, times that do not ascend, a special file, a loop of links, and a table of gigabytes that holds no
+    rows of a run are refused with the file's name, and no bag is made."""
+    shutil.copytree(walk / "truth", tmp_path / "truth")
+    place = tmp_path / "truth" / file
+    rows = np.load(place)
+    place.unlink()
+    if damage == "fifo":
+        os.mkfifo(place)
+    elif damage == "loop":
+        place.symlink_to(place)
+    elif damage == "sparse":
+        np.lib.format.open_memmap(place, "w+", rows.dtype, (3_000_000_000 // rows.dtype.itemsize,))
+    else:
+        if damage == "nan":
+            rows[rows.dtype.names[-2]][-1] = np.nan
+        np.save(place, rows if damage == "nan" else np.concatenate([rows, rows]))
+    line = refused(["bag", walk / "walk.pcap", tmp_path / "a.mcap", "--truth", tmp_path / "truth"])
+    assert f"{file}: " in line
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["truth"]
 
 
 def test_a_bag_needs_no_text_of_the_truth(walk, tmp_path):

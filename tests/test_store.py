@@ -2,7 +2,6 @@
 
 import hashlib
 import os
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -94,14 +93,49 @@ def test_a_link_is_not_followed(kept, folder, tmp_path):
 @pytest.mark.parametrize(("owner", "is_taken"), [(ABROAD, False), (0, True)])
 def test_only_our_own_folders_and_those_of_root_are_taken(monkeypatch, folder, owner, is_taken):
     """A folder of another user is refused, as that user can write in it; root can write everywhere."""
+    fstat = os.fstat
 
-    def of_owner(path):
-        state = os.lstat(path)
+    def of_owner(opened):
+        state = fstat(opened)
         return os.stat_result([*state[:4], owner, *state[5:10]])
 
-    monkeypatch.setattr(Path, "lstat", of_owner)
+    monkeypatch.setattr(os, "fstat", of_owner)
     monkeypatch.setattr(os, "getuid", lambda: ABROAD + 1)
     assert is_kept(folder) is is_taken
+
+
+def test_a_folder_that_is_exchanged_is_not_read(kept, folder, tmp_path):
+    """A user who owns a folder above may rename ours and put another there: what comes back is from the folder
+    that was checked, and nothing is written to the other."""
+    assert kept.read("a.thing") == b"one two"
+    theirs = tmp_path / "theirs" / "files"
+    Store(theirs, ".thing", 1000).write("a.thing", b"planted")
+    folder.parent.rename(tmp_path / "aside")
+    theirs.parent.rename(folder.parent)
+    assert kept.read("a.thing") == b"one two"
+    kept.write("b.thing", b"x")
+    assert [path.name for path in folder.iterdir()] == ["a.thing"]
+    assert kept.read("b.thing") == b"x"
+
+
+@pytest.mark.parametrize("mode", [0o666, 0o660])
+def test_a_file_that_others_can_write_is_not_read(kept, folder, mode):
+    """A file in a private folder counts only if it is private itself; a link in its place does not."""
+    path = folder / "a.thing"
+    path.chmod(mode)
+    assert kept.read("a.thing") is None
+    path.chmod(0o600)
+    assert kept.read("a.thing") == b"one two"
+    path.rename(folder / "c")
+    path.symlink_to("c")
+    assert kept.read("a.thing") is None
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can give a folder away")
+def test_a_folder_below_one_of_another_user_is_not_taken(kept, folder):
+    """Who owns the folder above can replace ours, whatever its mode."""
+    os.chown(folder.parent, ABROAD, ABROAD)
+    assert not is_kept(folder)
 
 
 def test_where_nothing_can_be_written_all_goes_on(monkeypatch, kept, folder, tmp_path):
@@ -110,10 +144,10 @@ def test_where_nothing_can_be_written_all_goes_on(monkeypatch, kept, folder, tmp
     for place in (None, tmp_path / "file", tmp_path / "file" / "below"):
         assert not is_kept(place)
 
-    def fail(*_):
+    def fail(*_, **__):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Path, "replace", fail)
+    monkeypatch.setattr(os, "replace", fail)
     assert not is_kept(folder)
     assert [path.name for path in folder.iterdir()] == ["a.thing"]
 
@@ -189,7 +223,7 @@ def test_the_user_chooses_the_folder(monkeypatch, tmp_path):
     monkeypatch.setattr(
         "os.path.expanduser", lambda name: name
     )  # no HOME, and a user whom the system does not know
-    assert user_store.__wrapped__().own is None
+    assert user_store.__wrapped__().usable_folder is None
     for wrong in ("lots", "nan", "inf"):
         monkeypatch.setenv("VLP16EMU_CACHE_MB", wrong)
         assert user_store.__wrapped__().most_bytes == 1_000_000_000

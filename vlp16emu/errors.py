@@ -92,6 +92,14 @@ class RunError(Vlp16emuError):
     """A run that started well and could not be finished."""
 
 
+def printable(text: str) -> str:
+    """Return a text in one line, with control characters escaped.
+
+    Text from outside, as a sentence of a receiver or the name of a file, would otherwise steer the terminal.
+    """
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
 def _one_line(text: str, most: int) -> str:
-    line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text[: most + 1])
+    line = printable(text[: most + 1])
     return line if len(line) <= most else f"{line[: most - 3]}..."

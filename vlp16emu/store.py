@@ -4,7 +4,8 @@ Each is complete or ignored, in a folder that only the user can write.
 
 The name of a file is a digest of all inputs of its content, with the package's files and the libraries that
 made it. A file is a marker, the SHA-256 of its name and its content, and the content: a pickle, which runs
-code when it is read. So a folder that others can write in is not used.
+code when it is read. So a folder or file that others can write is not used; both are checked when they are
+open.
 """
 
 import hashlib
@@ -18,7 +19,7 @@ from contextlib import suppress
 from functools import cache, cached_property
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 from platformdirs import user_cache_path
@@ -67,46 +68,73 @@ class Store:
         self._writer: ThreadPoolExecutor | None = None
 
     @cached_property
-    def own(self) -> Path | None:
+    def usable_folder(self) -> Path | None:
         """The folder, if only the user or root can write in it or replace it."""
+        return None if self._opened is None else self.folder
+
+    @cached_property
+    def _opened(self) -> int | None:
+        """Descriptor of the folder; None if it is not safe.
+
+        All files are reached by it, as a user who owns a folder above could put another in its place.
+        """
         if self.folder is None:
             return None
         with suppress(OSError):
             for level in (self.folder.parent, self.folder):
                 level.mkdir(0o700, parents=True, exist_ok=True)
-            above = self.folder.parent.stat().st_mode
-            state = self.folder.lstat()
-            is_ours = stat.S_ISDIR(state.st_mode) and state.st_uid in (0, os.getuid())
-            if is_ours and not state.st_mode & 0o022 and (not above & 0o022 or above & stat.S_ISVTX):
-                return self.folder
+            opened = os.open(self.folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+            above = os.stat("..", dir_fd=opened)
+            if _is_ours(os.fstat(opened)) and (_is_ours(above) or above.st_mode & stat.S_ISVTX):
+                return opened
+            os.close(opened)
         return None
 
     def read(self, name: str) -> memoryview | None:
-        """Read a file; None if it is missing or damaged."""
-        if self.own is None or (content := read_checked(self.own / name)) is None:
+        """Read a file; None if it is missing, damaged, or others can write it."""
+        if self._opened is None:
             return None
+        try:
+            with _open(name, self._opened) as file:
+                content = content_of(memoryview(file.read()), name)
+                with suppress(OSError):  # on a file system that is read-only
+                    os.utime(file.fileno())  # used now
+                return content
+        except OSError:
+            return None
+
+    def has(self, name: str) -> bool:
+        """Return whether a file exists, complete or not."""
         with suppress(OSError):
-            os.utime(self.own / name)  # used now
-        return content
+            return self._opened is not None and bool(os.stat(name, dir_fd=self._opened))
+        return False
+
+    def names(self) -> list[str]:
+        """List the names of all files of the folder."""
+        if self._opened is None:
+            return []
+        with os.scandir(self._opened) as entries:
+            return [entry.name for entry in entries]
 
     def write(self, name: str, content: bytes) -> None:
         """Write a file; a full disk, or a read-only folder, is not an error."""
-        if self.own is None:
+        if self._opened is None:
             return
-        aside = self.own / f"{name}.{os.getpid()}.part"  # programs may share the folder
+        aside = f"{name}.{os.getpid()}.part"  # programs may share the folder
+        flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW | os.O_CLOEXEC
         try:
-            with aside.open("wb") as file:
+            with open(os.open(aside, flags, 0o600, dir_fd=self._opened), "wb") as file:  # noqa: PTH123
                 file.writelines((_begin(name, content), content))
-            aside.replace(self.own / name)
+            os.replace(aside, name, src_dir_fd=self._opened, dst_dir_fd=self._opened)
         except OSError:
             with suppress(OSError):
-                aside.unlink()
+                os.unlink(aside, dir_fd=self._opened)
         self._unsummed_bytes += len(content)
         if self._unsummed_bytes > self.most_bytes / 16:
             self._unsummed_bytes = 0
             files = sorted(self._files(), key=lambda file: file[1].st_mtime, reverse=True)
             totals = np.cumsum([state.st_size for _, state in files])
-            _remove(files[np.searchsorted(totals, self.most_bytes, "right") :])
+            self._remove(files[np.searchsorted(totals, self.most_bytes, "right") :])
 
     def keep(self, name: str, thing: object) -> None:
         """Pickle an object into a file on a separate thread; the object must not be changed any more."""
@@ -126,39 +154,48 @@ class Store:
 
     def clear(self) -> tuple[int, int]:
         """Remove all files, identified by name and first bytes; return their number and total size."""
-        return _remove(self._files())
+        return self._remove(list(self._files()))
 
-    def _files(self) -> Iterator[tuple[Path, os.stat_result]]:
-        for path in self.folder.glob(f"*{self.suffix}*") if self.folder else ():
+    def _files(self) -> Iterator[tuple[str, os.stat_result]]:
+        for name in self.names():
+            if Path(name).suffix in (self.suffix, ".part") and self.suffix in name:
+                with suppress(OSError), _open(name, self._opened) as file:
+                    if file.read(len(_OURS)) == _OURS:  # also one of an earlier version
+                        yield name, os.fstat(file.fileno())
+
+    def _remove(self, files: Iterable[tuple[str, os.stat_result]]) -> tuple[int, int]:
+        gone = []
+        for name, state in files:
             with suppress(OSError):
-                if path.suffix in (self.suffix, ".part") and path.is_file() and not path.is_symlink():
-                    with path.open("rb") as file:
-                        if file.read(len(_OURS)) == _OURS:  # also one of an earlier version
-                            yield path, path.stat()
+                os.unlink(name, dir_fd=self._opened)
+                gone.append(state.st_size)
+        return len(gone), sum(gone)
 
 
-def read_checked(path: Path) -> memoryview | None:
-    """Read the content of a file; None if it is missing or damaged."""
-    try:
-        data = memoryview(path.read_bytes() if path.is_file() else b"")  # a FIFO or a device may have no end
-    except OSError:
-        return None
-    return data[_BEGIN:] if data[:_BEGIN] == _begin(path.name, data[_BEGIN:]) else None
+def content_of(data: memoryview, name: str) -> memoryview | None:
+    """Return the content of the data of a file; None if it is damaged."""
+    return data[_BEGIN:] if data[:_BEGIN] == _begin(name, data[_BEGIN:]) else None
+
+
+def _open(name: str, folder: int | None) -> BinaryIO:
+    """Open a regular file that only the user or root can write; OSError for any other."""
+    opened = os.open(name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, dir_fd=folder)
+    state = os.fstat(opened)
+    if stat.S_ISREG(state.st_mode) and _is_ours(state):
+        return open(opened, "rb")  # noqa: PTH123  # by descriptor
+    os.close(opened)
+    raise PermissionError(name)
+
+
+def _is_ours(state: os.stat_result) -> bool:
+    """Return True for a file or folder in which only the user or root can write."""
+    return state.st_uid in (0, os.getuid()) and not state.st_mode & 0o022
 
 
 def _begin(name: str, content: bytes | memoryview) -> bytes:
     digest = hashlib.sha256(name.encode())
     digest.update(content)
     return _MAGIC + digest.digest()
-
-
-def _remove(files: Iterable[tuple[Path, os.stat_result]]) -> tuple[int, int]:
-    gone = []
-    for path, state in files:
-        with suppress(OSError):
-            path.unlink()
-            gone.append(state.st_size)
-    return len(gone), sum(gone)
 
 
 def digest_of(sources: Iterable[str], *more: object) -> str:

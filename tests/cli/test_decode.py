@@ -246,3 +246,25 @@ def test_a_unit_before_release_is_read_with_its_model(bench, cli, tmp_path):
     tree, before = cli("decode", old, "--model", "vlp-16", "--json").tree, cli("decode", bench, "--json").tree
     assert tree | {"file": ""} == before | {"file": ""}
     assert "vlp-16 or puck-hi-res" in cli("decode", old, "--model", "hdl-32e").err
+
+
+ODD = b"\x1b]0;x\x07", "\u202e".encode(), "\x9b2J".encode(), b"\rb\nc"
+"""Bytes that steer a terminal: a title (xterm's OSC 0), text from right to left (Unicode 6.3), a cleared
+screen (ECMA-48, CSI in eight bits), and lines over others."""
+
+
+@pytest.mark.parametrize("odd", ODD)
+@pytest.mark.parametrize("verb", ["decode", "verify"])
+def test_text_from_outside_does_not_steer_the_terminal(cli, bench, tmp_path, verb, odd):
+    """A receiver's sentence and the name of a file are shown escaped: output has no control character but the
+    ends of its own lines."""
+    file = tmp_path / f"{odd.decode()}.pcap"
+    content = bytearray(bench.read_bytes())
+    for payload in (datagram.payload for datagram in Capture(bench) if len(datagram.payload) == 512):
+        begin = content.index(payload) + 206
+        sentence = b"$GPRMC," + odd + b",A"
+        content[begin : begin + len(sentence)] = sentence
+    file.write_bytes(content)
+    outcome = cli(verb, file)
+    assert ascii(odd.decode()[0])[1:-1] in outcome.out
+    assert all(c.isprintable() for c in (outcome.out + outcome.err).replace("\n", ""))

@@ -73,7 +73,7 @@ def test_kernels_on_disk_are_looked_for(cli, monkeypatch, tmp_path):
     monkeypatch.setattr("vlp16emu.extras.doctor.user_kernels", cache.user_kernels)
     check = rows(cli("doctor", "--json"))["kernel cache"]
     assert (check["finding"], check["mend"]) == ("warning", "vlp16emu cache --compile")
-    folder = cache.user_kernels().own
+    folder = cache.user_kernels().usable_folder
     (folder / f"{cache._state()}-raycast.kernel.cast-1-0-0.kernel").touch()
     check = rows(cli("doctor", "--json"))["kernel cache"]
     assert (check["finding"], check["found"]) == ("ok", f"1 kernels in {folder}")

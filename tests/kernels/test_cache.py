@@ -26,7 +26,7 @@ def folder(tmp_path, monkeypatch):
     for name in ("_state", "_content", "_files_of", "_read"):
         monkeypatch.setattr(cache, name, getattr(cache, name).__wrapped__)  # what they read changes in a test
     user_kernels.cache_clear()
-    yield user_kernels().own
+    yield user_kernels().usable_folder
     user_kernels.cache_clear()
 
 
@@ -171,7 +171,7 @@ def test_two_processes_may_fill_one_folder(folder):
     assert [process.wait() for process in both] == [0, 0]
     files = list(folder.iterdir())
     assert files
-    assert all("-trig." in path.name and store.read_checked(path) for path in files)
+    assert all("-trig." in path.name and store.content_of(path.read_bytes(), path.name) for path in files)
 
 
 class Planted:

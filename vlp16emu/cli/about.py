@@ -13,6 +13,7 @@ from vlp16emu.cli.printer import (
     members,
     print_file,
     print_json,
+    print_line,
     print_rows,
     print_table,
     report_of,
@@ -348,7 +349,7 @@ def accuracy(
 def _print_accuracy(measured: "Accuracy") -> None:
     """Print settings of the beam as a table, with intervals; a star marks the one in use."""
     errors = measured.rows[0].errors
-    print(f"{measured.scene}, seed {measured.seed}: error against run time")
+    print_line(f"{measured.scene}, seed {measured.seed}: error against run time")
     print(
         f"  {count(errors.pulses)} pulses, {count(errors.returns)} with a return; answer of "
         f"{count(measured.answer_rays)} sub-rays, itself wrong by {1e3 * measured.answer_rmse_m:.2f} mm\n"

@@ -21,7 +21,7 @@ from vlp16emu.cli.printer import INTERRUPTED
 from vlp16emu.cli.terminal import ENDINGS, was_stopped
 from vlp16emu.cli.verb import command
 from vlp16emu.doors import DOORS, door, has_door
-from vlp16emu.errors import InputError, Vlp16emuError
+from vlp16emu.errors import InputError, Vlp16emuError, printable
 
 _LEFT_S = 0.8  # time that an interrupted command has to remove unfinished output
 
@@ -151,11 +151,20 @@ def _set_up() -> None:
             os.fstat(number)
         except OSError:
             os.open(os.devnull, os.O_RDWR)
-    logging.basicConfig(format="warning: %(message)s")
+    warnings_on_stderr = logging.StreamHandler()
+    warnings_on_stderr.setFormatter(_LineFormatter("warning: %(message)s"))
+    logging.basicConfig(handlers=[warnings_on_stderr])
     if not sys.warnoptions:
         warnings.simplefilter(
             "ignore", RuntimeWarning
         )  # from numpy; the error line that follows says what is wrong
+
+
+class _LineFormatter(logging.Formatter):
+    """A format of warnings with control characters escaped, as they quote names of files."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:  # logging's name
+        return printable(super().formatMessage(record))
 
 
 def _code_of(error: OSError, code: int | None) -> int:
@@ -204,4 +213,4 @@ def _unraisable(error: "sys.UnraisableHookArgs") -> None:
 
 def _print_error(message: str) -> None:
     with suppress(OSError, AttributeError):  # standard error may be closed
-        print(f"error: {' '.join(message.splitlines())}", file=sys.stderr)
+        print(f"error: {printable(' '.join(message.splitlines()))}", file=sys.stderr)

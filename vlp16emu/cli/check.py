@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vlp16emu.cli.arguments import AsJson, CaptureFile, PlotFile, UnitName
-from vlp16emu.cli.printer import members, print_file, print_json, print_rows, report_of, rows_of
+from vlp16emu.cli.printer import members, print_file, print_json, print_line, print_rows, report_of, rows_of
 from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.extras.options import ScoreInputs
 from vlp16emu.run.options import Option
@@ -85,7 +85,7 @@ def _verify_bag(file: Path, unit: str | None, slam: str, *, as_json: bool) -> No
         print_json({"file": file, "fit": not result.findings, "bag": result.summary, "programs": programs})
     else:
         for finding in result.findings:
-            print(finding)
+            print_line(str(finding))
         counts = {name: len(result.of(name)) for name in result.programs}
         verdicts = {name: f"{n} finding{'s' * (n > 1)}" if n else "fit" for name, n in counts.items()}
         summary = "fit" if not result.findings else "not fit for all" if slam == "all" else "not fit"
@@ -112,7 +112,7 @@ def _tree(result: "Verification") -> Tree:
 
 def _print(whose: str, result: "Verification") -> None:
     for finding in result.findings:
-        print(finding)
+        print_line(str(finding))
     tree = _tree(result)
     counts = tree.pop("broken_rules"), tree.pop("notes")
     rows = rows_of(
@@ -193,7 +193,7 @@ def fit(
         return
     with OutputFile(out, where=f"--out {out}") as output, output.writing() as opened:
         opened.write(text.encode())
-    print(f"wrote {out}")
+    print_line(f"wrote {out}")
 
 
 def score(
@@ -235,7 +235,7 @@ def score(
         print_rows("scores", {name: f"{value:.6g}" for name, value in card.scores.items()})
         print_rows("measured", card.notes)
         for line in missed:
-            print(f"missed: {line}")
+            print_line(f"missed: {line}")
         print_file(plot)
         print_file(out)
     if missed:

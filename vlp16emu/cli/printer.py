@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from vlp16emu.errors import printable
 from vlp16emu.trees import Table, Tree
 
 if TYPE_CHECKING:  # help prints none of them
@@ -89,15 +90,20 @@ def report_of(verb: str, tree: Table) -> Tree:
 def print_file(path: Path | None) -> None:
     """Print that a file was written, with its size, unless none was wanted or it is standard output."""
     if path is not None and path.is_file():
-        print(f"wrote {path}, {size(path.stat().st_size)}")
+        print_line(f"wrote {path}, {size(path.stat().st_size)}")
+
+
+def print_line(text: str) -> None:
+    """Print a line on standard output at once, with control characters escaped."""
+    print(printable(text), flush=True)
 
 
 def print_rows(title: str, rows: Mapping[str, str]) -> None:
     """Print a title and under it names and values in two columns."""
-    print(title)
+    print_line(title)
     width = max(map(len, rows), default=0)
     for name, value in rows.items():
-        print(f"  {name:<{width}}  {value}")
+        print_line(f"  {name:<{width}}  {value}")
 
 
 def print_table(rows: Sequence[Sequence[str]]) -> None:
@@ -105,7 +111,7 @@ def print_table(rows: Sequence[Sequence[str]]) -> None:
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for first, *others in rows:
         cells = (text.rjust(width) for text, width in zip(others, widths[1:], strict=True))
-        print("  ".join([first.ljust(widths[0]), *cells]))
+        print_line("  ".join([first.ljust(widths[0]), *cells]))
 
 
 def table_of(rows: Sequence[object]) -> list[list[str]]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vlp16emu.cli import arguments as args
-from vlp16emu.cli.printer import finish
+from vlp16emu.cli.printer import finish, print_line
 from vlp16emu.cli.terminal import Progress, make_emulator, stop_on_ctrl_c
 from vlp16emu.errors import InputError, MissingExtraError
 from vlp16emu.run.options import LAST_PORT, Http, Option, ReplayOptions, StreamOptions, TruthTo
@@ -108,7 +108,7 @@ def stream(
         stream.prepare(partial(progress.show, "preparing"))
         if stream.web and stream.web.places and not as_json:
             places = ", ".join(f"http://{host}:{port}/" for host, port in stream.web.places)
-            print(f"web interface at {places}", flush=True)
+            print_line(f"web interface at {places}")
         stream.run()
     _close(stream.result, title, strict=strict, as_json=as_json)
 
@@ -189,10 +189,8 @@ def _with_settings(options: StreamOptions, *, is_prepared: bool) -> StreamOption
 
 def _announce(what: str, links: "Sequence[Link]", *, quiet: bool) -> None:
     if not quiet:
-        print(
-            f"{what}, ports {'; '.join(f'{link.data_port} and {link.position_port}' for link in links)}",
-            flush=True,
-        )
+        ports = "; ".join(f"{link.data_port} and {link.position_port}" for link in links)
+        print_line(f"{what}, ports {ports}")
 
 
 def _close(sent: "Streamed | Replayed", what: str, *, strict: bool, as_json: bool) -> None:

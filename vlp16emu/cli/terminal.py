@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Self
 
+from vlp16emu.errors import printable
 from vlp16emu.run.options import Span
 from vlp16emu.trees import Tree
 
@@ -121,7 +122,8 @@ class Progress:
             self._draw(task, done_s)
 
     def say(self, line: str) -> None:
-        """Print a line on stderr at once, above the bar if there is one."""
+        """Print a line on stderr at once, above the bar if there is one, with control characters escaped."""
+        line = printable(line)
         with suppress(OSError):  # the terminal may be gone
             if self._bar is not None:
                 self._bar.console.print(line, markup=False, highlight=False, soft_wrap=True)

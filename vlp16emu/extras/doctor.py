@@ -156,7 +156,7 @@ def _buffer() -> Check:
 
 
 def _kernels() -> Check:
-    folder = user_kernels().own
+    folder = user_kernels().usable_folder
     names = kernel_names()
     if any(name.startswith(_CASTER) for name in names):
         return _check("kernel cache", f"{len(names)} kernels in {folder or 'the package alone'}")

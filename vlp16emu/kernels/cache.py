@@ -15,7 +15,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from vlp16emu.store import PACKAGE, Store, read_checked, user_folder
+from vlp16emu.store import PACKAGE, Store, content_of, user_folder
 
 NumbaObject = Any
 """An object of numba or llvmlite, which ship no types.
@@ -45,15 +45,15 @@ class KernelCache:
 
     def has(self, signature: object) -> bool:
         """Return whether the file of a kernel exists, complete or not."""
-        folders = _PACKAGED, user_kernels().own
-        return any(folder and (folder / self._file(signature)).exists() for folder in folders)
+        name = self._file(signature)
+        return (_PACKAGED / name).exists() or user_kernels().has(name)
 
     def load_overload(self, signature: object, context: NumbaObject) -> object:
         """Load a kernel; None without a complete file."""
         if not self._is_kept:
             return None
         name = self._file(signature)
-        content = read_checked(_PACKAGED / name) or user_kernels().read(name)
+        content = _packaged(name) or user_kernels().read(name)
         if not content:
             return None
         from vlp16emu.kernels.numba_private import load_kernel
@@ -77,6 +77,12 @@ class KernelCache:
         return f"{_state()}-{self._name}-{of}-{_content(frozenset({self._module, *_modules(args)}))}{_SUFFIX}"
 
 
+def _packaged(name: str) -> memoryview | None:
+    """Return a kernel that the package carries; None if it is missing or damaged."""
+    path = _PACKAGED / name
+    return content_of(memoryview(path.read_bytes()), name) if path.is_file() else None
+
+
 @cache
 def user_kernels() -> Store:
     """Return the store of the user's compiled kernels: in `NUMBA_CACHE_DIR`, or else in the user's cache."""
@@ -90,9 +96,9 @@ def kernel_names() -> list[str]:
 
     Names are `room.module.kernel`.
     """
-    folders = [folder for folder in (_PACKAGED, user_kernels().own) if folder]
-    paths = [path for folder in folders for path in folder.glob(f"{_state()}-*{_SUFFIX}")]
-    return [name.split("-")[1] for name in {path.name.rpartition("-")[0] for path in paths}]
+    files = [*user_kernels().names(), *(path.name for path in _PACKAGED.glob(f"*{_SUFFIX}"))]
+    ours = {name for name in files if name.startswith(f"{_state()}-") and name.endswith(_SUFFIX)}
+    return [name.split("-")[1] for name in {name.rpartition("-")[0] for name in ours}]
 
 
 def sources_of(modules: frozenset[str]) -> list[str]:

@@ -164,7 +164,7 @@ def compile_kernels(group: str | None = None) -> Iterator[tuple[int, int]]:
     import multiprocessing  # here: usually all are on disk
 
     # Children are forks, so that they need not load numba again; with other threads forks would not be safe.
-    if user_kernels().own is None or threading.active_count() > 1:
+    if user_kernels().usable_folder is None or threading.active_count() > 1:
         return
     # Kernels of one file share most of what they call: a process compiles that once.
     files: dict[str, list[Row]] = {}

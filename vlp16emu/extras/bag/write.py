@@ -1,6 +1,7 @@
 """A run, or a capture with or without its truth, as a bag."""
 
 import hashlib
+import os
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -20,7 +21,7 @@ from vlp16emu.errors import CaptureError, InputError, PacketError
 from vlp16emu.extras.bag.bag_file import LATEST_NS, BagFile, check_bag
 from vlp16emu.extras.bag.messages import TrueMessages, UnitMessages
 from vlp16emu.extras.slam.configure import Rig, written_beside
-from vlp16emu.extras.truth.folder import read_json
+from vlp16emu.extras.truth.description import read_rig, read_scenario
 from vlp16emu.extras.truth.tables import (
     FIXES,
     INERTIAL,
@@ -341,7 +342,8 @@ def _truth_of_folder(folder: Path, taken: Sequence[int], units: int, first_ns: i
     taken : units to write, of the `units` units of a capture
     first_ns : UTC of the first packet of the capture
     """
-    rig, scenario = (read_json(folder / name, _EXPECTED) for name in ("rig.json", "scenario.json"))
+    rig = read_rig(folder, _EXPECTED)
+    scenario = read_scenario(folder, _EXPECTED)
     if len(rig["units"]) != units:
         raise InputError(
             str(folder / "rig.json"), f"found {len(rig['units'])} units", f"{units}, as in the capture"
@@ -356,9 +358,12 @@ def _truth_of_folder(folder: Path, taken: Sequence[int], units: int, first_ns: i
         raise InputError(str(poses.path), found, expected)
     step_ns = int(t_ns[-1] - t_ns[-2:][0])
     truth = TruthSource(rig, scenario, step_ns, poses.between)
-    if (folder / "imu.npy").exists():
+    if os.path.lexists(folder / "imu.npy"):
+        for name, described in (("rig.json", rig), ("scenario.json", scenario)):
+            if "imu" not in described:
+                raise InputError(str(folder / name), "no imu", "the inertial unit of imu.npy")
         truth = replace(truth, readings=StoredTable(folder / "imu.npy", INERTIAL).between)
-    if (folder / "gnss.npy").exists():
+    if os.path.lexists(folder / "gnss.npy"):
         truth = replace(truth, fixes=StoredTable(folder / "gnss.npy", FIXES.dtype).between)
     return truth
 

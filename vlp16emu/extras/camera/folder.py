@@ -8,9 +8,11 @@ from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from threading import Event
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
+from pydantic import Field, TypeAdapter, with_config
+from typing_extensions import TypedDict
 
 from vlp16emu.errors import InputError, MissingExtraError, OutputError, RunError
 from vlp16emu.extras.camera.lens import Lens
@@ -18,7 +20,7 @@ from vlp16emu.extras.camera.mount import AXES, camera_of
 from vlp16emu.extras.camera.reconstruction import reconstruction_files
 from vlp16emu.extras.camera.shot import Photographer, Shot
 from vlp16emu.extras.options import ImageOptions
-from vlp16emu.extras.truth.folder import read_json
+from vlp16emu.extras.truth.description import PARTIAL, CameraOnRig, FileName, Matrix, read_members
 from vlp16emu.extras.truth.tables import POSES, quaternions
 from vlp16emu.extras.truth.truth import rig_of
 from vlp16emu.inputs import open_input, parsing, read_text
@@ -26,7 +28,7 @@ from vlp16emu.output import Staged, final_name, opening, write_json
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.trees import Table, Tree
 from vlp16emu.types import F4, F8, U2, U4, AnyArray, PlantPart, Semantic
-from vlp16emu.units import S_NS, seconds_to_ns
+from vlp16emu.units import FOREVER_NS, S_NS, seconds_to_ns
 
 LAYERS = ("rgb", "depth", "semantic", "part", "instance")
 MOST_INSTANCES = 65_535  # numbers of 16 bits, without 0
@@ -34,6 +36,44 @@ _MM = 1e-3
 _MOST_MM = 65_535
 _TUM_HEAD = f"# t_utc_s x_m y_m z_m qx qy qz qw: world_T_camera; line n is image n; camera {AXES}\n"
 _EXPECTED = "a folder that `images` has written"
+
+
+_Size = Annotated[int, Field(ge=1, le=100_000)]
+
+
+@with_config(PARTIAL)
+class _Intrinsics(TypedDict):
+    width: _Size
+    height: _Size
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: Annotated[dict[str, float], Field(min_length=5, max_length=5)]
+
+
+@with_config(PARTIAL)
+class _Depth(TypedDict):
+    unit_m: float
+
+
+@with_config(PARTIAL)
+class _Image(TypedDict):
+    file: FileName
+    depth_file: FileName
+    t_ns: Annotated[int, Field(ge=-FOREVER_NS, le=FOREVER_NS)]
+    world_T_camera: Matrix
+
+
+@with_config(PARTIAL)
+class _Cameras(TypedDict):
+    intrinsics: _Intrinsics
+    rig: CameraOnRig
+    depth: _Depth
+    images: list[_Image]
+
+
+_CAMERAS = TypeAdapter[Any](_Cameras)
 
 
 @dataclass(frozen=True, slots=True)
@@ -275,32 +315,32 @@ def read_images(folder: Path) -> tuple[Tree, Lens, Iterator[Shot]]:
         import PIL.Image
     except ImportError:
         raise MissingExtraError("pillow", "picture", "reading images") from None
-    cameras = read_json(folder / "cameras.json", _EXPECTED)
-    try:
-        known = cameras["intrinsics"]
-        size = known["width"], known["height"]
-        distortion = tuple(known["distortion"].values())
-        lens = Lens(*size, known["fx"], known["fy"], known["cx"], known["cy"], distortion)
-        rows = cameras["images"]
-        unit_m = float(cameras["depth"]["unit_m"])
-    except (KeyError, TypeError, AttributeError):
-        raise InputError(str(folder / "cameras.json"), "not all of its members", _EXPECTED) from None
+    cameras = read_members(folder / "cameras.json", _EXPECTED, _CAMERAS)
+    known = cameras["intrinsics"]
+    focal = known["fx"], known["fy"], known["cx"], known["cy"]
+    lens = Lens(known["width"], known["height"], *focal, tuple(known["distortion"].values()))
+    rows = cameras["images"]
+    unit_m = cameras["depth"]["unit_m"]
     table = _instances(folder / "instances.csv")
 
     def pixels(layer: str, name: str) -> AnyArray:
         path = folder / layer / name
         with open_input(path, _EXPECTED, InputError) as file, parsing(path, _EXPECTED, InputError):
-            if path.suffix == ".npy":
-                loaded: AnyArray = np.load(file, allow_pickle=False)
-                return loaded
-            with PIL.Image.open(file) as image:
-                return np.array(image)
+            is_array = path.suffix == ".npy"
+            image: AnyArray = (
+                np.load(file, allow_pickle=False) if is_array else np.array(PIL.Image.open(file))
+            )
+        size = lens.height, lens.width
+        if image.shape != (*size, 3) and (layer == "rgb" or image.shape != size):
+            found = f"found an image of {image.shape}"
+            raise InputError(str(path), found, f"{lens.height} rows of {lens.width} pixels")
+        return image
 
     def shots() -> Iterator[Shot]:
         for row in rows:
             name = f"{row['file']}.png"
             depth_m = (pixels("depth", row["depth_file"]) * unit_m).astype(np.float32)
-            instance = table[pixels("instance", name)]
+            instance = table[pixels("instance", name).astype(np.uint16)]
             pose = np.array(row["world_T_camera"])
             classes = pixels("semantic", name), pixels("part", name)
             yield Shot(row["t_ns"], pose, pixels("rgb", name), depth_m, *classes, instance)
@@ -314,7 +354,7 @@ def _instances(path: Path) -> U4:
     lines = read_text(path, _EXPECTED, InputError).splitlines()
     with parsing(path, _EXPECTED, InputError):
         for row in csv.DictReader(lines):
-            table[int(row["number"])] = int(row["instance"])
+            table[np.uint16(row["number"])] = np.uint32(row["instance"])
     return table
 
 

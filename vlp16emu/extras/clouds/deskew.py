@@ -20,7 +20,7 @@ from vlp16emu.extras.options import TrajectoryErrors
 from vlp16emu.extras.recorded.files import read_tum
 from vlp16emu.extras.recorded.motion import RecordedMotion
 from vlp16emu.extras.recorded.settings import Recorded
-from vlp16emu.extras.truth.folder import read_json
+from vlp16emu.extras.truth.description import read_rig
 from vlp16emu.extras.truth.slots import SlotReader
 from vlp16emu.motion.pose import rotation, rotations
 from vlp16emu.packets import PacketTable, Points, points_in, utc_ns_of
@@ -232,14 +232,12 @@ def _of_truth(folder: Path, unit: int) -> tuple[Path, tuple[float, float, float]
     """
     rig = folder / "rig.json"
     expected = "a folder that `record --truth` has written, or a TUM file"
-    tree = read_json(rig, expected)
-    try:
-        units = tree["units"]
-        world = tree["world"]
-        origin = world["latitude_deg"], world["longitude_deg"], world["height_m"]
-        known = [(folder / one["trajectory"], f"{one['address']}:{one['data_port']}") for one in units]
-    except (KeyError, TypeError):
-        raise InputError(str(rig), "no description of a rig", expected) from None
+    tree = read_rig(folder, expected)
+    world = tree["world"]
+    origin = world["latitude_deg"], world["longitude_deg"], world["height_m"]
+    known = [
+        (folder / unit["trajectory"], f"{unit['address']}:{unit['data_port']}") for unit in tree["units"]
+    ]
     if unit > len(known):
         raise InputError("--unit", f"found {unit}", f"at most {len(known)}, the units in {rig}")
     file, sensor = known[unit - 1]

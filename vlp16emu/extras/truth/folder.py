@@ -1,6 +1,5 @@
 """Folder of ground truth beside a run: files that grow with it and are readable at any time."""
 
-import json
 import os
 import re
 import stat
@@ -9,14 +8,14 @@ from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from io import BytesIO, FileIO
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.lib.format import dtype_to_descr, write_array_header_1_0
 
 from vlp16emu.errors import InputError, MissingExtraError, OutputError, RunError
+from vlp16emu.extras.truth.description import read_json
 from vlp16emu.extras.truth.tables import Rows, Table
-from vlp16emu.inputs import read_text
 from vlp16emu.output import Staged, final_name, opening, spare
 
 _FILES = re.compile(
@@ -115,15 +114,6 @@ class TruthFolder:
             raise OutputError(self._where, f"holds {found}", expected)
         for file in final.iterdir():
             spare(self._inputs, file)
-
-
-def read_json(path: Path, expected: str) -> Any:
-    """Read a JSON file of a folder with ground truth; InputError if it cannot be read or is no JSON."""
-    text = read_text(path, expected, InputError)
-    try:
-        return json.loads(text)
-    except (ValueError, RecursionError):
-        raise InputError(str(path), "no JSON", expected) from None
 
 
 def _append(file: FileIO, lines: bytes) -> None:

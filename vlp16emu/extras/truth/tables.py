@@ -21,13 +21,15 @@ from vlp16emu.motion.pose import Kinematics, Motion
 from vlp16emu.motion.settings import Gps
 from vlp16emu.scenario.model import InertialSection
 from vlp16emu.types import F8, I8
-from vlp16emu.units import S_NS
+from vlp16emu.units import FOREVER_NS, S_NS
 
 Rows = NDArray[np.void]
 """Rows (n,) of a table, in the order of their times."""
 
 _EXPECTED = "a table of a --truth folder, which earlier versions did not write"
 _LONGEST_BYTES = 2**62  # rows stay on the disk
+_CHECKED = 65_536  # rows that are checked at a time
+_NORM = 1e-6  # greatest departure of a squared norm from 1
 _TOGETHER = 4096  # rows that are Python's numbers at a time; a capture may have a gap of hours
 
 
@@ -245,6 +247,25 @@ class StoredTable:
             self.rows: Rows = np.memmap(file, stored, "r", file.tell(), shape)
         if self.rows.dtype != dtype or self.rows.ndim != 1:
             raise InputError(str(path), "another table", _EXPECTED)
+        self._check()
+
+    def _check(self) -> None:
+        """Refuse rows whose times do not ascend, or with a number that is not finite."""
+        before_ns = -FOREVER_NS
+        for start in range(0, len(self.rows), _CHECKED):
+            rows = self.rows[start : start + _CHECKED]
+            later = np.diff(rows["t_ns"], prepend=before_ns) > 0
+            sound = later & (rows["t_ns"] <= FOREVER_NS)
+            for name in self.rows.dtype.names or ():
+                values = rows[name].reshape(len(rows), -1)
+                sound &= np.isfinite(values).all(axis=1)
+                if name == "quaternion_xyzw":
+                    sound &= np.abs((np.minimum(np.abs(values), 2.0) ** 2).sum(axis=1) - 1.0) < _NORM
+            if not sound.all():
+                row = start + int(sound.argmin())
+                found = f"row {row + 1}: {self.rows[row]}"
+                raise InputError(str(self.path), found, "ascending times, finite numbers, unit quaternions")
+            before_ns = int(rows["t_ns"][-1])
 
     def between(self, start_ns: int, stop_ns: int) -> Rows:
         """Return the rows from `start_ns` on and before `stop_ns`."""
