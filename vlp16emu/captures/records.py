@@ -206,27 +206,35 @@ def pcap_frames(path: Path, file: Any) -> Frames:
         number += 1
         if head.fraction * records.unit_ns >= S_NS:
             raise _nanoseconds(path, number, head, records.order)
+        near_s = head.seconds
         size = records.size + head.captured
         content = window.peek(head.captured, records.size)
-        is_whole = len(content) == head.captured
+        is_complete = len(content) == head.captured
         stamp_ns = head.seconds * S_NS + head.fraction * records.unit_ns
         frame = Frame(stamp_ns, link_type, head.wire, content)
-        near_s = head.seconds
-        if is_whole and records.goes_on(size, near_s, again):
+        if is_complete and records.goes_on(size, near_s, again):
             window.skip(size)
             yield frame
             continue
         window.skip(1)
-        is_found = records.find(near_s)
-        if not is_whole and not is_found:
+        if not records.find(near_s) and not is_complete:
             yield None
             return
-        is_hit = is_found and window.at_bytes < begin + size  # the next record begins within this one
-        if not is_hit:
-            yield frame._replace(is_suspect=True)
-            begin += size
-        if window.at_bytes > begin:
-            yield Damage(begin, window.at_bytes - begin)
+        yield from _around_damage(frame, begin, begin + size, window.at_bytes)
+
+
+def _around_damage(frame: Frame, begin: int, end: int, next_begin: int) -> Iterator[Frame | Damage]:
+    """Yield the frame before damage, if it is complete, and the damage up to where the next record begins.
+
+    Parameters
+    ----------
+    begin, end : offsets of the frame's record, by its header
+    """
+    if next_begin >= end:  # else the next record begins within this one
+        yield frame._replace(is_suspect=True)
+        begin = end
+    if next_begin > begin:
+        yield Damage(begin, next_begin - begin)
 
 
 def _nanoseconds(path: Path, number: int, head: _Head, order: str) -> CaptureError:

@@ -57,7 +57,7 @@ def frames(path: Path, file: Any) -> Frames:
     with parsing(path, EXPECTED, CaptureError):
         unpacked = _unpacked(path, file)
     head = b""
-    with suppress(EOFError), parsing(path, EXPECTED, CaptureError):  # an archive of which little is left
+    with suppress(EOFError), parsing(path, EXPECTED, CaptureError):  # a truncated archive
         head = unpacked.peek(_TAR_AT + 5)
     if head[_TAR_AT : _TAR_AT + 5] == b"ustar":
         raise CaptureError(str(path), "a tar archive", f"{EXPECTED}: `tar xOf {path.name} > some.pcap`")
