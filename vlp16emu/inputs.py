@@ -163,6 +163,29 @@ def _too_long(path: Path, found: int, most_bytes: int, expected: str, error: typ
     return error(str(path), f"found {found} bytes", f"{expected} of at most {most_bytes} bytes")
 
 
+def what_is(head: bytes) -> str | None:
+    """Say what a file is that came in the place of another one, from its first bytes, and what to do.
+
+    Parameters
+    ----------
+    head : some hundred bytes, or all of a shorter file
+
+    Returns
+    -------
+    None for a file of any other kind
+    """
+    if not head:
+        return "an empty file: copy or download it again"
+    if head.startswith(
+        b"version https://git-lfs.github.com/spec/"
+    ):  # specification of Git LFS, "The Pointer"
+        return "a pointer of Git LFS in place of the file: `git lfs pull` fetches it"
+    text = head.removeprefix(b"\xef\xbb\xbf").lstrip().lower()
+    if text.startswith((b"<!doctype html", b"<html")):
+        return "a page of HTML in place of the file: download the file itself"
+    return None
+
+
 class _Pipe(RawIOBase):
     """A pipe that ends when an event is set: Python's own read resumes its wait after a signal (PEP 475)."""
 

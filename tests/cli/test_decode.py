@@ -12,7 +12,7 @@ from kit import data_payloads, real_capture
 
 from vlp16emu import Emulator
 from vlp16emu.captures import Capture, CaptureReader
-from vlp16emu.errors import CaptureError, PacketError
+from vlp16emu.errors import PacketError
 from vlp16emu.packets import data_fields, decode_data, points_in
 
 NAMES = "xyz_m", "distance_m", "azimuth_deg", "reflectivity", "ring", "laser"
@@ -191,16 +191,17 @@ def test_a_broken_packet_leaves_the_points_before_it(cli, bench, tmp_path, suffi
     np.testing.assert_allclose(xyz_in(out), before.xyz_m, atol=5.1e-5)
 
 
-def test_packets_before_a_damaged_record_are_reported(bench, tmp_path):
-    """A record of an impossible length is an error that comes after the points of all packets before it."""
+def test_packets_around_a_damaged_record_are_read(cli, bench, tmp_path):
+    """Of a file that has lost 37 bytes all packets but one are read, and the report names the place."""
+    content = bench.read_bytes()
+    at = content.index(data_payloads(bench)[100].tobytes())
     damaged = tmp_path / "damaged.pcap"
-    damaged.write_bytes(bench.read_bytes() + b"\xff" * 16)
-    read = []
-    with pytest.raises(CaptureError, match="a length of 4294967295 bytes"):
-        read.extend(points_in(table).xyz_m for table in CaptureReader(damaged).tables())
-    np.testing.assert_array_equal(
-        np.concatenate(read), decode_data(data_payloads(bench), keep_no_returns=False).xyz_m
-    )
+    damaged.write_bytes(content[: at + 600] + content[at + 637 :])
+    tree = cli("decode", damaged, "--json").tree
+    assert tree["packets"] == len(data_payloads(bench)) - 1
+    (line,) = tree["damage"]
+    assert line.startswith(f"1227 bytes at byte {at - 58}")
+    assert "damaged and left out" in cli("decode", damaged).out
 
 
 def test_a_clock_that_is_set_on_the_way_adds_no_time(cli, bench, tmp_path):

@@ -56,8 +56,10 @@ class Summary:
     host_ahead_s: (
         float  # Capture stamp minus the sensor's clock in the nearest hour, at the first data packet
     )
+    fit: dict[str, float] | None  # Fit of the host's clock to the sensor's, where `clock` is that
     gps: dict[str, str] | None  # Pulse and sentence of the last position packet
     cut: bool  # True if the file ends in the middle of a packet
+    damage: tuple[str, ...]  # Damaged parts of the file that were left out
     repeats: int  # Repeated packets that were skipped
 
 
@@ -106,7 +108,7 @@ class CaptureReader:
     def tables(self) -> Iterator[PacketTable]:
         """Read chunk by chunk; packets before a faulty packet or record come before its error is raised.
 
-        Raises CaptureError if a record is damaged or there is no data packet; PacketError if a packet is not
+        Raises CaptureError if there is no data packet; PacketError if a packet is not
         from a VLP-16.
         """
         for held in self._chunks():
@@ -180,10 +182,12 @@ class CaptureReader:
             duration_s=int(np.where(is_jump, host_step_ns, step_ns).sum()) / S_NS,
             clock=self.clock.clock,
             host_ahead_s=round((self.clock.host_ahead_ns or 0) / S_NS, 6),
+            fit=self.clock.fit.summary if self.clock.fit else None,
             gps={"pps": gps.pps.name.lower(), "sentence": gps.sentence.decode("ascii", "replace").strip()}
             if gps
             else None,
             cut=self._capture.cut,
+            damage=tuple(self._capture.damage),
             repeats=self._capture.repeated,
         )
 

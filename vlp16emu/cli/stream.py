@@ -118,7 +118,8 @@ def replay(
 ) -> None:
     """Send a capture over UDP again, ours or a real sensor's.
 
-    Packets keep the intervals of their capture stamps and go to the ports of the capture. Nothing leaves this
+    Packets keep the intervals of their capture stamps, or of the sensor's stamps where those of the capture
+    cannot be its pace, and go to the ports of the capture. Nothing leaves this
     machine unless --to names another one. Ctrl-C ends it.
     """
     from vlp16emu.extras.replay import ReplayStream
@@ -131,6 +132,9 @@ def replay(
         stream.add(Terminal(progress))
         units = ", ".join(map(str, stream.replay.units))
         _announce(f"replaying {file} to {stream.host}: sensors {units}", stream.links, quiet=as_json)
+        for unit, fault in stream.replay.paced_by.items():
+            unfit = f"{stream.replay.units[unit]}: {fault}: packets are paced by the sensor's own stamps"
+            progress.say(unfit)
         stream.run()
     _close(stream.result, f"{file} to {stream.host}", strict=strict, as_json=as_json)
 

@@ -411,7 +411,7 @@ def test_a_bag_of_a_real_sensor(tmp_path, capsys):
     ("words", "line"),
     [
         ("verify {bag} --for slam", "--for: found slam; expected fast-lio2"),
-        ("verify {bag}", "a bag; expected a capture, or --for"),
+        ("verify {folder}/blind", "a bag without packets; expected messages of velodyne_msgs/VelodyneScan"),
         ("verify {bag} --for all --unit 1", "--unit: found 1"),
         ("verify {folder}/none.mcap --for all", "none.mcap: no such file"),
         ("verify {folder}/empty.mcap --for all", "empty.mcap: no bag"),

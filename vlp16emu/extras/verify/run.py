@@ -54,6 +54,7 @@ class Verification:
     rpm: float | None  # mean rotor speed; None without data packets
     # True if the file ends in the middle of a packet, as after a killed recorder; the rest is checked
     is_cut: bool
+    damage: tuple[str, ...]  # damaged parts of the file that were left out
     counts: Mapping[Rule, int]  # errors of each broken rule
     notes: Mapping[
         Rule, int
@@ -183,6 +184,7 @@ class _Check:
             span_s=self._span_s(),
             rpm=self._data.rpm,
             is_cut=capture.cut,
+            damage=tuple(capture.damage),
             counts=dict(self._findings.counts[Level.ERROR]),
             notes=dict(self._findings.counts[Level.NOTE]),
             findings=tuple(sorted(self._findings.kept, key=lambda finding: finding.packet)),
