@@ -30,6 +30,9 @@ _KINDS = {
     stat.S_IFBLK: "is a device",
 }
 _BUFFER_BYTES = 1 << 18  # captures of hours are read in pieces of this size
+_PIECE_BYTES = (
+    1 << 22
+)  # of a file that is read whole; a buffer of its largest size would be allocated at once
 _POLL_S = 0.1
 
 
@@ -44,10 +47,12 @@ def read_bytes(
     error : class of error for a file that cannot be read, is special, or is longer than `most_bytes`
     """
     with open_input(path, expected, error, most_bytes=most_bytes) as file:
-        content = file.read(most_bytes + 1)  # it may grow
+        content = bytearray()
+        while len(content) <= most_bytes and (piece := file.read(min(_PIECE_BYTES, most_bytes + 1))):
+            content += piece
     if len(content) > most_bytes:
         raise _too_long(path, len(content), most_bytes, expected, error)
-    return content
+    return bytes(content)
 
 
 def read_text(

@@ -293,7 +293,7 @@ def test_where_it_listens():
     assert Http("8080").address == Http(":8080").address == ("127.0.0.1", 8080)
     assert Http("0.0.0.0:80").address == ("0.0.0.0", 80)
     assert Http("[::1]:80").address == ("::1", 80)
-    for text in ("", "host", "host:", "1.2.3.4:65536", "1.2.3.4:-1", "1.2.3.4:٨٠", "http://127.0.0.1"):
+    for text in ("host", "host:", "1.2.3.4:65536", "1.2.3.4:-1", "1.2.3.4:٨٠", "http://127.0.0.1"):
         with pytest.raises(
             InputError, match=r"--http: found .* expected HOST:PORT, such as 127\.0\.0\.1:8080"
         ):

@@ -2,6 +2,7 @@
 
 import io
 import json
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
@@ -122,7 +123,8 @@ def picture_of(report: Report, suffix: str) -> bytes:
     import matplotlib.style
 
     file = io.BytesIO()
-    with matplotlib.style.context(["default", dict(_STYLE)]):
+    with matplotlib.style.context(["default", dict(_STYLE)]), _drawing(report), warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # a name may have characters that the font lacks
         figure_of(report).savefig(file, **_FORMATS[suffix.lower()])
     return _in_few_colours(file) if suffix.lower() == ".png" else file.getvalue()
 
@@ -152,12 +154,20 @@ def figure_of(report: Report) -> "Figure":
     figure = Figure(layout="constrained")
     FigureCanvasAgg(figure)  # not the canvas of a window, whatever the machine has
     draw: Callable[[Figure, Report], None] = import_module(f"vlp16emu.extras.plot.{verb}").draw
-    try:
+    with _drawing(report):
         draw(figure, report)
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+    return figure
+
+
+@contextmanager
+def _drawing(report: Report) -> Iterator[None]:
+    """Raise InputError for a report whose members cannot be drawn."""
+    verb = report.get("report")
+    try:
+        yield
+    except (ArithmeticError, AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
         expected = f"what `vlp16emu {verb} --json` prints"
         raise InputError(f"report of {verb}", f"cannot be drawn ({error!r})", expected) from error
-    return figure
 
 
 def plain_logarithm(axes: "Axes", names: str = "xy") -> None:
