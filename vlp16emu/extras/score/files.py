@@ -66,7 +66,7 @@ def read_cloud(path: Path) -> Cloud:
     MissingExtraError without the library for it.
     """
     if path.suffix not in _READERS:
-        raise InputError(str(path), f"found suffix '{path.suffix}'", ", ".join(_READERS))
+        raise InputError(str(path), f"found the ending {path.suffix!r}", ", ".join(_READERS))
     expected = f"points as {path.suffix}"
     library = _LIBRARIES.get(path.suffix)
     if library is None:
