@@ -38,6 +38,11 @@ LEAST_SLENDERNESS = 12.0
 ones 25 to 50 (Wang, Titus and LeMay 1998, "Relationships between tree slenderness coefficients and tree or
 stand characteristics"); a DBH given in millimetres would give a tenth."""
 
+_BUCKLING_M = 106.0
+"""Height at which a stem of 1 m DBH buckles under its own weight: (0.49 E / (g rho)) ** (1/3) for a column
+(Greenhill 1881), with E = 12 GPa and rho = 500 kg/m^3, the stiff and light end of wood; 576 trees of record
+size have about a quarter of their limit (McMahon 1973, Science 179)."""
+
 _SHARE_ERROR = 0.015  # tolerance of a sum of shares of 1: allows three shares of 0.33
 
 MOST_STEMS_PER_HA = 5000  # greatest density of a storey, from either key
@@ -111,6 +116,11 @@ class Dem(Section):
     """Easting and northing of the outer corner of the south-western cell of a .npy."""
 
 
+def buckling_height_m(dbh_m: float) -> float:
+    """Return the height at which a stem buckles under its own weight, which no tree reaches."""
+    return _BUCKLING_M * dbh_m ** (2 / 3)
+
+
 class SpeciesShare(Section):
     """One species of the stand."""
 
@@ -127,6 +137,9 @@ class SpeciesShare(Section):
     def _check_slenderness(self) -> Self:
         if self.height_m < LEAST_SLENDERNESS * self.dbh_cm / 100:
             expected = f"a height of {LEAST_SLENDERNESS:g} diameters or more (is dbh_cm in mm?)"
+            raise ExpectationError(f"{expected} beside dbh_cm = {self.dbh_cm:g}")
+        if self.height_m > (most_m := buckling_height_m(self.dbh_cm / 100)):
+            expected = f"{most_m:.3g} m at most, where a stem buckles under its own weight,"
             raise ExpectationError(f"{expected} beside dbh_cm = {self.dbh_cm:g}")
         return self
 

@@ -1,6 +1,7 @@
 """Lists of measured stems, and a stand of them."""
 
 import csv
+from itertools import product
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.polyline import Corridor
 from vlp16emu.forest.plants.species import flora
+from vlp16emu.forest.plants.stem import stem_meshes
 from vlp16emu.forest.settings import Plot
 from vlp16emu.forest.stand.given_stand import GivenStand, read_stem_list
 from vlp16emu.forest.stand.inventory import INVENTORY, write_csv
@@ -55,6 +57,32 @@ def test_diameters_in_millimetres_are_refused(tmp_path):
     with pytest.raises(GeometryError, match=message):
         read(tmp_path, rows.format(205, 210, 222))
     assert read(tmp_path, rows.format(20.5, 210, 22.2))["dbh_m"].max() == 2.1
+
+
+@pytest.mark.parametrize("species", sorted(flora().trees))
+def test_each_size_within_the_limits_grows_or_cannot_stand(tmp_path, species):
+    """A stem of any DBH and height stands within a few diameters of its foot, or is refused as one that
+    buckles: with E = 12 GPa and 500 kg/m^3 above 4.92 m at a DBH of 1 cm and above 139 m at 150 cm
+    (Greenhill 1881)."""
+    header = "x,y,species,dbh_cm,height_m,crown_base_m\n"
+    fillers = "".join(f"{x},0,{species},30,20,\n" for x in (5000, 5100))
+    grown = set()
+    for dbh_cm, height_m, base in product((1, 12, 40, 150, 350, 500), (2, 6, 15, 45, 130), ("", 0)):
+        text = f"{header}0,0,{species},{dbh_cm},{height_m},{base}\n{fillers}"
+        if height_m > 106 * (dbh_cm / 100) ** (2 / 3):
+            ratio = f"{height_m / dbh_cm * 100:.0f} times as high as thick"
+            with pytest.raises(GeometryError, match=f"{ratio}.* where a stem buckles under its own weight"):
+                read(tmp_path, text)
+            continue
+        trees = read(tmp_path, text)[:1]
+        grown.add((dbh_cm, height_m))
+        trees["form"] = 12345
+        for mesh in stem_meshes(trees, np.zeros(3), lambda x, y: 0 * x + 0 * y):
+            aside_m = np.abs(mesh.vertices_m[:, :2]).max()
+            assert aside_m < 0.2 * height_m + 15 * dbh_cm / 100, (dbh_cm, height_m, base)
+            assert np.abs(mesh.vertices_m[:, 2]).max() < height_m + 5 * dbh_cm / 100
+    assert grown.isdisjoint({(1, 6), (12, 45), (40, 130)})
+    assert {(1, 2), (12, 15), (40, 45), (150, 130), (500, 130)} <= grown
 
 
 def test_an_inventory_is_a_stem_list(tmp_path):

@@ -26,6 +26,9 @@ _SIGMA_OVER_MEAN = np.sqrt(2 / np.pi)
 """Standard deviation of each component of a level vector over its mean length (Rayleigh's distribution)."""
 _MOST_BOW = 0.5
 """Greatest bow over the DBH: branches start on the straight axis, which must stay within the stem."""
+_LEAST_BOLE_M = 0.1
+"""Least length over which a stem bends, for crowns that begin at the ground: below the ground the bends go on as
+polynomials of the share of the bole."""
 _S_SHARE = 0.4  # amplitude of the S-shaped bend over the bow; assumption
 _SWEEP_M = 0.6  # height over which the sweep of the butt falls to 1/e; assumption
 _LOBES = (3, 6)
@@ -65,7 +68,7 @@ class StemForms:
 
     def aside_m(self, above_m: F8) -> F8:
         """Offset (n, r, 2), east and north, of axes from straight lines at heights (n, r) over their feet."""
-        u = np.minimum(above_m / np.maximum(self.bole_m, 1e-6)[:, None], 1.0)
+        u = np.minimum(above_m / np.maximum(self.bole_m, _LEAST_BOLE_M)[:, None], 1.0)
         bow = 27 / 4 * u * np.square(1 - u)  # 1 at a third of the bole, with slope 0 at its end
         to_and_fro = 13.2 * u * np.square(1 - u) * (1 - 3 * u)
         butt = _SWEEP_M * -expm1(-above_m / _SWEEP_M) * np.square(1 - u)

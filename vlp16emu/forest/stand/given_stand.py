@@ -14,7 +14,7 @@ from vlp16emu.foliage.polyline import Corridor, Polyline
 from vlp16emu.forest.plants.prototypes import CrownKey
 from vlp16emu.forest.plants.species import BARK_SPREAD, LEAF_SPREAD, Species, Trees, find_species, flora
 from vlp16emu.forest.purpose import Growth
-from vlp16emu.forest.settings import LEAST_SLENDERNESS, Plot
+from vlp16emu.forest.settings import LEAST_SLENDERNESS, Plot, buckling_height_m
 from vlp16emu.forest.stand.points import Land
 from vlp16emu.forest.stand.stand import (
     RIVALS_M,
@@ -154,7 +154,7 @@ def _set_crowns(trees: Trees, table: Table, kinds: list[Species], seed: int) -> 
 
 
 def _check(table: Table, trees: Trees) -> None:
-    """Refuse lists with DBH in millimetres, crowns that begin above the tip, or trees listed twice."""
+    """Refuse lists with DBH in millimetres, stems that cannot stand, crowns above the tip, doubled trees."""
     from scipy.spatial import cKDTree  # here: it takes a while to load
 
     slenderness = trees["height_m"] / trees["dbh_m"]
@@ -164,6 +164,13 @@ def _check(table: Table, trees: Trees) -> None:
         found = f"found {size}; half of all trees are less than {middle:.0f} times as high as thick"
         expected = f"{LEAST_SLENDERNESS:g} times or more (is the DBH in mm?)"
         raise GeometryError(table.where(i, "dbh_m"), found, expected)
+    most_m = np.array([buckling_height_m(dbh_m) for dbh_m in trees["dbh_m"].tolist()])
+    if (weak := np.flatnonzero(trees["height_m"] > most_m)).size:
+        i = int(weak[0])
+        size = f"{trees['height_m'][i]:g} m at a DBH of {100 * trees['dbh_m'][i]:g} cm"
+        found = f"found {size}, {slenderness[i]:.0f} times as high as thick"
+        expected = f"{most_m[i]:.3g} m at most, where a stem buckles under its own weight"
+        raise GeometryError(table.where(i, "height_m"), found, expected)
     if (above := np.flatnonzero(trees["crown_base_m"] >= trees["height_m"])).size:
         i = int(above[0])
         found = f"found {trees['crown_base_m'][i]:g}"
