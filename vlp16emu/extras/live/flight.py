@@ -107,9 +107,8 @@ class LiveReport:
     out_of_order: int  # not later than the pose before
     longest_gap_s: float  # between arrivals
     lost: tuple[PosesLost, ...]  # times without a pose for more than a second
-    left_out_s: (
-        float  # time of the run, summed over units, whose pulses were not cast because the engine was late
-    )
+    left_out_s: float
+    """Time of the run, summed over units, whose pulses were not cast because the engine was late."""
     latency_median_us: float
     """Time from the arrival of a pose to the first data packet that was computed with it, like the next
     fields."""
@@ -190,8 +189,8 @@ class Flight(PosePart):
             # With a receiver of its own: this one sees a body that does not move yet.
             receiver = make_receiver(self._engine.scenario, self._engine.parts, self._engine.windows)
             deque(replace(self._engine, receiver=receiver).packets(0.0, _WARM_S), 0)
-            while not (here := self._windows.at_block(0)).done() and not stop.is_set():
-                self._windows.wait(here)  # the body has moved meanwhile
+            while not (opening := self._windows.at_block(0)).done() and not stop.is_set():
+                self._windows.wait(opening)  # the body has moved meanwhile
         self._start_clock()
 
     def _start_clock(self) -> None:
