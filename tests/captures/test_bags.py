@@ -96,6 +96,8 @@ def test_packed_chunks_of_mcap_are_read(bench, tmp_path):
         to = writer.add_connection(known.topic, known.msgtype, typestore=reader.typestore)
         for _, t_ns, raw in reader.messages([known]):
             writer.write(to, t_ns, raw)
+    (inside,) = path.glob("*.mcap")
+    assert b"\x04\0\0\0zstd" in inside.read_bytes()  # of a chunk, by MCAP's specification
     assert by_us(path) == by_us(tmp_path / "o.mcap")
 
 

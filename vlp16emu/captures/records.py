@@ -244,7 +244,7 @@ def _around_damage(frame: Frame, begin: int, end: int, next_begin: int) -> Itera
 
 def _nanoseconds(path: Path, number: int, head: _Head, order: str) -> CaptureError:
     """Return the error for nanoseconds under the magic number of microseconds."""
-    magic = r"\x4d\x3c\xb2\xa1" if order == "<" else r"\xa1\xb2\x3c\x4d"
+    magic = r"\115\074\262\241" if order == "<" else r"\241\262\074\115"  # octal, as POSIX has it
     found = f"a fraction of {head.fraction} us of a second, which are nanoseconds"
     mend = f"`printf '{magic}' | dd of=COPY conv=notrunc` writes it"
     expected = f"less than 1000000, or the magic number of nanoseconds ({mend})"
