@@ -4,9 +4,15 @@ import os
 
 import pytest
 
+from vlp16emu.captures.capture import Capture
 from vlp16emu.errors import InputError
+from vlp16emu.extras.dataset.spec import load_spec
 from vlp16emu.extras.meshes.files import load_mesh
+from vlp16emu.extras.plot.sheet import read_report
 from vlp16emu.extras.recorded.files import read_kitti, read_trajectory_csv, read_tum
+from vlp16emu.extras.score.files import read_cloud, read_stems
+from vlp16emu.extras.truth.description import read_json
+from vlp16emu.extras.truth.tables import FIXES, StoredTable
 from vlp16emu.extras.walk.way_points import read_way_points
 from vlp16emu.forest.ground.dem import read_grid
 from vlp16emu.forest.plants.species import flora
@@ -57,6 +63,16 @@ TEXTS = [
 ]
 OTHERS = [(mesh, f"a.{kind}") for kind in ("obj", "ply", "glb", "stl")]
 OTHERS += [(grid, f"a.{kind}") for kind in ("asc", "npy", "tif")]
+FURTHER = [
+    (load_spec, "walks.toml"),
+    (read_report, "score.json"),
+    (read_stems, "stems.csv"),
+    (lambda path: read_json(path, "a rig"), "rig.json"),
+    (lambda path: StoredTable(path, FIXES.dtype), "gnss.npy"),
+    (lambda path: next(iter(Capture(path))), "a.pcap"),
+    (lambda path: next(iter(Capture(path))), "a.mcap"),
+]
+FURTHER += [(read_cloud, f"a.{kind}") for kind in ("csv", "npz", "ply", "pcd", "las", "laz")]
 
 
 @pytest.mark.parametrize(("read", "name"), [*TEXTS, *OTHERS])
@@ -130,3 +146,28 @@ def test_what_is_found_is_shown_in_a_line(tmp_path, read, name, text):
         read(path)
     assert 20 < str(caught.value).count("x") < 130
     assert str(caught.value).count("\n") == 0
+
+
+PLACES = {
+    "": "an empty file: copy or download it again",
+    "version https://git-lfs.github.com/spec/v1\noid sha256:secret\nsize 7\n": (
+        "a pointer of Git LFS in place of the file: `git lfs pull` fetches it"
+    ),
+    "\n<!DOCTYPE html>\n<html><title>secret</title></html>\n": (
+        "a page of HTML in place of the file: download the file itself"
+    ),
+}
+
+
+@pytest.mark.parametrize(("read", "name"), [*TEXTS, *OTHERS, *FURTHER])
+@pytest.mark.parametrize("text", PLACES)
+def test_what_came_in_the_place_of_a_file_is_named(tmp_path, read, name, text):
+    """An empty file, a pointer of Git LFS (docs/spec.md of git-lfs/git-lfs, the one there but for its sum) and a
+    page of HTML are called so for every kind of input, and none of their text is shown."""
+    path = tmp_path / name
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        read(path)
+    line = str(caught.value)
+    assert line.startswith(f"{path}: {PLACES[text]}; expected ")
+    assert "secret" not in line

@@ -30,9 +30,8 @@ _KINDS = {
     stat.S_IFBLK: "is a device",
 }
 _BUFFER_BYTES = 1 << 18  # captures of hours are read in pieces of this size
-_PIECE_BYTES = (
-    1 << 22
-)  # of a file that is read whole; a buffer of its largest size would be allocated at once
+_PIECE_BYTES = 1 << 22  # of a file that is read whole
+_HEAD_BYTES = 512
 _POLL_S = 0.1
 
 
@@ -76,17 +75,20 @@ def open_input(
     *,
     most_bytes: int | None = LARGEST_TEXT_BYTES,
     takes_pipes: bool = False,
+    takes_all: bool = False,
     stop: Event | None = None,
 ) -> Iterator["BufferedReader[RawIOBase]"]:
     """Open a file of a user for reading; what cannot be opened or read is an error of class `error`.
 
-    Opening never waits. Kind and size are checked once more when the file is open, as its name may have changed.
+    So is a file that came in the place of another one (`what_is`). Opening waits for a pipe only. Kind and size
+    are checked once more when the file is open, as its name may have changed.
 
     Parameters
     ----------
     expected : description of the file, for messages
     most_bytes : a longer file is refused; None for one that is read in pieces
     takes_pipes : True to read also a FIFO
+    takes_all : True for a file that is not parsed, and may be empty or a page of HTML
     stop : ends the wait for a pipe, as if it had ended
     """
     with _system_errors(path, expected, error):
@@ -94,6 +96,9 @@ def open_input(
         is_pipe = stat.S_ISFIFO(os.fstat(opened).st_mode)
         raw: RawIOBase = _Pipe(opened, stop or Event()) if is_pipe else FileIO(opened)
         with BufferedReader(raw, _BUFFER_BYTES) as file:
+            found = None if takes_all else what_is(file.peek(_HEAD_BYTES))
+            if found:
+                raise error(str(path), found, expected)
             yield file
 
 
@@ -181,9 +186,7 @@ def what_is(head: bytes) -> str | None:
     """
     if not head:
         return "an empty file: copy or download it again"
-    if head.startswith(
-        b"version https://git-lfs.github.com/spec/"
-    ):  # specification of Git LFS, "The Pointer"
+    if head.startswith(b"version https://git-lfs.github.com/spec/"):  # Git LFS, docs/spec.md, "The Pointer"
         return "a pointer of Git LFS in place of the file: `git lfs pull` fetches it"
     text = head.removeprefix(b"\xef\xbb\xbf").lstrip().lower()
     if text.startswith((b"<!doctype html", b"<html")):

@@ -17,9 +17,9 @@ S_NS = 1_000_000_000
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
-    """Three turns of the hall."""
+    """Ten turns of the hall."""
     path = tmp_path_factory.mktemp("bags") / "bench.pcap"
-    Emulator("static_bench", {"sensor.rpm": 1200}).record(path, duration_s=0.2)
+    Emulator("static_bench", {"sensor.rpm": 1200}).record(path, duration_s=0.5)
     return path
 
 
@@ -96,6 +96,8 @@ def test_packed_chunks_of_mcap_are_read(bench, tmp_path):
         to = writer.add_connection(known.topic, known.msgtype, typestore=reader.typestore)
         for _, t_ns, raw in reader.messages([known]):
             writer.write(to, t_ns, raw)
+    (inside,) = path.glob("*.mcap")
+    assert b"\x04\0\0\0zstd" in inside.read_bytes()  # of a chunk, by MCAP's specification
     assert by_us(path) == by_us(tmp_path / "o.mcap")
 
 
@@ -120,3 +122,61 @@ def test_a_bag_without_packets_says_so(bench, tmp_path):
         pass
     with pytest.raises(CaptureError, match="a bag without packets; expected messages of velodyne_msgs"):
         list(Capture(path))
+
+
+def lost(content, at, header):
+    """Without 37 bytes in a packet."""
+    return content[: at + 500] + content[at + 537 :]
+
+
+def overwritten(content, at, header):
+    """With 37 other bytes in the header of a record before a packet."""
+    begin = content.rindex(header, 0, at) - 40
+    return content[:begin] + bytes(range(200, 237)) + content[begin + 37 :]
+
+
+@pytest.mark.parametrize(("name", "header"), [("o.bag", b"op="), ("o.mcap", b"velodyne")])
+@pytest.mark.parametrize("damaged", [lost, overwritten])
+def test_a_damaged_record_of_a_bag_costs_its_message(bench, tmp_path, name, header, damaged):
+    """Packets of all other messages are those that rosbags finds in the bag before; the place is told once by
+    a warning."""
+    whole_path = tmp_path / f"whole_{name}"
+    write_bag(bench, whole_path)
+    whole = by_rosbags(whole_path)
+    content = whole_path.read_bytes()
+    path = tmp_path / name
+    path.write_bytes(damaged(content, content.index(whole[50][1]), header))
+    capture = Capture(path)
+    found = [(each.stamp_ns, each.payload) for each in capture]
+    per_message = 38  # at 1200 rpm, a turn of 0.05 s of 1.327 ms per packet
+    assert found == [each for each in whole if each in found]
+    assert len(whole) - 2 * per_message <= len(found) < len(whole)
+    assert found[-1] == whole[-1]
+    assert capture.damage
+    assert not capture.cut
+
+
+def test_a_packed_chunk_that_is_damaged_costs_the_chunk(bench, tmp_path):
+    """Without the chunk's bytes the rest of the bag is read."""
+    from rosbags.rosbag1 import Writer
+
+    path = tmp_path / "packed.bag"
+    writer = Writer(path)
+    writer.set_compression(Writer.CompressionFormat.LZ4)
+    writer.chunk_threshold = 1 << 14
+    write_bag(bench, tmp_path / "o.bag")
+    with rosbags.AnyReader([tmp_path / "o.bag"]) as reader, writer:
+        known = next(each for each in reader.connections if each.topic == "/velodyne_packets")
+        to = writer.add_connection(known.topic, known.msgtype, msgdef=known.msgdef.data, md5sum=known.digest)
+        for _, t_ns, raw in reader.messages([known]):
+            writer.write(to, t_ns, raw)
+    whole = by_us(path)
+    content = bytearray(path.read_bytes())
+    second = content.index(b"\x04\x22\x4d\x18", content.index(b"\x04\x22\x4d\x18") + 4)
+    content[second : second + 64] = bytes(64)
+    path.write_bytes(content)
+    capture = Capture(path)
+    found = [(each.stamp_ns, each.payload) for each in capture]
+    assert 0 < len(found) < len(whole)
+    assert found == [each for each in whole if each in found]
+    assert len(capture.damage) == 1

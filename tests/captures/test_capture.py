@@ -6,6 +6,7 @@ import lzma
 import shutil
 import struct
 import subprocess
+import sys
 from functools import partial
 
 import numpy as np
@@ -235,12 +236,19 @@ def test_tunnels_options_and_padding(tmp_path, frame):
 
 
 @pytest.mark.parametrize(
-    "pack", [gzip.compress, partial(bz2.compress, compresslevel=1), lzma.compress, "zstd"]
+    "pack",
+    [gzip.compress, partial(bz2.compress, compresslevel=1), lzma.compress, "zstandard", "backports.zstd"],
 )
-def test_archives_are_read_also_when_cut(tmp_path, pack):
-    """A compressed capture gives the same datagrams; one that ends early those before, and says so."""
-    if pack == "zstd":
-        pack = pytest.importorskip("zstandard").ZstdCompressor().compress
+def test_archives_are_read_also_when_cut(tmp_path, pack, monkeypatch):
+    """A compressed capture gives the same datagrams; one that ends early those before, and says so.
+
+    Either library for zstd is enough.
+    """
+    if isinstance(pack, str):
+        library = pytest.importorskip(pack)
+        for name in {"zstandard", "backports.zstd"} - {pack}:
+            monkeypatch.setitem(sys.modules, name, None)
+        pack = library.compress
     random = np.random.default_rng(1)
     frames = [DATA[:60] + random.bytes(1188) for _ in range(300)]
     whole, packed = pcap(*frames), pack(pcap(*frames))
@@ -327,6 +335,19 @@ def test_other_files_are_refused_in_one_line(tmp_path, content, line):
     with pytest.raises(CaptureError, match=line) as caught:
         read(tmp_path, content)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_the_command_for_nanoseconds_mends_the_file(tmp_path, order):
+    """The command that the line names, run by the shell, leaves the same fractions, in nanoseconds."""
+    path = tmp_path / "some.pcap"
+    with pytest.raises(CaptureError) as caught:
+        read(tmp_path, pcap(DATA, DATA, order=order, fraction=123_456_789))
+    _, command, _ = str(caught.value).split("`")
+    subprocess.run(
+        ["sh", "-c", command.replace("COPY", "some.pcap")], cwd=tmp_path, check=True, capture_output=True
+    )
+    assert [each.stamp_ns for each in Capture(path, repeats=True)] == [1_700_000_000_123_456_789] * 2
 
 
 @pytest.mark.parametrize(

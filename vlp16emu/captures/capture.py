@@ -4,10 +4,12 @@ Classic pcap of Ethernet, as this package writes it, is read here; `vlp16emu.ext
 """
 
 import glob
+import logging
 import re
 import struct
 from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError
 from dataclasses import dataclass
 from ipaddress import ip_address
 from pathlib import Path
@@ -28,6 +30,7 @@ from vlp16emu.packets.layout import (
 )
 from vlp16emu.packets.table import PacketClock, PacketTable, packet_row, packet_table
 
+_log = logging.getLogger(__name__)
 _ENDING = re.compile(r"\.((pcap|pcapng|cap)\d*(\.(gz|bz2|xz|zst))?|bag(\.active)?|mcap|db3)$", re.IGNORECASE)
 
 _ETHERNET = 1
@@ -48,6 +51,7 @@ milliseconds."""
 _STRAY = 0.02
 _BAG_FILES = (".db3", ".mcap")  # of a folder of ROS 2, in order of their numbers
 _MOST_DAMAGE = 100  # damaged parts that are reported
+_MOST_WARNINGS = 3  # of damaged parts
 _NAMED = 16  # units listed in an error line; as many as a rig may have
 _CUT_SHORT = "frames that were captured in part (capture with `tcpdump -s 0`)"
 
@@ -130,14 +134,19 @@ class Capture:
         their first stamps
     repeats : also yield repeated packets
     stop : an event that ends the wait for the bytes of a pipe, as if the pipe ended there
+    is_quiet : give no warning of damage, as in a pass before the one that counts
 
-    Raises CaptureError if a file cannot be read or is not a capture. Damaged records are left out.
+    Raises CaptureError if a file cannot be read or is not a capture. Damaged records are left out, with a
+    warning.
     """
 
-    def __init__(self, path: Path, *, repeats: bool = False, stop: Event | None = None) -> None:
+    def __init__(
+        self, path: Path, *, repeats: bool = False, stop: Event | None = None, is_quiet: bool = False
+    ) -> None:
         self.path = path
         self._keeps_repeats = repeats
         self._stop = stop or Event()
+        self._most_warnings = 0 if is_quiet else _MOST_WARNINGS
         self.frames = 0  # Frames read so far, of all kinds
         self.cut = False  # True if a file ended in the middle of a record; what came before it is whole
         self.repeated = 0  # Repeated packets that were skipped
@@ -176,10 +185,14 @@ class Capture:
         return CaptureError(str(self.path), found, "UDP payloads of 1206 bytes")
 
     def _note_damage(self, path: Path, damage: Damage) -> None:
+        lost = f"{damage.lost_bytes} bytes at byte {damage.at_bytes}"
+        found = f"{lost}, after packet {self.frames}, are damaged and left out"
+        if len(self.damage) < self._most_warnings:
+            _log.warning("%s: %s", path, found)
+        elif len(self.damage) == self._most_warnings > 0:
+            _log.warning("%s: further bytes are damaged and left out", path)
         if len(self.damage) < _MOST_DAMAGE:
-            file = f"{path}: " if len(self._files) > 1 else ""
-            lost = f"{damage.lost_bytes} bytes at byte {damage.at_bytes}"
-            self.damage.append(f"{file}{lost}, after packet {self.frames}, are damaged and left out")
+            self.damage.append(f"{path}: {found}" if len(self._files) > 1 else found)
 
     def _datagram(self, frame: Frame) -> Datagram | None:
         """Parse one frame; None if it completes no UDP datagram."""
@@ -322,6 +335,16 @@ def by_unit(
         yield indices[sender], datagram
 
 
+def searched(
+    capture: Capture, units: Sequence[CapturedUnit | None], stop: Event | None
+) -> Iterator[tuple[int | None, Datagram]]:
+    """Yield datagrams as `by_unit`, in a pass before anything is written; CancelledError once `stop` is set."""
+    for found in by_unit(capture, units):
+        if stop is not None and stop.is_set():
+            raise CancelledError
+        yield found
+
+
 def table_of(datagrams: Iterable[Datagram], clock: PacketClock) -> PacketTable:
     """Return the table of one or more data packets that follow those which `clock` has converted."""
     return packet_table(packet_row(each.number, each.stamp_ns, each.payload, clock) for each in datagrams)
@@ -336,19 +359,21 @@ class _Stream:
     packets: int = 0  # Datagrams that begin as Velodyne data packets do
 
 
-def units_in(path: Path, *, required: bool = False) -> list[CapturedUnit]:
+def units_in(path: Path, *, required: bool = False, stop: Event | None = None) -> list[CapturedUnit]:
     """Find the sensors in a capture, in order of address, port and MAC address; reads the whole file.
 
     If two sensors share an address, as behind a router, the one with the lower data port has the lower
     position port.
 
     Raises CaptureError if the file is not a capture or is damaged, or if one is `required` and it holds no
-    sensor.
+    sensor; CancelledError once `stop` is set.
     """
-    return _units_and_others(path, required=required)[0]
+    return _units_and_others(path, stop, required=required)[0]
 
 
-def chosen_unit(path: Path, unit: str | None, *, where: str = "unit") -> CapturedUnit | None:
+def chosen_unit(
+    path: Path, unit: str | None, *, where: str = "unit", stop: Event | None = None
+) -> CapturedUnit | None:
     """Find one sensor of a capture.
 
     It is None if it is the only sender of packets of that length and no unit is named.
@@ -359,11 +384,12 @@ def chosen_unit(path: Path, unit: str | None, *, where: str = "unit") -> Capture
     where : the option's name in error lines
 
     Raises CaptureError if the file is not a capture or is damaged; InputError if there is no such unit, if
-    there are several and none is named, or if one of a pipe is named, as a pipe can be read only once.
+    there are several and none is named, or if one of a pipe is named, as a pipe can be read only once;
+    CancelledError once `stop` is set.
     """
     if path.is_fifo() and unit is not None:
         raise InputError(where, f"found {unit} for the pipe {path}", "a file, which can be read twice")
-    units, others = ([], False) if path.is_fifo() else _units_and_others(path)
+    units, others = ([], False) if path.is_fifo() else _units_and_others(path, stop)
     if not units or (unit is None and len(units) == 1):
         return units[0] if others and units else None
     for number, known in enumerate(units, start=1):
@@ -375,12 +401,14 @@ def chosen_unit(path: Path, unit: str | None, *, where: str = "unit") -> Capture
     raise InputError(where, found, f"one of {', '.join(names)}")
 
 
-def _units_and_others(path: Path, *, required: bool = False) -> tuple[list[CapturedUnit], bool]:
+def _units_and_others(
+    path: Path, stop: Event | None, *, required: bool = False
+) -> tuple[list[CapturedUnit], bool]:
     """Find the sensors, and whether other senders have datagrams as long as data packets."""
     streams: dict[tuple[bytes, int], dict[bytes, _Stream]] = defaultdict(dict)
     position = defaultdict[bytes, set[int]](set)
-    capture = Capture(path)
-    for datagram in capture:
+    capture = Capture(path, is_quiet=True)
+    for _, datagram in searched(capture, (), stop):
         payload = datagram.payload
         if len(payload) == DATA_BYTES:
             own = streams[datagram.source, datagram.destination_port]

@@ -3,11 +3,12 @@
 from array import array
 from collections.abc import Sequence
 from pathlib import Path
+from threading import Event
 from typing import NamedTuple
 
 import numpy as np
 
-from vlp16emu.captures.capture import Capture, CapturedUnit, Datagram, by_unit, table_of
+from vlp16emu.captures.capture import Capture, CapturedUnit, Datagram, searched, table_of
 from vlp16emu.errors import InputError, PacketError
 from vlp16emu.packets.arrival import ArrivalFit, HostStamps, fit_arrivals
 from vlp16emu.packets.decode import decode_position
@@ -32,7 +33,12 @@ class UnitClock(NamedTuple):
 
 
 def unit_clocks(
-    path: Path, units: Sequence[CapturedUnit | None], name: str | None = None, *, where: str = "clock"
+    path: Path,
+    units: Sequence[CapturedUnit | None],
+    name: str | None = None,
+    *,
+    where: str = "clock",
+    stop: Event | None = None,
 ) -> list[UnitClock]:
     """Choose the clock of each unit of a capture.
 
@@ -45,19 +51,19 @@ def unit_clocks(
     where : name of the option in error lines
 
     Raises CaptureError if the file is not a capture; InputError if there is no such clock, or no valid
-    sentence for "gps".
+    sentence for "gps"; CancelledError once `stop` is set.
     """
     if name not in (None, *Clock):
         raise InputError(where, f"found {name}", ", ".join(Clock))
     seen = [_Seen() for _ in units]
-    for unit, datagram in by_unit(Capture(path), units):
+    for unit, datagram in searched(Capture(path, is_quiet=True), units, stop):
         if unit is not None:
             seen[unit].take(datagram)
         if all(of.is_known(wants_sentence=name == Clock.GPS) for of in seen):
             break
     chosen = [of.clock(path, name, where) for of in seen]
     wanted = [each.clock.clock is Clock.HOST and name != Clock.HOST for each in chosen]
-    arrivals = _arrivals(path, units) if any(wanted) else []
+    arrivals = _arrivals(path, units, stop) if any(wanted) else []
     return [
         _fitted(path, each, arrivals[place], name, where) if wanted[place] else each
         for place, each in enumerate(chosen)
@@ -89,9 +95,9 @@ class _Arrivals:
         return fit_arrivals(*(np.array(each) for each in (self._number, self._sensor_ns, self._host_ns)))
 
 
-def _arrivals(path: Path, units: Sequence[CapturedUnit | None]) -> list[_Arrivals]:
+def _arrivals(path: Path, units: Sequence[CapturedUnit | None], stop: Event | None) -> list[_Arrivals]:
     found = [_Arrivals() for _ in units]
-    for unit, datagram in by_unit(Capture(path), units):
+    for unit, datagram in searched(Capture(path, is_quiet=True), units, stop):
         if unit is not None and len(datagram.payload) == DATA_BYTES:
             found[unit].take(datagram)
     return found
@@ -110,18 +116,23 @@ def _fitted(path: Path, chosen: UnitClock, arrivals: _Arrivals, name: str | None
 
 
 def packet_clock(
-    path: Path, unit: CapturedUnit | None, name: str | None = None, *, where: str = "clock"
+    path: Path,
+    unit: CapturedUnit | None,
+    name: str | None = None,
+    *,
+    where: str = "clock",
+    stop: Event | None = None,
 ) -> PacketClock:
     """Return the clock for the packets of one unit, as `unit_clocks`.
 
     By default a pipe has the sensor's clock. Raises InputError for "gps" and "fitted" of a pipe, whose packets
-    cannot be read twice.
+    cannot be read twice; CancelledError once `stop` is set.
     """
     if path.is_fifo() and name in (None, *Clock):
         if name in (Clock.GPS, Clock.FITTED):
             raise InputError(where, f"found {name} for the pipe {path}", "sensor or host, or a file")
         return PacketClock(Clock(name or Clock.SENSOR))
-    return unit_clocks(path, [unit], name, where=where)[0].clock
+    return unit_clocks(path, [unit], name, where=where, stop=stop)[0].clock
 
 
 class _Seen:

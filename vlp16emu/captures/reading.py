@@ -73,7 +73,7 @@ class CaptureReader:
     model : sensor model of prototype units, whose product byte names another sensor
     clock : clock for the UTC of the packets
     passes_over : whether faulty packets are skipped; else the first one ends the reading
-    stop : as for `Capture`
+    stop, is_quiet : as for `Capture`
 
     Raises CaptureError if the file is not a capture.
     """
@@ -87,13 +87,14 @@ class CaptureReader:
         *,
         passes_over: bool = False,
         stop: Event | None = None,
+        is_quiet: bool = False,
     ) -> None:
         self.clock = clock or PacketClock()
         self._model = model
         self._passes_over = passes_over
         self._path = path
         self._unit = unit
-        self._capture = Capture(path, stop=stop)
+        self._capture = Capture(path, stop=stop, is_quiet=is_quiet)
         self._codes = np.zeros(2**16, np.int64)
         self._azimuth_cdeg = list[U2]()
         self._packet_ns = list[I8]()

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from vlp16emu.errors import CaptureError
-from vlp16emu.inputs import what_is
 from vlp16emu.units import S_NS, US_NS
 
 EXPECTED = "a pcap or pcapng file, also as .gz, .bz2, .xz or .zst, or a bag with /velodyne_packets"
@@ -69,18 +68,24 @@ class Window:
 
     def peek(self, size: int, ahead: int = 0) -> bytes:
         """Return `size` bytes that begin `ahead` bytes after the window, or fewer at the end of the file."""
+        missing = self._begin + ahead + size - len(self._held)
+        if missing > 0:
+            self._held = b"".join([self._held[self._begin :], *self._parts(missing)])
+            self._begin = 0
         begin = self._begin + ahead
-        while len(self._held) < begin + size:
+        return self._held[begin : begin + size]
+
+    def _parts(self, size: int) -> Iterator[bytes]:
+        """Read at least `size` bytes, or to the end of the file."""
+        while size > 0:
             try:
                 part = self._file.read1(_PIECE_BYTES)
             except EOFError:  # an archive that is truncated
-                part = b""
+                return
             if not part:
-                break
-            self._held = self._held[self._begin :] + part
-            self._begin = 0
-            begin = ahead
-        return self._held[begin : begin + size]
+                return
+            size -= len(part)
+            yield part
 
     def skip(self, size: int) -> None:
         """Move the window over bytes that have been seen."""
@@ -248,7 +253,7 @@ def _around_damage(frame: Frame, begin: int, end: int, next_begin: int) -> Itera
 
 def _nanoseconds(path: Path, number: int, head: _Head, order: str) -> CaptureError:
     """Return the error for nanoseconds under the magic number of microseconds."""
-    magic = r"\x4d\x3c\xb2\xa1" if order == "<" else r"\xa1\xb2\x3c\x4d"
+    magic = r"\115\074\262\241" if order == "<" else r"\241\262\074\115"  # octal, as POSIX has it
     found = f"a fraction of {head.fraction} us of a second, which are nanoseconds"
     mend = f"`printf '{magic}' | dd of=COPY conv=notrunc` writes it"
     expected = f"less than 1000000, or the magic number of nanoseconds ({mend})"
@@ -257,5 +262,5 @@ def _nanoseconds(path: Path, number: int, head: _Head, order: str) -> CaptureErr
 
 def not_a_capture(path: Path, head: bytes) -> CaptureError:
     """Return the error for a file that does not begin as a capture does."""
-    found = what_is(head) or f"no capture, it begins with {head[:4].hex(' ')}"
+    found = f"no capture, it begins with {head[:4].hex(' ')}" if head else "an archive of an empty file"
     return CaptureError(str(path), found, EXPECTED)

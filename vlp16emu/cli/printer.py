@@ -318,6 +318,7 @@ _WORDS: dict[str, Callable[[Any], str]] = {
     "behind": behind_text,
     "bytes": size,
     "cut": lambda is_cut: "in the middle of a packet, which was left out" if is_cut else "",
+    "damage": lambda parts: f"left out in {count(len(parts))} place{'s'[: len(parts) - 1]}" if parts else "",
     "delay_s": lambda late_s: f"late by {late_s:.2f} s at the end" if late_s else "",
     "first": _first,
     "fit": _fit,

@@ -12,6 +12,7 @@ from threading import Event
 from typing import Unpack
 
 from vlp16emu.captures import Capture, by_unit, chosen_unit, units_in
+from vlp16emu.captures.capture import searched
 from vlp16emu.errors import CaptureError, InputError, OutputError
 from vlp16emu.extras.bench.retime import age_ns, moved, stamp_ns
 from vlp16emu.extras.free_ports import free_ports
@@ -51,18 +52,20 @@ class Replay:
     keep_gaps : wait through gaps of more than a minute; otherwise they are shortened to one or two seconds,
         while the
     times in packets do not change
+    stop : ends the search for units
 
-    Raises CaptureError if the file is no capture, or has no VLP-16 packets; while iterating, if it is
-    damaged.
+    Raises CaptureError if the file is no capture, or has no VLP-16 packets; CancelledError once `stop` is set.
     """
 
-    def __init__(self, path: Path, *, loop: bool = False, keep_gaps: bool = False) -> None:
+    def __init__(
+        self, path: Path, *, loop: bool = False, keep_gaps: bool = False, stop: Event | None = None
+    ) -> None:
         if path.is_fifo():
             raise CaptureError(str(path), "a pipe", "a file, which can be read twice")
         self.path = path
         self._loop = loop
         self._keeps_gaps = keep_gaps
-        self.units = units_in(path, required=True)  # sorted by address, then by port
+        self.units = units_in(path, required=True, stop=stop)  # sorted by address, then by port
         self.links = [
             replace(
                 FACTORY_LINK,
@@ -75,7 +78,9 @@ class Replay:
         self.passes = 0  # passes begun so far
         self.left_out = 0  # datagrams of the first pass that are no complete packets of a unit
         self.gaps_s = list[float]()  # gaps of the first pass that were shortened
-        self.paced_by = self._faults()  # why units are paced by their own clocks, not by the host's stamps
+        self.paced_by = self._faults(
+            stop
+        )  # why units are paced by their own clocks, not by the host's stamps
 
     def __iter__(self) -> Iterator[Packet]:
         later_ns = cut_ns = 0
@@ -105,7 +110,8 @@ class Replay:
         """Yield the packets of a pass, due at their stamps, or at those of the sensor."""
         paces = {unit: _SensorPace() for unit in self.paced_by}
         last_ns = 0
-        for unit, datagram in by_unit(Capture(self.path), self.units):
+        capture = Capture(self.path, is_quiet=self.passes > 1)
+        for unit, datagram in by_unit(capture, self.units):
             kind = _KINDS.get(len(datagram.payload))
             if kind is None or unit is None:
                 self.left_out += self.passes == 1
@@ -116,11 +122,11 @@ class Replay:
             last_ns = packet.due_ns
             yield packet
 
-    def _faults(self) -> dict[int, str]:
+    def _faults(self, stop: Event | None) -> dict[int, str]:
         """Return why host stamps cannot be the pace, by the number of the unit, from 0."""
         stamps = [HostStamps() for _ in self.units]
         clocks = [PacketClock() for _ in self.units]
-        for unit, datagram in by_unit(Capture(self.path), self.units):
+        for unit, datagram in searched(Capture(self.path, is_quiet=True), self.units, stop):
             if unit is not None and len(datagram.payload) == DATA_BYTES:
                 sent = datagram.number, datagram.stamp_ns, datagram.payload
                 stamps[unit].take(datagram.stamp_ns, clocks[unit].packet_ns(*sent)[0])
@@ -188,7 +194,7 @@ class ReplayStream(Stream):
     def __init__(self, path: Path, options: ReplayOptions, *, stop: Event | None = None) -> None:
         self.host, data_port = options.receiver
         given = data_port, options.position_port
-        self.replay = Replay(path, loop=options.loop, keep_gaps=options.keep_gaps)
+        self.replay = Replay(path, loop=options.loop, keep_gaps=options.keep_gaps, stop=stop)
         if len(self.replay.units) > 1 and given != (None, None):
             raise InputError(str(path), f"{len(self.replay.units)} sensors", "one, where ports are given")
         pacer = Pacer(options.speed)
@@ -277,8 +283,8 @@ def write_pcap(capture: Path, out: Path, unit: str | None = None, *, stop: Event
     """
     spare([capture], out)
     check_ending(out)
-    replayed = Replay(capture)
-    chosen = None if unit is None else chosen_unit(capture, unit, where="--unit")
+    replayed = Replay(capture, stop=stop)
+    chosen = None if unit is None else chosen_unit(capture, unit, where="--unit", stop=stop)
     taken = [number for number, each in enumerate(replayed.units) if chosen in (None, each)]
     counts = dict.fromkeys(PacketKind, 0)
     with PcapSink(out, replayed.links) as sink:

@@ -269,9 +269,10 @@ def write_bag(
         raise InputError(
             "--images", "found without --truth", "--truth DIR of the same run, whose frames they are in"
         )
-    every = units_in(capture, required=True)
-    units = every if unit is None else [chosen_unit(capture, unit, where="--unit") or every[0]]
-    clocks = unit_clocks(capture, units, clock, where="--clock")
+    every = units_in(capture, required=True, stop=stop)
+    named = None if unit is None else chosen_unit(capture, unit, where="--unit", stop=stop)
+    units = every if unit is None else [named or every[0]]
+    clocks = unit_clocks(capture, units, clock, where="--clock", stop=stop)
     _check_stamps(capture, clocks)
     frames = _frames(len(units))
     true = None
@@ -312,7 +313,7 @@ def _rig(true: TruthSource | None, capture: Path, unit: CapturedUnit, frame: str
     """
     if true:
         return Rig.of(true.rig, true.scenario, frame)
-    reader = CaptureReader(capture, unit)
+    reader = CaptureReader(capture, unit, is_quiet=True)
     next(reader.tables(), None)
     return Rig(float(max(round(reader.summary.rpm / RPM_STEP), 1) * RPM_STEP), lidar_frame=frame)
 

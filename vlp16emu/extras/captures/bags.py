@@ -3,17 +3,21 @@
 Bags of ROS 1 and MCAP are read record by record from their beginning, so an index is not needed, and a bag
 that was not closed is read as far as it goes. Sources: wiki.ros.org/Bags/Format/2.0, mcap.dev/spec, and
 rosbag2_storage_sqlite3.
+
+A damaged record costs that record, and a damaged chunk that is packed the chunk.
 """
 
 import bz2
+import re
 import sqlite3
 import struct
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from vlp16emu.captures.records import Frame, Frames, Window
+from vlp16emu.captures.records import Damage, Frame, Frames, Window
 from vlp16emu.errors import CaptureError, MissingExtraError
 from vlp16emu.packets.frames import FACTORY_LINK, data_header
 from vlp16emu.packets.layout import DATA_BYTES
@@ -27,6 +31,9 @@ _OTHER = (
     "messages of velodyne_msgs/VelodyneScan, as on /velodyne_packets (`verify --for` checks point clouds)"
 )
 _LONGEST_BYTES = 1 << 30
+_LONGEST_HEADER_BYTES = 1 << 20
+_BEGIN_BYTES = 24  # longest first bytes by which a record is searched
+_SURE = 3  # records in a row that are no accident
 _MOST_UNITS = 50
 _ETHERNET = 1
 
@@ -39,7 +46,7 @@ _CHANNEL = 4
 _MESSAGE = 5
 _CHUNK = 6
 """Kinds of records of MCAP."""
-_MCAP_TAIL = {0x02, 0x0F}  # footer and end of the data: only an index follows
+_MCAP_TAIL = frozenset((0x02, 0x0F))  # footer and end of the data: only an index follows
 
 
 class _Scan(NamedTuple):
@@ -47,10 +54,20 @@ class _Scan(NamedTuple):
 
     topic: str
     content: bytes
+    place: int  # offset of its record or chunk in the file
     is_cdr: bool
 
 
-_Scans = Iterator[_Scan | None]
+class _Record(NamedTuple):
+    """A record of a bag."""
+
+    kind: int
+    fields: Mapping[bytes, bytes]  # of the header in ROS 1
+    data: bytes
+    size: int  # bytes in the file or chunk
+
+
+_Scans = Iterator[_Scan | Damage | None]
 """The last one is None if the bag ends within a record."""
 
 
@@ -59,13 +76,13 @@ def bag_frames(path: Path, file: Any) -> Frames:
 
     Units have addresses in the order of their topics in the bag. Stamps are those of the packets.
 
-    Raises CaptureError if there are no messages of the driver's packets, or one is damaged.
+    Raises CaptureError if there are no messages of the driver's packets.
     """
     head = file.peek(len(SQLITE))
     if head.startswith(ROS1):
-        return _frames(path, _ros1_scans(Window(file)))
+        return _frames(path, _scans(Window(file), _ROS1))
     if head.startswith(MCAP):
-        return _frames(path, _mcap_scans(Window(file)))
+        return _frames(path, _scans(Window(file), _MCAP))
     return _frames(path, _sqlite_scans(path))
 
 
@@ -76,10 +93,13 @@ def is_bag(head: bytes) -> bool:
 
 def _frames(path: Path, scans: _Scans) -> Frames:
     headers = dict[str, bytes]()
-    for scan in scans:
+    for scan, after in pairwise(chain(scans, [None])):
         if scan is None:
             yield None
             break
+        if isinstance(scan, Damage):
+            yield scan
+            continue
         if scan.topic not in headers:
             if len(headers) == _MOST_UNITS:
                 raise CaptureError(str(path), f"more than {_MOST_UNITS} topics of packets", "fewer units")
@@ -88,10 +108,11 @@ def _frames(path: Path, scans: _Scans) -> Frames:
         try:
             packets = list(_packets(scan))
         except struct.error:
-            raise CaptureError(f"{path}, {scan.topic}", "a damaged message", _OTHER) from None
+            yield Damage(scan.place, len(scan.content))
+            continue
         for stamp_ns, payload in packets:
             content = headers[scan.topic] + payload
-            yield Frame(stamp_ns, _ETHERNET, len(content), content)
+            yield Frame(stamp_ns, _ETHERNET, len(content), content, isinstance(after, Damage))
     if not headers:
         raise CaptureError(str(path), "a bag without packets", _OTHER)
 
@@ -117,104 +138,170 @@ def _packets(scan: _Scan) -> Iterator[tuple[int, bytes]]:
         at += -at % 4 if scan.is_cdr else 0
 
 
-def _record(window: Window) -> tuple[Mapping[bytes, bytes], bytes] | None:
-    """Return the fields and the data of the next record of ROS 1; None if the bag ends within it."""
+def _records(window: Window, form: "_Form", *, is_chunk: bool = False) -> Iterator[_Record | Damage | None]:
+    """Yield the records of a bag or of a chunk, and the damage between them.
+
+    The last one is None if a bag ends within a record.
+    """
+    while window.peek(1):
+        begin = window.at_bytes
+        record = form.read(window, 0)
+        if record is not None:
+            window.skip(record.size)
+            yield record
+            continue
+        window.skip(1)
+        while window.skip_to(form.begin, _BEGIN_BYTES) and not _is_chain(window, form):
+            window.skip(1)
+        if is_chunk or window.peek(1):
+            yield Damage(begin, window.at_bytes - begin)
+        else:
+            yield None
+
+
+def _is_chain(window: Window, form: "_Form") -> bool:
+    """Return whether records follow one another from the window on, some or to the end."""
+    ahead = 0
+    for number in range(_SURE):
+        record = form.read(window, ahead)
+        if record is None:
+            return number > 0 and not window.peek(1, ahead)
+        ahead += record.size
+    return True
+
+
+def _scans(window: Window, form: "_Form") -> _Scans:
+    """Yield the messages of packets of a bag; what is damaged in a chunk is said to be at its place."""
+    window.peek(len(form.magic))
+    window.skip(len(form.magic))
+    topics = _Topics()
+    for record in _records(window, form):
+        if not isinstance(record, _Record):
+            yield record
+            continue
+        if record.kind in form.tail:
+            return
+        place = window.at_bytes - record.size
+        if record.kind != form.chunk:
+            yield from form.take(record, place, topics)
+            continue
+        try:
+            content = _unpacked(*form.packed(record))
+        except (OSError, RuntimeError, ValueError):  # of bz2 and lz4, and of `_zstd`
+            yield Damage(place, record.size)
+            continue
+        for found in _records(Window(_Bytes(content)), form, is_chunk=True):
+            if isinstance(found, _Record):
+                yield from form.take(found, place, topics)
+            elif found is not None:
+                yield Damage(place, found.lost_bytes)
+
+
+class _Topics:
+    """What the records of a bag have said about its messages of packets."""
+
+    def __init__(self) -> None:
+        self.kinds = dict[bytes, str]()
+        self.names = dict[bytes, str]()
+
+
+def _ros1_record(window: Window, ahead: int) -> _Record | None:
+    """Return a record of ROS 1 some bytes after the window; None if there is none that is complete."""
     parts = list[bytes]()
-    for _ in range(2):
-        size = int.from_bytes(window.peek(4), "little")
-        part = window.peek(size, 4) if size <= _LONGEST_BYTES else b""
-        if len(part) < size:
+    at = ahead
+    for most_bytes in (_LONGEST_HEADER_BYTES, _LONGEST_BYTES):
+        head = window.peek(4, at)
+        size = int.from_bytes(head, "little")
+        part = window.peek(size, at + 4) if size <= most_bytes else b""
+        if len(head) < 4 or len(part) < size:
             return None
-        window.skip(4 + size)
+        at += 4 + size
         parts.append(part)
     fields = dict[bytes, bytes]()
     header = parts[0]
-    at = 0
-    while at + 4 <= len(header):
-        size = int.from_bytes(header[at : at + 4], "little")
-        name, _, value = header[at + 4 : at + 4 + size].partition(b"=")
+    begin = 0
+    while begin + 4 <= len(header):
+        size = int.from_bytes(header[begin : begin + 4], "little")
+        name, _, value = header[begin + 4 : begin + 4 + size].partition(b"=")
         fields[name] = value
-        at += 4 + size
-    return fields, parts[1]
+        begin += 4 + size
+    kind = fields.get(b"op", b"")
+    return _Record(kind[0], fields, parts[1], at - ahead) if begin == len(header) and kind else None
 
 
-def _ros1_scans(window: Window) -> _Scans:
-    window.peek(len(ROS1))
-    window.skip(len(ROS1))
-    topics = dict[bytes, str]()
-    while window.peek(1):
-        record = _record(window)
-        if record is None:
-            yield None
-            return
-        fields, data = record
-        if fields.get(b"op") == bytes([_OP_CHUNK]):
-            inner = Window(_Bytes(_unpacked(fields.get(b"compression", b"none").decode("latin-1"), data)))
-        elif fields.get(b"op") in (bytes([_OP_CONNECTION]), bytes([_OP_MESSAGE])):
-            yield from _ros1_message(fields, data, topics)
-            continue
-        else:
-            continue
-        while inner.peek(1):
-            record = _record(inner)
-            if record is None:
-                yield None
-                return
-            yield from _ros1_message(*record, topics)
+def _ros1_packed(record: _Record) -> tuple[str, bytes]:
+    return record.fields.get(b"compression", b"none").decode("latin-1"), record.data
 
 
-def _ros1_message(fields: Mapping[bytes, bytes], data: bytes, topics: dict[bytes, str]) -> Iterator[_Scan]:
+def _ros1_take(record: _Record, place: int, topics: _Topics) -> Iterator[_Scan]:
     """Note a connection of packets, or yield a message of one."""
-    number = fields.get(b"conn", b"")
-    if fields.get(b"op") == bytes([_OP_CONNECTION]):
-        if b"type=" + _SCAN[0].encode() in data:
-            topics[number] = fields.get(b"topic", b"").decode("utf-8", "replace")
-    elif fields.get(b"op") == bytes([_OP_MESSAGE]) and number in topics:
-        yield _Scan(topics[number], data, is_cdr=False)
+    number = record.fields.get(b"conn", b"")
+    if record.kind == _OP_CONNECTION:
+        if b"type=" + _SCAN[0].encode() in record.data:
+            topics.names[number] = record.fields.get(b"topic", b"").decode("utf-8", "replace")
+    elif record.kind == _OP_MESSAGE and number in topics.names:
+        yield _Scan(topics.names[number], record.data, place, is_cdr=False)
 
 
-def _mcap_records(window: Window) -> Iterator[tuple[int, bytes] | None]:
-    while head := window.peek(9):
-        size = int.from_bytes(head[1:], "little")
-        content = window.peek(size, 9) if size <= _LONGEST_BYTES else b""
-        if len(head) < 9 or len(content) < size:
-            yield None
-            return
-        window.skip(9 + size)
-        if head[0] in _MCAP_TAIL:
-            return
-        yield head[0], content
+def _mcap_record(window: Window, ahead: int) -> _Record | None:
+    """Return a record of MCAP some bytes after the window; None if there is none that is complete."""
+    head = window.peek(9, ahead)
+    size = int.from_bytes(head[1:], "little")
+    if len(head) < 9 or not head[0] or size > _LONGEST_BYTES:
+        return None
+    data = window.peek(size, ahead + 9)
+    return _Record(head[0], {}, data, 9 + size) if len(data) == size else None
 
 
-def _mcap_scans(window: Window) -> _Scans:
-    window.peek(len(MCAP))
-    window.skip(len(MCAP))
-    kinds = dict[int, str]()
-    topics = dict[int, str]()
-    for record in _mcap_records(window):
-        inner: Iterator[tuple[int, bytes] | None] = iter((record,))
-        if record is not None and record[0] == _CHUNK:
-            compression, at = _text(record[1], 28)  # after two times, a size and a sum
-            packed = record[1][at + 8 :]
-            inner = _mcap_records(Window(_Bytes(_unpacked(compression, packed))))
-        for found in inner:
-            if found is None:
-                yield None
-                return
-            yield from _mcap_message(*found, kinds, topics)
+def _mcap_packed(record: _Record) -> tuple[str, bytes]:
+    compression, at = _text(record.data, 28)  # after two times, a size and a sum
+    return compression, record.data[at + 8 :]
 
 
-def _mcap_message(
-    kind: int, content: bytes, kinds: dict[int, str], topics: dict[int, str]
-) -> Iterator[_Scan]:
+def _mcap_take(record: _Record, place: int, topics: _Topics) -> Iterator[_Scan]:
     """Note a schema or a channel, or yield a message of packets."""
-    number = int.from_bytes(content[:2], "little")
-    if kind == _SCHEMA:
-        kinds[number] = _text(content, 2)[0]
-    elif kind == _CHANNEL and kinds.get(int.from_bytes(content[2:4], "little")) in _SCAN:
-        topics[number] = _text(content, 4)[0]
-    elif kind == _MESSAGE and number in topics:
-        yield _Scan(topics[number], content[22:], is_cdr=True)  # after number and two times
+    data = record.data
+    number = data[:2]
+    if record.kind == _SCHEMA:
+        topics.kinds[number] = _text(data, 2)[0]
+    elif record.kind == _CHANNEL and topics.kinds.get(data[2:4]) in _SCAN:
+        topics.names[number] = _text(data, 4)[0]
+    elif record.kind == _MESSAGE and number in topics.names:
+        yield _Scan(topics.names[number], data[22:], place, is_cdr=True)  # after number and two times
+
+
+class _Form(NamedTuple):
+    """A format of bags."""
+
+    magic: bytes
+    read: Callable[[Window, int], _Record | None]
+    begin: re.Pattern[bytes]  # of a record
+    chunk: int
+    packed: Callable[[_Record], tuple[str, bytes]]  # compression and content of a chunk
+    take: Callable[[_Record, int, _Topics], Iterator[_Scan]]
+    tail: frozenset[int] = frozenset()
+
+
+_FIRST_FIELD = (
+    rb"(?:chunk_count|chunk_pos|compression|conn|conn_count|count|index_pos|op|size|time|topic|ver)="
+)
+_ROS1 = _Form(
+    magic=ROS1,
+    read=_ros1_record,
+    begin=re.compile(rb"[\s\S]{2}\0\0[\s\S]{2}\0\0" + _FIRST_FIELD),  # lengths of header and field
+    chunk=_OP_CHUNK,
+    packed=_ros1_packed,
+    take=_ros1_take,
+)
+_MCAP = _Form(
+    magic=MCAP,
+    read=_mcap_record,
+    begin=re.compile(rb"[\x01-\x0f][\s\S]{3}[\0-\x03]\0{4}"),  # kind, and a length below 64 MiB
+    chunk=_CHUNK,
+    packed=_mcap_packed,
+    take=_mcap_take,
+    tail=_MCAP_TAIL,
+)
 
 
 def _text(content: bytes, at: int) -> tuple[str, int]:
@@ -233,7 +320,7 @@ def _sqlite_scans(path: Path) -> _Scans:
             (_SCAN[1],),
         )
         for topic, data in rows:
-            yield _Scan(str(topic), bytes(data), is_cdr=True)
+            yield _Scan(str(topic), bytes(data), 0, is_cdr=True)
     finally:
         opened.close()
 
@@ -279,4 +366,7 @@ def _zstd(packed: bytes) -> bytes:
         from backports import zstd  # rosbags brings it
     except ImportError:
         raise MissingExtraError("backports.zstd", "ros", "reading this bag") from None
-    return zstd.decompress(packed)
+    try:
+        return zstd.decompress(packed)
+    except zstd.ZstdError as error:
+        raise ValueError(str(error)) from None

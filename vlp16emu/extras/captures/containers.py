@@ -82,18 +82,27 @@ def _unpacked(path: Path, file: Any) -> Any:
     """Return the stream of an archive, or the file itself if it is no archive."""
     head: bytes = file.peek(6)
     if head.startswith(_ZSTD):
-        try:
-            import zstandard
-        except ImportError:
-            expected = "the library zstandard (pip install zstandard), or the file unpacked by `unzstd`"
-            raise CaptureError(str(path), "a zstd archive", expected) from None
-        return BufferedReader(zstandard.ZstdDecompressor().stream_reader(file, read_across_frames=True))
+        return _of_zstd(path, file)
     for magic, (name, command) in _OTHERS.items():
         if head.startswith(magic):
             raise CaptureError(
                 str(path), f"a {name} archive", f"{EXPECTED}: `{command} {path.name} > some.pcap`"
             )
     return next((opener(file) for magic, opener in _ARCHIVES.items() if head.startswith(magic)), file)
+
+
+def _of_zstd(path: Path, file: Any) -> Any:
+    """Return the stream of a zstd archive, by either of two libraries."""
+    with suppress(ImportError):
+        import zstandard
+
+        return BufferedReader(zstandard.ZstdDecompressor().stream_reader(file, read_across_frames=True))
+    try:
+        from backports import zstd  # rosbags brings it
+    except ImportError:
+        expected = "the library zstandard (pip install zstandard), or the file unpacked by `unzstd`"
+        raise CaptureError(str(path), "a zstd archive", expected) from None
+    return zstd.ZstdFile(file)
 
 
 class _End:

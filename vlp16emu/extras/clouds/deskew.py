@@ -173,13 +173,14 @@ def write_deskewed(
     Raises InputError, TrajectoryError if the ground truth belongs to another run, or no pulse has a pose;
     CaptureError, PacketError if the capture cannot be read, or is damaged; the file has the points before.
     """
-    known = chosen_unit(capture, way.sensor or str(way.unit), where="--unit")
-    stamped = packet_clock(capture, known, clock, where="--clock")
+    known = chosen_unit(capture, way.sensor or str(way.unit), where="--unit", stop=stop)
+    stamped = packet_clock(capture, known, clock, where="--clock", stop=stop)
     if way.needs_clock and capture.is_fifo():
         found = f"found auto for the pipe {capture}"
         raise InputError("--time-offset", found, "a number, or a file, which can be read twice")
     if way.needs_clock:
-        way.find_clock(_pulses_ns(CaptureReader(capture, known, clock=stamped), stop))
+        search = CaptureReader(capture, known, clock=stamped, is_quiet=True)
+        way.find_clock(_pulses_ns(search, stop))
     tables = CaptureReader(capture, known, clock=stamped).tables()
     first = next(tables)
     start_ns = int(first["utc_ns"][0])

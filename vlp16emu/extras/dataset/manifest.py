@@ -167,6 +167,6 @@ def _parse(text: str) -> Entry:
 
 
 def _description(path: Path, folder: Path) -> Entry:
-    with open_input(path, "a file of a dataset", InputError, most_bytes=None) as file:
+    with open_input(path, "a file of a dataset", InputError, most_bytes=None, takes_all=True) as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     return {"path": path.relative_to(folder).as_posix(), "bytes": path.stat().st_size, "sha256": digest}
