@@ -379,7 +379,7 @@ def test_odometry_of_a_run_has_the_rates_of_its_motion(tmp_path):
     [
         ("trajectory.npy", None, "trajectory.npy: no such file or directory; expected a table"),
         ("trajectory.npy", b"x y z", "trajectory.npy: cannot be read: "),
-        ("imu.npy", b"", "imu.npy: cannot be read: "),
+        ("imu.npy", b"\x93NUMPY", "imu.npy: cannot be read: "),
         ("gnss.npy", "imu.npy", "gnss.npy: found columns "),
         ("rig.json", b"{", "rig.json: no JSON"),
     ],

@@ -233,7 +233,6 @@ def glb_of_two_files():
 
 
 CUT_SHORT = (
-    b"",
     b"junk",
     b"solid caf\xe9\nendsolid\n",
     bytes(80) + struct.pack("<I", 10) + bytes(70),
@@ -261,7 +260,7 @@ CUT_SHORT = (
                                                   "mesh of triangles")),
         ("a.obj", "v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n", "a.obj: .*; expected"),
         ("a.obj", CORNERS, "a.obj: no face; expected a whole file with a mesh of triangles"),
-        ("a.obj", "", "a.obj: no face; expected a whole file with a mesh of triangles"),
+        ("a.obj", "", "a.obj: an empty file: copy or download it again; expected a mesh in OBJ"),
         ("a.obj", "v a b c\nf 1 1 1", "a.obj: cannot be read: .*; expected a mesh in OBJ"),
         ("a.ply", PLY.replace("3 0 1 2", "3 0 1 7"), ("a.ply: a: corner 7 in face 0, counted from 0; "
                                                      "expected a number from 0 to 2")),

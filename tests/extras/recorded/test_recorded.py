@@ -217,7 +217,7 @@ def test_kitti_is_read_with_a_rate_or_with_times(tmp_path):
 
 LINE = "0.1 1 2 3 0 0 0 1\n"
 BAD_TUM = [
-    ("", "found 0 poses; expected at least 2"),
+    ("\n", "found 0 poses; expected at least 2"),
     (LINE, "found 1 poses; expected at least 2"),
     (LINE + "0.2 1 2 3 0 0 1\n", ", line 2: found 7 cells; expected 8: t x y z qx qy qz qw"),
     (LINE + "0.2 1 2 nan 0 0 0 1\n", ", line 2, column z_m: found nan; expected a number"),
