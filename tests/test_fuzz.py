@@ -10,7 +10,7 @@ def fuzz(tool_named):
 
 @pytest.fixture(scope="module")
 def cases(fuzz, tmp_path_factory):
-    return fuzz.Cases(3, tmp_path_factory.mktemp("cases"))
+    return fuzz.Cases(3, tmp_path_factory.mktemp("cases"), files=False)
 
 
 def spin(path):
@@ -36,11 +36,12 @@ def trip(path):
 )
 def test_a_case_that_fails_is_kept(fuzz, cases, reader, said, tmp_path, capsys, monkeypatch):
     """A traceback, a loop and memory without bound exit with 1, and keep the input and the reason."""
-    monkeypatch.setattr(fuzz, "Cases", lambda seed, folder: cases)
+    monkeypatch.setattr(fuzz, "Cases", lambda _seed, _folder, *, files: cases)
     monkeypatch.setattr(fuzz, "MOST_BYTES", 100_000_000)
-    monkeypatch.setitem(fuzz.READERS, "captures", reader)
+    monkeypatch.setattr(fuzz, "read_capture", reader)
     monkeypatch.setattr(
-        "sys.argv", ["fuzz", "--scenes", "0", "--captures", "1", "--out", str(tmp_path / "out")]
+        "sys.argv",
+        ["fuzz", "--scenes", "0", "--files", "0", "--captures", "1", "--out", str(tmp_path / "out")],
     )
     if reader is spin:  # only that should end by time, however busy the machine is
         monkeypatch.setattr(fuzz, "MOST_S", 0.5)
