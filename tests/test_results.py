@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted((ROOT / "tools/results").glob("*.md"))
 PYTHON = "#!/usr/bin/env python3"  # `tests/test_packaging.py` has the shell scripts
