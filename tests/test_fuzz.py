@@ -13,16 +13,16 @@ def cases(fuzz, tmp_path_factory):
     return fuzz.Cases(3, tmp_path_factory.mktemp("cases"), files=False)
 
 
-def spin(path):
+def spin():
     while True:
         pass
 
 
-def fill(path):
+def fill():
     return str(len(bytearray(10**9)))
 
 
-def trip(path):
+def trip():
     raise ValueError("a fault of the program")
 
 
@@ -38,7 +38,7 @@ def test_a_case_that_fails_is_kept(fuzz, cases, reader, said, tmp_path, capsys, 
     """A traceback, a loop and memory without bound exit with 1, and keep the input and the reason."""
     monkeypatch.setattr(fuzz, "Cases", lambda _seed, _folder, *, files: cases)
     monkeypatch.setattr(fuzz, "MOST_BYTES", 100_000_000)
-    monkeypatch.setattr(fuzz, "read_capture", reader)
+    monkeypatch.setattr(fuzz, "read", lambda *_: reader())
     monkeypatch.setattr(
         "sys.argv",
         ["fuzz", "--scenes", "0", "--files", "0", "--captures", "1", "--out", str(tmp_path / "out")],
