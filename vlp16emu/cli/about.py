@@ -78,7 +78,7 @@ def plan(
         float, Option("Recorded time from which the speed is measured.", "S", gt=0.0, le=3600.0)
     ] = 2.0,
     repeats: Annotated[
-        int, Option("Measurements of each stage, of which the shortest counts.", "N", ge=1, le=1000)
+        int, Option("Number of measurements of each stage; the shortest counts.", "N", ge=1, le=1000)
     ] = 3,
     plot: PlotFile = None,
     as_json: AsJson = False,
