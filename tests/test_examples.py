@@ -15,6 +15,8 @@ import pytest
 
 from vlp16emu import decode
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "tools" / "examples"
 COURSE = {

@@ -10,7 +10,7 @@ def fuzz(tool_named):
 
 @pytest.fixture(scope="module")
 def cases(fuzz, tmp_path_factory):
-    return fuzz.Cases(3, tmp_path_factory.mktemp("cases"))
+    return fuzz.Cases(3, tmp_path_factory.mktemp("cases"), files=False)
 
 
 def spin():
@@ -36,7 +36,7 @@ def trip():
 )
 def test_a_case_that_fails_is_kept(fuzz, cases, reader, said, tmp_path, capsys, monkeypatch):
     """A traceback, a loop and memory without bound exit with 1, and keep the input and the reason."""
-    monkeypatch.setattr(fuzz, "Cases", lambda seed, folder: cases)
+    monkeypatch.setattr(fuzz, "Cases", lambda _seed, _folder, *, files: cases)
     monkeypatch.setattr(fuzz, "MOST_BYTES", 100_000_000)
     monkeypatch.setattr(fuzz, "read", lambda *_: reader())
     monkeypatch.setattr(

@@ -1,19 +1,16 @@
-"""Each page of results names the commands that make it, and they run."""
+"""Each page of results names the commands that make it; its tools run here, and `test_documents.py` reads its verbs."""
 
-import re
-import shlex
 import shutil
 import sys
 from pathlib import Path
 
 import pytest
 
-from vlp16emu.cli.app import run
+pytestmark = pytest.mark.usefixtures("kept_woods")
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted((ROOT / "tools/results").glob("*.md"))
 PYTHON = "#!/usr/bin/env python3"  # `tests/test_packaging.py` has the shell scripts
-SHORT = {"--pulses": "128", "--duration": "0.1", "--radius": "5"}  # values of the options of verbs
 
 
 def commands_of(page):
@@ -23,23 +20,17 @@ def commands_of(page):
     return [line.strip() for line in lines[:count]]
 
 
-def shortened(line):
-    """Words of a verb in the hall with few pulses or a moment; with --help if its argument is no scene."""
-    verb, first, *words = shlex.split(line, comments=True)[1:]
-    if not (ROOT / "scenes" / f"{first}.toml").exists():
-        return verb, first, *words, "--help"
-    pairs = zip(["", *words], words, strict=False)
-    return verb, "static_bench", *(SHORT.get(before, word) for before, word in pairs)
-
-
 COMMANDS = {page: commands_of(page) for page in PAGES}
 LINES = [line for lines in COMMANDS.values() for line in lines]
 DESIGN = [str(path.relative_to(ROOT)) for path in (ROOT / "tools/design").iterdir() if not path.suffix]
-TOOLS = sorted({*DESIGN, *(line.split()[0] for line in LINES if line.startswith("tools/"))})
+NAMED = {*DESIGN, *(line.split()[0] for line in LINES if line.startswith("tools/"))}
+ELSEWHERE = {"tools/dataset_speed"}
+"""Tools whose output `tests/extras/dataset/test_cluster.py` compares with their page."""
 TOOLS = [
-    name for name in TOOLS if (ROOT / name).is_file() and (ROOT / name).read_text("utf-8").startswith(PYTHON)
+    name
+    for name in sorted(NAMED - ELSEWHERE)
+    if (ROOT / name).is_file() and (ROOT / name).read_text("utf-8").startswith(PYTHON)
 ]
-VERBS = sorted({shortened(line) for line in LINES if line.startswith("vlp16emu ")})
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
@@ -66,11 +57,3 @@ def test_the_tool_of_a_page_runs(name, tool_named, monkeypatch, capsys, tmp_path
     printed = capsys.readouterr().out
     assert len(printed.splitlines()) >= 2
     assert "nan" not in printed or name == "tools/forest"
-
-
-@pytest.mark.parametrize("command", VERBS, ids=" ".join)
-def test_the_verb_of_a_page_runs(command, monkeypatch, capsys, tmp_path):
-    """A verb on a scene prints a result, in the hall with few pulses; others accept their options."""
-    monkeypatch.chdir(tmp_path)
-    assert run([*command]) == 0
-    assert re.search(r"\d|Usage", capsys.readouterr().out)

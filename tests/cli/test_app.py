@@ -80,7 +80,7 @@ def test_warnings_are_lines_on_stderr(main_here, tmp_path):
     """What a run goes on with, but its user may not expect, is one line on stderr, a warning."""
     settings = "--set", "motion.x_m=100.0", "--set", "duration_s=0.1"
     with (tmp_path / "out").open("w") as stdout:
-        code, said = main_here("plan", "static_bench", *settings, stdout=stdout)
+        code, said = main_here("plan", "static_bench", *settings, "--repeats", "1", stdout=stdout)
     assert (code, said.count("\n")) == (0, 1)
     assert said.startswith(
         "warning: hall: the path of the sensor leaves it at (100, 0) m; expected x between"

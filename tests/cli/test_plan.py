@@ -11,10 +11,7 @@ from vlp16emu.scenario import load
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
 
-@pytest.fixture(autouse=True)
-def _measured_shortly(monkeypatch):
-    """Measure a fifth of a second in place of two."""
-    monkeypatch.setattr("vlp16emu.cli.about._MEASURED_S", 0.2)
+SHORTLY = "--sample", "0.2", "--repeats", "1"
 
 
 def on(scene, *settings):
@@ -25,11 +22,17 @@ def on(scene, *settings):
 
 
 def test_the_audit_is_named_where_it_looks(cli):
-    """A beam with a width is audited unless that is not wanted; one ray leaves nothing to look at."""
+    """A beam with a width is audited unless that is not wanted; one ray leaves nothing to look at. The stages
+    are in the order of the chain, each with its cost, and a sensor that stands still opens no window."""
     wide = "--set", "beam.model=adaptive"
     for options, is_on in ((wide, True), ((*wide, "--no-audit"), False), ((), False)):
-        features = cli("plan", "static_bench", *options, "--json").tree["features"]
-        assert {need["name"]: need["on"] for need in features}["audit"] is is_on
+        tree = cli("plan", "static_bench", *options, *SHORTLY, "--json").tree
+        assert {need["name"]: need["on"] for need in tree["features"]}["audit"] is is_on
+        stages = {stage["name"]: stage["cpu_s_per_s"] for stage in tree["stages"]}
+        chain = ["poses of pulses", "aim", "cast, near", "cast, far", "audit", "texture", "detect", "pack"]
+        assert list(stages) == [name for name in chain if name != "audit" or "--no-audit" not in options]
+        assert all(cost >= 0 for cost in stages.values())
+        assert not is_on or stages["cast, near"] > stages["pack"]
 
 
 def test_the_hall_needs_nothing():
@@ -64,7 +67,7 @@ def test_a_walk_moves_and_swings():
 
 def test_a_walk_is_counted_and_measured(cli):
     """Trees in reach are as many as the world itself names, a span is measured, and its speed decides."""
-    tree = cli("plan", "birch_walk", *WORDS, "--threads", "1", "--json").tree
+    tree = cli("plan", "birch_walk", *WORDS, *SHORTLY, "--threads", "1", "--json").tree
     scenario = load("birch_walk", THIN)
     parts = assemble(scenario)
     edges_ns = scenario.start_ns + Batching(16, 55_296).edges_ns(0)
@@ -81,7 +84,9 @@ def test_a_walk_is_counted_and_measured(cli):
 
 def test_people_get_a_page(cli):
     """Without --json the plan is a page; a scene shorter than what is measured is run to its end."""
-    outcome = cli("plan", "static_bench", "--set", "noise.preset=typical", "--set", "duration_s=0.1")
+    outcome = cli(
+        "plan", "static_bench", "--set", "noise.preset=typical", "--set", "duration_s=0.1", "--repeats", "1"
+    )
     assert outcome.out.startswith("static_bench has\n  range and reflectivity noise  ")
     assert "\nstatic_bench leaves out\n  beam width" in outcome.out
     assert "\ncost by stage, seconds of one core per simulated second\n  poses of pulses  0." in outcome.out
@@ -92,7 +97,9 @@ def test_people_get_a_page(cli):
 
 def test_a_recording_is_estimated(cli):
     """Size and run time grow with the duration."""
-    short, long = (cli("plan", "static_bench", "--duration", s, "--json").tree["recording"] for s in (1, 10))
+    short, long = (
+        cli("plan", "static_bench", "--duration", s, *SHORTLY, "--json").tree["recording"] for s in (1, 10)
+    )
     assert long["bytes"] == pytest.approx(10 * short["bytes"], rel=0.01)
     assert long["bytes"] == pytest.approx(753.5 * 10 * (1206 + 58) + 146 * 10 * (512 + 58), rel=0.01)
     assert long["wall_s"] > short["wall_s"] > 0

@@ -33,7 +33,7 @@ GOOD = {
     "verify": "{inputs}/bench.pcap",
     "scenes": "",
     "schema": "",
-    "plan": "static_bench --set duration_s=0.02",
+    "plan": "static_bench --set duration_s=0.02 --repeats 1",
     "doctor": "",
     "cache": "",
     "truth": "static_bench t --duration 0.02",

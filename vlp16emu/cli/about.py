@@ -63,8 +63,6 @@ def schema() -> None:
     print_json(scene_schema())
 
 
-_REPEATS = 3  # of each stage
-_MEASURED_S = 2.0
 _TOO_SLOW = (
     "Fewer single leaves (world.near_m) and fewer rays (beam.model, beam.target_m) are faster too; "
     "`vlp16emu accuracy` reports their errors."
@@ -76,6 +74,12 @@ def plan(
     making: RunOptions,
     *,
     duration_s: Duration = None,
+    sample_s: Annotated[
+        float, Option("Recorded time from which the speed is measured.", "S", gt=0.0, le=3600.0)
+    ] = 2.0,
+    repeats: Annotated[
+        int, Option("Number of measurements of each stage; the shortest counts.", "N", ge=1, le=1000)
+    ] = 3,
     plot: PlotFile = None,
     as_json: AsJson = False,
 ) -> None:
@@ -83,14 +87,14 @@ def plan(
 
     It also names what the scene leaves out, and estimates run time and size of a recording.
 
-    The world is grown, the kernels are loaded, and two seconds are recorded without a file: the speed holds
+    The world is grown, the kernels are loaded, and a sample is recorded without a file: the speed holds
     for this machine at its present load. It does not include the new window of the world that a walk needs
     every 7 s; the time of a recording does.
     """
     from vlp16emu.extras.plot.sheet import plotting
 
     with plotting(plot) as draw:
-        report = report_of("plan", _plan(scene, making, duration_s))
+        report = report_of("plan", _plan(scene, making, duration_s, sample_s, repeats))
         draw(report)
     if as_json:
         print_json(report)
@@ -112,7 +116,7 @@ def plan(
     print_file(plot)
 
 
-def _plan(scene: str, making: RunOptions, duration_s: float | None) -> Tree:
+def _plan(scene: str, making: RunOptions, duration_s: float | None, sample_s: float, repeats: int) -> Tree:
     """Measure a scene, and return its plan."""
     began_s = time.perf_counter()
     emulator = make_emulator(scene, making)
@@ -122,7 +126,7 @@ def _plan(scene: str, making: RunOptions, duration_s: float | None) -> Tree:
 
     emulator.record(os.devnull, duration_s=min(0.1, emulator.scenario.duration_s))
     started_s = time.perf_counter() - began_s
-    measured = emulator.record(os.devnull, duration_s=min(_MEASURED_S, emulator.scenario.duration_s))
+    measured = emulator.record(os.devnull, duration_s=min(sample_s, emulator.scenario.duration_s))
     audited = measured.audit is not None and not measured.audit.exact
     engine = emulator.engine
     return {
@@ -132,7 +136,7 @@ def _plan(scene: str, making: RunOptions, duration_s: float | None) -> Tree:
         "libraries": libraries(),
         "features": needs(engine, audited=audited),
         "world": surroundings(engine),
-        "stages": stages(engine, _REPEATS),
+        "stages": stages(engine, repeats),
         "measured": {"started_s": started_s}
         | {name: getattr(measured, name) for name in ("simulated_s", "wall_s", "real_time_factor")},
         "recording": recording_outlook(engine, measured, started_s, stop_s),

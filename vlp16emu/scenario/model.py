@@ -5,6 +5,7 @@ All defaults are in the sections.
 
 import ast
 import inspect
+import sys
 from collections.abc import Callable
 from datetime import UTC, datetime
 from functools import cache
@@ -358,14 +359,25 @@ def _docstrings(section: type[BaseModel]) -> dict[str, str]:
     """Return the strings that follow the keys of a section and of its base classes."""
     found: dict[str, str] = {}
     for owner in reversed(section.__mro__[: section.__mro__.index(BaseModel)]):
-        try:
-            source = inspect.getsource(owner)
-        except OSError:  # a class made from a table has no source and describes its keys itself
+        # A class made from a table is not in the source and describes its keys itself.
+        found |= _docstrings_of_classes(owner.__module__).get(owner.__qualname__, {})
+    return found
+
+
+@cache
+def _docstrings_of_classes(module: str) -> dict[str, dict[str, str]]:
+    """Return the strings that follow the keys of the classes of a module, by class; the source is parsed once."""
+    try:
+        source = inspect.getsource(sys.modules[module])
+    except (OSError, TypeError):  # a module without a file
+        return {}
+    found: dict[str, dict[str, str]] = {}
+    for body in ast.parse(source).body:
+        if not isinstance(body, ast.ClassDef):
             continue
-        (body,) = ast.parse(source).body
-        assert isinstance(body, ast.ClassDef)
+        keys = found.setdefault(body.name, {})
         for key, text in pairwise(body.body):
             match key, text:
                 case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(words))):
-                    found[name] = inspect.cleandoc(words)
+                    keys[name] = inspect.cleandoc(words)
     return found

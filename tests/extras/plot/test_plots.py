@@ -279,8 +279,9 @@ def test_files_are_the_same_again_and_without_a_date(verb):
     with Image.open(io.BytesIO(png)) as image:
         assert min(image.size) >= 500
     texts = "".join(ET.fromstring(svg).itertext())
-    assert figure_of(report).get_suptitle().splitlines()[0] in texts
-    assert 'id="' + next(a.get_gid() for a in figure_of(report).findobj() if a.get_gid()) in svg.decode()
+    figure = figure_of(report)
+    assert figure.get_suptitle().splitlines()[0] in texts
+    assert 'id="' + next(artist.get_gid() for artist in figure.findobj() if artist.get_gid()) in svg.decode()
     assert pdf.startswith(b"%PDF")
     assert not re.search(rb"20\d\d-\d\d-\d\dT|CreationDate|<dc:date>", svg + pdf)
 

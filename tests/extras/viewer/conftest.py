@@ -40,11 +40,11 @@ def in_browser(browser):
     """Start the program with a command line that prints the address of a page; give program and page."""
     with ExitStack() as ends:
 
-        def show(*words, width=900, height=700):
+        def show(*words, width=900, height=700, scale=1.0):
             command = [sys.executable, "-m", "vlp16emu", *map(str, words)]
             program = ends.enter_context(subprocess.Popen(command, stdout=subprocess.PIPE, text=True))
             ends.callback(program.terminate)
-            page = browser.new_page(viewport={"width": width, "height": height})
+            page = browser.new_page(viewport={"width": width, "height": height}, device_scale_factor=scale)
             ends.callback(page.close)
             page.set_default_timeout(WAIT_MS)
             page.goto(re.search(r"http\S+", program.stdout.readline())[0])

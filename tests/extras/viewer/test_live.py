@@ -362,7 +362,9 @@ def test_a_browser_shows_the_stream_and_sets_the_sensor(in_browser):
     listener = Listener()
     ports = "--view-port", "0", "--position-port", "0", "--to", f"127.0.0.1:{listener.port}"
     words = "stream", "static_bench", "--view", *ports, "--duration", "600", "--no-keep-up"
-    program, page = in_browser(*words, width=1000, height=900)
+    program, page = in_browser(
+        *words, width=1000, height=900, scale=0.25
+    )  # what is drawn by software is not looked at
     page.get_by_text("strongest (0x37)").wait_for()
     page.get_by_text("as any client does").wait_for()
     for label, choice, shown in (
