@@ -44,7 +44,7 @@ _SLOWER = 2
 """Time ahead of its use at which a window is opened, over the time that the last one took: other programs,
 and casting, need the cores too."""
 _TURN_NS = S_NS // 4  # time over which the rate of turn is measured
-_LOOK_NS = S_NS // 2  # interval of the times ahead at which the needed window is looked up
+_LOOK = 5  # ordinary blocks, 0.5 s, between those ahead whose windows are looked up
 _KNOWN_NS = 200_000_000
 """Time before a block at which the place of the body is known when the block is submitted."""
 _SPARE_M = 1.0
@@ -178,9 +178,9 @@ class CubeWindows(Windows[Geometry]):
         begin_ns = self._begin_ns(block)
         known_ns = begin_ns - _KNOWN_NS
         until_ns = min(max(_SLOWER * self.took_ns[0], _BEFORE_NS), _MOST_AHEAD_NS)
-        blocks = block + np.arange(_LOOK_NS, until_ns + 1, _LOOK_NS) // self._block_ns
-        blocks = blocks[blocks < stop]
-        places_ns = known_ns + (blocks - block) * self._block_ns
+        first = block // self._parts * self._parts
+        blocks = np.arange(first, min(first + until_ns // self._block_ns + 1, stop), _LOOK * self._parts)
+        places_ns = known_ns + (blocks - first) * self._block_ns
         befores_ns = places_ns + _KNOWN_NS - _BEFORE_NS
         flown = self._motion.kinematics_at(np.minimum(befores_ns, known_ns))
         course = Course.of(self._motion, known_ns)
