@@ -12,7 +12,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Hashable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import repeat
 from typing import TYPE_CHECKING, NamedTuple, Self
 
@@ -37,9 +37,9 @@ allows for."""
 _BEFORE_NS = 4 * S_NS
 """Time for which the body has been in the next cube before its window is used: less for bodies that leave the
 margin earlier, 2 s at 3 m/s."""
-_MOST_AHEAD_NS = 8 * S_NS
-"""Greatest time ahead of its use at which a window is opened; the least is `_BEFORE_NS`. At 3 m/s the body
-flies one and a half cubes in this time, and a straight guess goes no further."""
+_MOST_AHEAD_NS = 6 * S_NS
+"""Greatest time ahead of its use at which a window is opened; the least is `_BEFORE_NS`. No guess is good for
+longer: at 3 m/s the body flies a whole cube in this time."""
 _SLOWER = 2
 """Time ahead of its use at which a window is opened, over the time that the last one took: other programs,
 and casting, need the cores too."""
@@ -52,9 +52,10 @@ _SPARE_S = 0.35  # from that time to the end of a block
 """Margin that is left for the path of the body until the end of the block, at its speed."""
 _LATE_BLOCKS = 6
 """Steps of delay, 32 ms, from which all late steps are left out: receivers need recent packets."""
-_NICE = 10
-"""Niceness of threads that open windows of a live run above the casting threads, which then get nine tenths
-of a core."""
+_NICE = 3
+"""Niceness of threads that open windows of a live run above the casting threads, which then get two thirds of
+a core. With 10, windows took twice as long beside other programs, and the sending thread waited for the
+interpreter, which a thread without a core may hold."""
 
 
 class Cube(NamedTuple):
@@ -143,6 +144,7 @@ class CubeWindows(Windows[Geometry]):
         self._segment = batching.segment if parts.wind is not None else None  # time counts if trees sway
         self.took_ns = took_ns  # time that the last window took to open; shared by copies
         self._looked_ns = 0
+        self._guess: Future[Geometry] | None = None  # window that was last opened ahead
 
     def name_of(self, block: int) -> Hashable:
         """Return the name of the window of a block: its cube, and its segment of time if trees sway.
@@ -163,9 +165,12 @@ class CubeWindows(Windows[Geometry]):
         if begin_ns == self._looked_ns:  # names change at ordinary blocks only
             return
         self._looked_ns = begin_ns
+        if self._guess is not None and not self._guess.done():
+            return
         for name in self.expected(block, stop)[: self.ahead]:
-            if not self._future_of(name).done():
-                break
+            self._guess = self._future_of(name)
+            if not self._guess.done():
+                return
 
     def expected(self, block: int, stop: int) -> list[Hashable]:
         """Return the names of the windows that the body needs next if it flies on as it does, nearest first.
