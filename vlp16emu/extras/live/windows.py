@@ -9,8 +9,6 @@ it flew on as it does; a wrong guess costs time, but changes no byte.
 import math
 import os
 import sys
-import time
-from collections import deque
 from collections.abc import Hashable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import repeat
@@ -37,12 +35,10 @@ allows for."""
 _BEFORE_NS = 4 * S_NS
 """Time for which the body has been in the next cube before its window is used: less for bodies that leave the
 margin earlier, 2 s at 3 m/s."""
-_MOST_AHEAD_NS = 6 * S_NS
-"""Greatest time ahead of its use at which a window is opened; the least is `_BEFORE_NS`. No guess is good for
-longer: at 3 m/s the body flies a whole cube in this time."""
-_SLOWER = 2
-"""Time ahead of its use at which a window is opened, over the time that the last one took: other programs,
-and casting, need the cores too."""
+_AHEAD_NS = 6 * S_NS
+"""Time ahead of its use at which a window is opened. A new cube takes 1.2 s of one core, 4.3 s at the priority
+of its threads beside other programs; at 3 m/s the body flies a whole cube in 6 s, and guesses for longer are
+often wrong."""
 _TURN_NS = S_NS // 4  # time over which the rate of turn is measured
 _LOOK = 5  # ordinary blocks, 0.5 s, between those ahead whose windows are looked up
 _KNOWN_NS = 200_000_000
@@ -52,10 +48,9 @@ _SPARE_S = 0.35  # from that time to the end of a block
 """Margin that is left for the path of the body until the end of the block, at its speed."""
 _LATE_BLOCKS = 6
 """Steps of delay, 32 ms, from which all late steps are left out: receivers need recent packets."""
-_NICE = 3
-"""Niceness of threads that open windows of a live run above the casting threads, which then get two thirds of
-a core. With 10, windows took twice as long beside other programs, and the sending thread waited for the
-interpreter, which a thread without a core may hold."""
+_NICE = 10
+"""Niceness of threads that open windows of a live run above the casting threads, which then get nine tenths
+of a core. With 3, every other step is late while a window is opened."""
 
 
 class Cube(NamedTuple):
@@ -120,29 +115,29 @@ class Course(NamedTuple):
 
 
 class CubeWindows(Windows[Geometry]):
-    """The world in windows of cubes; parameters as in `windows_of`, and the motion of the body."""
+    """The world in windows of cubes; parameters as in `windows_of`, and the motion of the body.
+
+    `builders` is the number of threads that build a window.
+    """
 
     kept = 6
     ahead = 4  # windows of them that are opened ahead; others serve the present and the sky of a moment ago
 
-    def __init__(self, parts: Parts, start_ns: int, batching: Batching, threads: int, motion: Motion) -> None:
-        built = caster(parts.world, ThreadPoolExecutor(threads, "build", self.prepare_thread))
-        took_ns = deque([0], 1)
+    def __init__(
+        self, parts: Parts, start_ns: int, batching: Batching, threads: int, motion: Motion, *, builders: int
+    ) -> None:
+        built = caster(parts.world, ThreadPoolExecutor(builders, "build", self.prepare_thread))
         arm_m = max(float(norm(np.array(unit.mount.lever_arm_m))) for unit in parts.units)
 
         def open_window(name: tuple[Cube, int]) -> Geometry:
             cube, segment = name
-            begin_ns = time.monotonic_ns()
             edges_ns = start_ns + batching.edges_ns(segment)
-            geometry = built.open(window_around(parts, cube.track_m(arm_m), edges_ns))
-            took_ns.append(time.monotonic_ns() - begin_ns)
-            return geometry
+            return built.open(window_around(parts, cube.track_m(arm_m), edges_ns))
 
         super().__init__(open_window, batching, moves=True, threads=threads)
         self._start_ns = start_ns
         self._motion = motion
         self._segment = batching.segment if parts.wind is not None else None  # time counts if trees sway
-        self.took_ns = took_ns  # time that the last window took to open; shared by copies
         self._looked_ns = 0
         self._guess: Future[Geometry] | None = None  # window that was last opened ahead
 
@@ -182,9 +177,8 @@ class CubeWindows(Windows[Geometry]):
         """
         begin_ns = self._begin_ns(block)
         known_ns = begin_ns - _KNOWN_NS
-        until_ns = min(max(_SLOWER * self.took_ns[0], _BEFORE_NS), _MOST_AHEAD_NS)
         first = block // self._parts * self._parts
-        blocks = np.arange(first, min(first + until_ns // self._block_ns + 1, stop), _LOOK * self._parts)
+        blocks = np.arange(first, min(first + _AHEAD_NS // self._block_ns + 1, stop), _LOOK * self._parts)
         places_ns = known_ns + (blocks - first) * self._block_ns
         befores_ns = places_ns + _KNOWN_NS - _BEFORE_NS
         flown = self._motion.kinematics_at(np.minimum(befores_ns, known_ns))
@@ -212,7 +206,8 @@ class LiveWindows(CubeWindows):
     def __init__(
         self, parts: Parts, start_ns: int, batching: Batching, threads: int, motion: "LiveMotion"
     ) -> None:
-        super().__init__(parts, start_ns, batching, threads, motion)
+        # With more builders than one, casting threads wait for the interpreter.
+        super().__init__(parts, start_ns, batching, threads, motion, builders=1)
         self._live = motion
         self.left_out = 0  # blocks that were not cast because their time was over
 
