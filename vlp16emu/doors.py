@@ -4,20 +4,23 @@ They are from this and other packages.
 
 Other packages add entry points to the groups `vlp16emu.worlds`, `.motions`, `.sensors`, `.scenes`, `.clouds`
 and `.verbs`. Entry points are searched only for names that this package lacks: reading the metadata of all
-packages takes 20 ms.
+packages takes 20 ms. What they load is checked against its group: a broken one is an error where it is named,
+and is left out elsewhere.
 """
 
+import inspect
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, get_args
 
 from vlp16emu.errors import InputError
 
 if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
+    from importlib.metadata import Distribution, EntryPoint
 
 _log = logging.getLogger(__name__)
 _T = TypeVar("_T")
@@ -126,13 +129,15 @@ def has_door(name: str, group: str) -> bool:
 def plug_ins(group: str) -> Iterator[tuple[str, Any]]:
     """Yield name and object of each entry point of other packages in a group.
 
-    Those that fail to load are skipped.
+    Those that fail to load, or are not what the group takes, are left out, each with a warning.
     """
     for name, entry in _entry_points(group).items():
         try:
-            yield name, _load(entry)
+            found = _load(entry)
         except InputError as error:
-            _log.info("%s", error)  # a scene or command that names it gets the line as an error
+            _log.warning("%s; it is left out", error)
+            continue
+        yield name, found
 
 
 def _is_installed(place: str) -> bool:
@@ -155,20 +160,99 @@ def _imported(place: str) -> Any:
 
 @cache
 def _entry_points(group: str) -> dict[str, "EntryPoint"]:
-    from importlib.metadata import entry_points  # here: see above
+    from importlib.metadata import distributions  # here: see above
 
-    return {
-        entry.name: entry
-        for entry in entry_points(group=f"vlp16emu.{group}")
-        if entry.name not in DOORS[group]
-    }
+    found: dict[str, EntryPoint] = {}
+    for package in distributions():
+        try:
+            entries = package.entry_points.select(group=f"vlp16emu.{group}")
+        except Exception as error:  # noqa: BLE001  # a damaged list of entry points may lead its parser anywhere
+            _log.warning("%s: entry points that cannot be read (%s)", _name_of(package), _summary(error))
+            continue
+        for entry in entries:
+            if entry.name not in DOORS[group]:
+                found.setdefault(entry.name, entry)  # as for modules, the first one on the path counts
+    return found
 
 
+@cache
 def _load(entry: "EntryPoint") -> Any:
+    """Return the object of an entry point; InputError if it cannot be loaded, or its group does not take it."""
+    group = entry.group.rpartition(".")[2]
+    where = f"{_name_of(entry.dist)}: entry point {entry.name} of {entry.group}"
     try:
-        return entry.load()
-    except Exception as error:  # another package may raise anything
-        package = entry.dist.name if entry.dist else "a package"
-        found = f"{type(error).__name__}: {error}"
-        where = f"{package}: entry point {entry.name} of {entry.group}"
-        raise InputError(where, found, f"{entry.value}, which can be imported") from error
+        found = entry.load()
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # another package may raise anything, and may exit
+        raise InputError(where, _summary(error), f"{entry.value}, which can be imported") from error
+    try:
+        expected = _CHECKS[group](found, entry.name)
+    except Exception as error:
+        raise InputError(where, _summary(error), f"an object that {entry.group} takes") from error
+    if expected is not None:
+        raise InputError(where, f"found {_shown(found)}", expected)
+    return found
+
+
+def _name_of(package: "Distribution | None") -> str:
+    try:
+        return str(package.name) if package else "a package"
+    except Exception:  # noqa: BLE001  # its metadata may be damaged or missing
+        return "a package"
+
+
+def _shown(found: object) -> str:
+    """Return a text in quotes, the name of a class, or that of the class of another object."""
+    if isinstance(found, str | Path):
+        return f"'{found}'"
+    return f"the class {found.__name__}" if isinstance(found, type) else f"a {type(found).__name__}"
+
+
+def _summary(error: BaseException) -> str:
+    return f"{type(error).__name__}: {error}"
+
+
+def _section_check(base: str, tag: str) -> Callable[[object, str], str | None]:
+    """Return the check of a group of sections: of the class `base`, selected by the key `tag`."""
+
+    def check(found: object, name: str) -> str | None:
+        section = _imported(base)
+        if not (isinstance(found, type) and issubclass(found, section)):
+            return f"a class on {base}"
+        field = found.model_fields.get(tag)  # type: ignore[attr-defined]  # a model, as its base
+        if field is None or name not in get_args(field.annotation):
+            return f'a class with {tag}: Literal["{name}"]'
+        found.model_json_schema()  # type: ignore[attr-defined]  # raises if a key has no schema
+        return None
+
+    return check
+
+
+def _cloud_check(found: object, _name: str) -> str | None:
+    base = "vlp16emu.extras.clouds.cloud:PointWriter"
+    is_writer = isinstance(found, type) and issubclass(found, _imported(base))
+    return None if is_writer else f"a class on {base}"
+
+
+def _verb_check(found: object, _name: str) -> str | None:
+    if not callable(found):
+        return "a function"
+    inspect.signature(found)  # raises ValueError for a function without one
+    return None
+
+
+def _folder_check(found: object, _name: str) -> str | None:
+    is_folder = isinstance(found, str | Path) and Path(found).is_dir()
+    return None if is_folder else "the path of a folder"
+
+
+_CHECKS: dict[str, Callable[[object, str], str | None]] = {
+    "worlds": _section_check("vlp16emu.world.settings:WorldSection", "kind"),
+    "motions": _section_check("vlp16emu.motion.settings:MotionSection", "kind"),
+    "sensors": _section_check("vlp16emu.sensor.settings:Lidar", "model"),
+    "scenes": _folder_check,
+    "clouds": _cloud_check,
+    "verbs": _verb_check,
+}
+"""For each group, a check of an object and its name: None, or what the group expects."""

@@ -68,6 +68,8 @@ def expected(node: Node) -> str:
     if "discriminator" in node:
         tags = expected({"enum": list(node["discriminator"]["mapping"])})
         return f"a table with {node['discriminator']['propertyName']} = {tags}"
+    if "anyOf" in node:
+        return " or ".join(map(expected, _values(node)))
     kind = node["type"]
     if kind in ("integer", "number"):
         return f"{'a whole number' if kind == 'integer' else 'a number'} {_bounds(node)}".rstrip()
@@ -82,9 +84,15 @@ def expected(node: Node) -> str:
 
 
 def resolved(node: Node, schema: Node) -> Node:
-    """Return the node behind a reference; for an optional node, the type of its value."""
-    node = node["anyOf"][0] if "anyOf" in node else node
+    """Return the node behind a reference; for an optional node, the type of its value, if there is only one."""
+    kinds = _values(node)
+    node = kinds[0] if len(kinds) == 1 else node
     return schema["$defs"][node["$ref"].rpartition("/")[2]] if "$ref" in node else node
+
+
+def _values(node: Node) -> list[Node]:
+    """Return the alternatives of a node, without that of a missing value."""
+    return [kind for kind in node.get("anyOf", ()) if kind.get("type") != "null"]
 
 
 def _walk(loc: tuple[int | str, ...], schema: Node) -> tuple[list[int | str], Node, Node]:
@@ -95,6 +103,8 @@ def _walk(loc: tuple[int | str, ...], schema: Node) -> tuple[list[int | str], No
         if "discriminator" in node:  # pydantic puts the union's tag into the path; the file does not have it
             node = resolved({"$ref": node["discriminator"]["mapping"][part]}, schema)
             continue
+        if "anyOf" in node:  # of plain values: what follows names the alternative that was tried
+            break
         keys.append(part)
         parent = node
         if isinstance(part, int):

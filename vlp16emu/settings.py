@@ -123,7 +123,12 @@ class OneOf:
         ours: dict[object, type[Section]] = {
             word: door(word, self.group) for word in DOORS[self.group] if has_door(word, self.group)
         }
-        return {**ours, **dict(plug_ins(self.group)), **dict(self._subclasses(self.base)), **ours}
+        defined = {
+            word: section
+            for word, section in self._subclasses(self.base)
+            if not has_door(str(word), self.group)  # loaded, and perhaps left out
+        }
+        return {**ours, **dict(plug_ins(self.group)), **defined}
 
     def _section(self, word: object) -> type[Section] | None:
         if not isinstance(word, str):
@@ -199,8 +204,9 @@ def _from_scene_folder(file: str, info: ValidationInfo) -> str:
 SceneFile = Annotated[str, Field(min_length=1), AfterValidator(_from_scene_folder)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 Angle = Annotated[float, Field(ge=-180, le=180)]
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
+Positive = Annotated[float, Field(gt=0, le=1e6)]
+NonNegative = Annotated[float, Field(ge=0, le=1e6)]
+"""Times and lengths; longer than any scene, of 604800 s, and than any path."""
 Place = Annotated[float, Field(ge=-2e7, le=2e7)]
 """A coordinate in the world, in m; map coordinates are within half the earth's circumference."""
 MapPoint = Annotated[tuple[Place, Place, Place], Field(strict=False)]  # easting, northing and height, in m

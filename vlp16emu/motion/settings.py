@@ -17,6 +17,7 @@ if TYPE_CHECKING:  # scenes load without numpy
 
 _Error = Annotated[float, Field(ge=0, le=1000)]
 _Offset = Annotated[float, Field(ge=-10, le=10)]
+_Component = Annotated[float, Field(ge=-1e6, le=1e6)]  # of a direction, of any length
 
 
 class Mount(Section):
@@ -32,7 +33,7 @@ class Mount(Section):
     """Right side down is positive."""
     spin_hz: Annotated[float, Field(ge=-10, le=10)] = 0.0
     """Revolutions per second of the stage under it, as in handheld scanners; 0 for a fixed mount."""
-    spin_axis: Annotated[tuple[float, float, float], Field(strict=False)] = (0.0, 0.0, 1.0)
+    spin_axis: Annotated[tuple[_Component, _Component, _Component], Field(strict=False)] = (0.0, 0.0, 1.0)
     """Axis of the stage in the carrier's frame, through the device's origin."""
     error_deg: Annotated[float, Field(ge=0, le=10)] = 0.0
     """Rotation of the true mount from this nominal one, about each axis, one sigma."""

@@ -52,6 +52,8 @@ class Option:
 
     def check(self, where: str, kind: type, value: object, found: object = None) -> None:
         """Raise InputError for `where` if `value` is not valid."""
+        if "" in (value, found):
+            raise InputError(where, "found an empty text", self._expected(kind))
         limits = (
             (operator.ge, self.ge),
             (operator.gt, self.gt),
@@ -80,6 +82,8 @@ class Option:
             return self.expected
         if self.words:
             return f"{', '.join(self.words[:-1])} or {self.words[-1]}"
+        if kind not in (int, float):
+            return f"a value, {self.metavar}" if self.metavar else "a value"
         number = "a whole number" if kind is int else "a number"
         if self.ge is not None and self.le is not None:
             return f"{number} from {self.ge:.12g} to {self.le:.12g}"
@@ -438,8 +442,8 @@ class Outlets(Options):
     gps_out: Annotated[
         str | None,
         Option(
-            "Play the GPS receiver of the scene on a serial port, 9600 8N1: a device, or a URL of "
-            "pyserial such as socket://127.0.0.1:5000.",
+            "Play the GPS receiver of the scene on a serial port, 9600 8N1: a device, or "
+            "socket://HOST:PORT or rfc2217://HOST:PORT.",
             "PORT",
         ),
     ] = None

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Protocol, Self
 from pydantic import Field, model_validator
 
 from vlp16emu.doors import Part
-from vlp16emu.settings import ExpectationError, Fraction, LazySection, SceneFile, Section, Size
+from vlp16emu.settings import ExpectationError, Fraction, LazySection, MapPoint, SceneFile, Section, Size
 
 if TYPE_CHECKING:  # scenes load without numpy
     from vlp16emu.types import F8, MovingTrees, World
@@ -169,7 +169,7 @@ class HallThing(Finish):
 class HallBox(HallThing):
     """An upright box."""
 
-    centre_m: Annotated[tuple[float, float, float], Field(strict=False)]
+    centre_m: MapPoint
     """x, y and z of the centre."""
     size_m: Annotated[tuple[Size, Size, Size], Field(strict=False)]
     """Extent along x, y and z."""
@@ -178,7 +178,7 @@ class HallBox(HallThing):
 class HallPole(HallThing):
     """An upright round pole."""
 
-    foot_m: Annotated[tuple[float, float, float], Field(strict=False)]
+    foot_m: MapPoint
     """x, y and z of the centre of the lower end."""
     diameter_m: Size
     """Diameter."""
@@ -189,7 +189,7 @@ class HallPole(HallThing):
 class HallSphere(HallThing):
     """A ball."""
 
-    centre_m: Annotated[tuple[float, float, float], Field(strict=False)]
+    centre_m: MapPoint
     """x, y and z of the centre."""
     diameter_m: Size
     """Diameter."""

@@ -151,3 +151,15 @@ def test_a_browser_shows_the_stand_and_plays_the_sweeps(in_browser):
     places_of(page, leaf, 200)
     page.get_by_label("play").click()
     page.get_by_text(re.compile("points by natural, sweep at 0.[1-9] s")).wait_for()
+
+
+@pytest.mark.parametrize(
+    ("host", "is_taken"),
+    [("192.168.7.9:8016", True), ("[fe80::1]:8016", True), ("evil.example:8016", False), ("", False)],
+)
+def test_on_all_interfaces_a_request_must_name_an_address(host, is_taken):
+    """A page on 0.0.0.0 opens by any address of this machine; a foreign name, which may be made to resolve to
+    it, stays refused."""
+    headers = Headers({"Host": host})
+    assert is_ours(headers, LOOPBACK, takes_addresses=True) is is_taken
+    assert not is_ours(headers, LOOPBACK)

@@ -19,7 +19,7 @@ from urllib.parse import parse_qsl
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass as checked_dataclass
 
-from vlp16emu.errors import InputError, Vlp16emuError
+from vlp16emu.errors import InputError, OutputError, Vlp16emuError
 from vlp16emu.explain import explain
 from vlp16emu.inputs import read_text
 from vlp16emu.output import OutputFile
@@ -181,6 +181,7 @@ class Device:
         """
         with self._lock:
             if self._file is not None:
+                check_saved(self._file)
                 with OutputFile(self._file) as output, output.writing() as file:
                     file.write(_SETTINGS.dump_json(self.settings, indent=2) + b"\n")
             self.power_up = self.settings
@@ -189,6 +190,12 @@ class Device:
 def explained(error: ValidationError) -> tuple[str, str, str]:
     """Return the field of the settings, the value found and the expectation."""
     return explain(error, _SETTINGS.json_schema())
+
+
+def check_saved(path: Path) -> None:
+    """Raise OutputError if `path` is no regular file: a FIFO would make the stream wait for its reader."""
+    if path.exists() and not path.is_file():
+        raise OutputError(str(path), "is no regular file", "a file for saved settings, or a new name")
 
 
 def _read(path: Path, factory: DeviceSettings) -> DeviceSettings:

@@ -22,7 +22,7 @@ class Event(Section):
     """Kind of the event."""
     at_s: NonNegative
     """Begin, since the first pulse."""
-    unit: Annotated[int, Field(ge=1)] = 1
+    unit: Annotated[int, Field(ge=1, le=254)] = 1
     """Number of the sensor in the rig, from 1."""
 
     if TYPE_CHECKING:
@@ -99,8 +99,9 @@ KEYS: dict[str, tuple[Any, Any, str]] = {
     ),
     "characters": (_from(int, ge=1, le=60), 1, "Number of characters that are replaced."),
     "late_sentence.by_s": (_from(float, gt=0, le=60), 0.5, "Delay, beside `gps.sentence_delay_s`."),
+    "http_delay.by_s": (_from(float, gt=0, le=60), 5.0, "Time from a request to its answer."),
     "packets": (Literal["data", "position", "both"], "data", "Kinds of packets that it affects."),
-    "count": (_from(int, ge=1) | None, None, _COUNT),
+    "count": (_from(int, ge=1, le=1_000_000_000) | None, None, _COUNT),
     "share": (_from(float, gt=0, le=1), 1.0, "Probability for each packet."),
     "after_s": (_from(float, ge=0, le=10), 0.0, "Time from the first copy to the second."),
     "by": (_from(int, ge=1, le=100), 1, "Number of packets of its kind that overtake a packet."),

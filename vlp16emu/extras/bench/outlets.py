@@ -9,6 +9,7 @@ import os
 import queue
 import select
 import socket
+import stat
 import termios
 import threading
 import time
@@ -135,6 +136,8 @@ _PATIENCE_S = 0.25
 """Greatest time that a message waits for the line, and that writing takes: a quarter of a receiver's
 second."""
 _WAITING = 4096  # greatest number of waiting messages: more than samples of an inertial unit in that time
+_SCHEMES = ("socket", "rfc2217")
+"""Schemes of URLs that lead to a port elsewhere; others of pyserial are for its own tests, or open files."""
 _LINELESS = ("socket://",)  # ports that accept the setting of a line without an error, but have no line
 
 
@@ -170,6 +173,28 @@ def has_line(act: Callable[[], object]) -> bool:
     return True
 
 
+_PORT = "a serial port of this machine, socket://HOST:PORT or rfc2217://HOST:PORT"
+
+
+def _check_port(name: str, where: str) -> None:
+    """Raise OutputError for a name that is no character device, and no URL of a port elsewhere.
+
+    A FIFO without a reader would wait without end, and `spy://?file=PATH` of pyserial empties PATH.
+    """
+    scheme, mark, rest = name.partition("://")
+    if mark:
+        if scheme not in _SCHEMES or not rest:
+            raise OutputError(where, f"found '{name}'", _PORT)
+        return
+    try:
+        kind = os.stat(name).st_mode  # noqa: PTH116  # the name as pyserial opens it
+    except (OSError, ValueError) as error:
+        found = error.strerror if isinstance(error, OSError) else "no name of a device"
+        raise OutputError(f"{where} {name}".rstrip(), str(found), _PORT) from None
+    if not stat.S_ISCHR(kind):
+        raise OutputError(f"{where} {name}", "is no character device", _PORT)
+
+
 class SerialPort:
     """A port at 8N1 without flow control that is opened again, once a second, after its device has vanished.
 
@@ -177,7 +202,7 @@ class SerialPort:
 
     Parameters
     ----------
-    name : name of a device, or a URL of pyserial: socket://HOST:PORT, rfc2217://HOST:PORT, loop://
+    name : name of a device, or a URL: socket://HOST:PORT or rfc2217://HOST:PORT
     baud : bits per second
     where : option or key that names the port
     line : rts or dtr, low from the start; None leaves both as they are
@@ -188,6 +213,7 @@ class SerialPort:
     def __init__(self, name: str, baud: int, where: str, line: str | None = None) -> None:
         import serial  # here: few runs need it
 
+        _check_port(name, where)
         self.name = name
         self._baud = baud
         self.line = line
@@ -201,10 +227,9 @@ class SerialPort:
         except self._error as error:
             code = getattr(error, "errno", None)
             found = os.strerror(code) if code else str(error)
-            expected = "a serial port of this machine, or a URL such as socket://HOST:PORT"
-            raise OutputError(f"{where} {name}", found, expected) from None
+            raise OutputError(f"{where} {name}", found, _PORT) from None
         except ValueError as error:
-            raise OutputError(f"{where} {name}", str(error), "a device, or a URL of pyserial") from None
+            raise OutputError(f"{where} {name}", str(error), _PORT) from None
         is_there = line is not None and not name.startswith(_LINELESS)
         self.has_line = is_there and has_line(lambda: setattr(self._port, str(line), False))
 

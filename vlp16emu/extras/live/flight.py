@@ -94,6 +94,9 @@ class PoseReceiver:
 
 _POLL_S = 0.05  # how often a run that waits for the first pose checks if it shall end
 _START_NS = 20_000_000  # from the end of preparation to the first pulse: threads start in this time
+_MOST_WINDOWS = 4
+"""Windows that are opened in turn before the first pulse, as the body moves on; poses that jump to and fro would
+ask for others without end, and the run begins with steps left out instead."""
 _WARM_S = 0.02  # span that is computed before the run, so that kernels are loaded and compiled
 _ROWS_NS = S_NS  # how often knots are written
 
@@ -189,8 +192,11 @@ class Flight(PosePart):
             # With a receiver of its own: this one sees a body that does not move yet.
             receiver = make_receiver(self._engine.scenario, self._engine.parts, self._engine.windows)
             deque(replace(self._engine, receiver=receiver).packets(0.0, _WARM_S), 0)
-            while not (opening := self._windows.at_block(0)).done() and not stop.is_set():
-                self._windows.wait(opening)  # the body has moved meanwhile
+            for _ in range(_MOST_WINDOWS):
+                here = self._windows.at_block(0)
+                if here.done() or stop.is_set():
+                    break
+                self._windows.wait(here)  # the body has moved meanwhile
         self._start_clock()
 
     def _start_clock(self) -> None:

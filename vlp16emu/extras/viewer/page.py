@@ -15,6 +15,7 @@ from contextlib import contextmanager, redirect_stdout, suppress
 from html import escape
 from http import HTTPStatus
 from io import StringIO
+from ipaddress import ip_address
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -38,6 +39,7 @@ from vlp16emu.run.emulator import Emulator
 from vlp16emu.types import F8
 
 LOOPBACK = frozenset({"127.0.0.1", "localhost"})
+EVERYWHERE = "0.0.0.0"  # noqa: S104  # only where a user asks for it
 _MOST_KEPT = 50  # sweeps drawn together: 1.2 million points
 _LISTED = 6  # greatest number of faults listed for a sweep
 _PATH = (220, 60, 40)
@@ -54,6 +56,7 @@ def guarded_server(host: str, port: int) -> Iterator[viser.ViserServer]:
     host : address to listen on; requests may use only this name and loopback
     port : 0 for any that is free
     """
+    _check_host(host)
     try:  # viser would try the next thousand ports, and wait without end if there is no such address
         with socketserver.TCPServer((host, port), socketserver.BaseRequestHandler):
             pass
@@ -64,7 +67,7 @@ def guarded_server(host: str, port: int) -> Iterator[viser.ViserServer]:
         server = viser.ViserServer(host=host, port=port, label="vlp16emu", verbose=False)
     try:
         server.request_share_url = lambda verbose=True: None  # noqa: ARG005  # any client may ask for a public tunnel
-        _check_requests(server, LOOPBACK | {host})
+        _check_requests(server, LOOPBACK | {host}, takes_addresses=host == EVERYWHERE)
         server.gui.configure_theme(show_logo=False, show_share_button=False)
         yield server
     finally:
@@ -72,7 +75,15 @@ def guarded_server(host: str, port: int) -> Iterator[viser.ViserServer]:
             server.stop()
 
 
-def _check_requests(server: viser.ViserServer, names: frozenset[str]) -> None:
+def _check_host(host: str) -> None:
+    """Raise OutputError without an address: an empty one would listen on all interfaces."""
+    if not host.strip():
+        raise OutputError("--host", f"found '{host}'", f"an address of this machine, or {EVERYWHERE} for all")
+
+
+def _check_requests(
+    server: viser.ViserServer, names: frozenset[str], *, takes_addresses: bool = False
+) -> None:
     logging.getLogger("websockets.server").setLevel(
         logging.CRITICAL + 1
     )  # bad requests must not fill our log
@@ -86,7 +97,7 @@ def _check_requests(server: viser.ViserServer, names: frozenset[str]) -> None:
     assert answer is not None
 
     def check_origin(connection: ServerConnection, request: Request) -> Response | None:
-        if not is_ours(request.headers, names):
+        if not is_ours(request.headers, names, takes_addresses=takes_addresses):
             return Response(HTTPStatus.FORBIDDEN, "Forbidden", Headers({"Content-Length": "0"}))
         return answer(connection, request)  # type: ignore[return-value]  # viser's function is no coroutine
 
@@ -98,8 +109,11 @@ def _check_requests(server: viser.ViserServer, names: frozenset[str]) -> None:
     loop.call_soon_threadsafe(drop_unchecked)  # clients that connected before the check was installed
 
 
-def is_ours(headers: Headers, names: frozenset[str]) -> bool:
+def is_ours(headers: Headers, names: frozenset[str], *, takes_addresses: bool = False) -> bool:
     """Return True if a request is for one of our names and comes from our own page.
+
+    With `takes_addresses` any address may stand for a name: only a name can be made to resolve to this
+    machine.
 
     A page of another origin sends that origin in `Origin` (RFC 6454, section 7); a foreign name that resolves
     to this machine is in `Host`.
@@ -107,8 +121,16 @@ def is_ours(headers: Headers, names: frozenset[str]) -> bool:
     hosts = headers.get_all("Host")
     origins = headers.get_all("Origin")
     with suppress(ValueError):  # from a malformed address
-        if len(hosts) == 1 and urlsplit(f"//{hosts[0]}").hostname in names:
+        name = urlsplit(f"//{hosts[0]}").hostname if len(hosts) == 1 else None
+        if name in names or (takes_addresses and name is not None and _is_address(name)):
             return not origins or origins == [f"http://{hosts[0]}"]
+    return False
+
+
+def _is_address(name: str) -> bool:
+    with suppress(ValueError):
+        ip_address(name)
+        return True
     return False
 
 

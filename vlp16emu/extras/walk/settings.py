@@ -14,6 +14,7 @@ from vlp16emu.settings import (
     ExpectationError,
     Fraction,
     NonNegative,
+    Place,
     Preset,
     SceneFile,
     Section,
@@ -30,7 +31,7 @@ if TYPE_CHECKING:  # scenes are read without numpy
 
 _Amplitude = Annotated[float, Field(ge=0, le=1)]
 _Frequency = Annotated[float, Field(ge=0.5, le=1e9)]
-_Point = Annotated[tuple[float, float], Field(strict=False)]
+_Point = Annotated[tuple[Place, Place], Field(strict=False)]
 _Swing = Annotated[float, Field(ge=0, le=45)]
 
 
@@ -54,7 +55,7 @@ class LawnMower(Section):
 class Stop(Section):
     """A halt; needs exactly one of `way_point` and `at_m`."""
 
-    way_point: Annotated[int, Field(ge=1)] | None = None
+    way_point: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
     """Number of the waypoint; the first is 1."""
     at_m: NonNegative | None = None
     """Distance along the path."""
