@@ -1,5 +1,6 @@
 """Windows of a live run belong to cubes of the world, follow from the places of the body, and serve it."""
 
+import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +12,7 @@ from vlp16emu.engine import Batching
 from vlp16emu.extras.live import windows
 from vlp16emu.extras.live.flown import FLOWN_HEADER, FlownMotion, flown_rows
 from vlp16emu.extras.live.knots import STATE, STEP_NS, Knots
-from vlp16emu.extras.live.windows import Cube, CubeWindows
+from vlp16emu.extras.live.windows import Course, Cube, CubeWindows
 from vlp16emu.foliage.polyline import distance_m
 from vlp16emu.units import S_NS
 
@@ -42,7 +43,7 @@ def windows_of(monkeypatch):
 
     def of(motion, wind=None):
         parts = SimpleNamespace(world=None, units=[unit], wind=wind)
-        return CubeWindows(parts, START_NS, PARTS, 1, motion)
+        return CubeWindows(parts, START_NS, PARTS, 1, motion, builders=1)
 
     return of
 
@@ -67,20 +68,100 @@ def test_a_window_serves_the_body_for_the_whole_block(windows_of, speed_m_s):
     assert len(changes) > speed_m_s
 
 
-def test_the_next_window_is_asked_for_seconds_before_its_use(windows_of):
-    """The window of the cube that the body enters is opened at once, and used 4 s later, or at 3 m/s 2 s."""
-    for speed_m_s, least_s in ((1.0, 3.9), (3.0, 1.9)):
-        of = windows_of(Knots(START_NS, states_at((speed_m_s, 0.0, 0.0), 40.0)))
-        asked = []
-        of._future_of = asked.append
-        entered = used = None
-        for block in range(300):
-            of.open_ahead(block * PARTS.parts, 10**6)
-            if entered is None and asked[-1][0].x == 1:
-                entered = block
-            if used is None and of.name_of(block * PARTS.parts)[0].x == 1:
-                used = block
-        assert (used - entered) * BLOCK_NS / S_NS == pytest.approx(least_s + 0.1, abs=0.4)
+@pytest.fixture
+def asked(monkeypatch):
+    """Names of the windows that are asked for, in order; each is open at once, but not those in `slow`."""
+    names = SimpleNamespace(all=[], slow=set())
+
+    def future_of(name):
+        names.all.append(name)
+        return SimpleNamespace(done=lambda: name not in names.slow)
+
+    names.watch = lambda of: monkeypatch.setattr(of, "_future_of", future_of)
+    return names
+
+
+def circle(speed_m_s, radius_m, duration_s):
+    """Knots (n, 13) of a level body on a circle around the origin, counter-clockwise."""
+    states = states_at((0.0, 0.0, 0.0), duration_s)
+    angle = np.arange(len(states)) * STEP_NS / S_NS * speed_m_s / radius_m
+    states[:, 0] = radius_m * np.cos(angle)
+    states[:, 1] = radius_m * np.sin(angle)
+    states[:, 7] = -speed_m_s * np.sin(angle)
+    states[:, 8] = speed_m_s * np.cos(angle)
+    return states
+
+
+FLIGHTS = {
+    "1 m/s": states_at((1.0, 0.0, 0.0), 60.0),
+    "3 m/s": states_at((-2.4, 1.8, 0.0), 60.0),
+    "8 m/s": states_at((6.4, 4.8, 0.2), 60.0),
+    "a circle": circle(3.0, 12.0, 60.0),
+}
+
+
+@pytest.mark.parametrize(
+    ("flight", "least_s"), [("1 m/s", 5.4), ("3 m/s", 5.4), ("a circle", 5.4), ("8 m/s", 3.4)]
+)
+def test_a_window_is_asked_for_seconds_before_its_use(windows_of, asked, flight, least_s):
+    """Windows are asked for 6 s before their use, and later if more of them lie ahead than are kept."""
+    of = windows_of(Knots(START_NS, FLIGHTS[flight]))
+    asked.watch(of)
+    first_s = {}
+    used_s = {}
+    for block in range(450):
+        at_s = block * BLOCK_NS / S_NS
+        used_s.setdefault(of.name_of(block * PARTS.parts), at_s)
+        of.open_ahead(block * PARTS.parts, 10**6)
+        for name in asked.all:
+            first_s.setdefault(name, at_s)
+    later = [name for name, at_s in used_s.items() if at_s > 8.0]
+    assert len(later) >= 2
+    assert min(used_s[name] - first_s[name] for name in later) > least_s
+
+
+@pytest.mark.parametrize("wind", [None, object()], ids=["calm", "wind"])
+@pytest.mark.parametrize("states", FLIGHTS.values(), ids=FLIGHTS)
+def test_a_body_that_flies_on_needs_the_windows_that_are_expected(windows_of, states, wind):
+    """On a straight line and on a circle, the expected windows are those of the blocks to come, in order."""
+    of = windows_of(Knots(START_NS, states), wind=wind)
+    for block in range(60, 300, 7):
+        to_come = [of.name_of((block + further) * PARTS.parts) for further in range(58)]
+        assert set(of.expected(block * PARTS.parts, 10**6)) <= set(to_come)
+        assert of.expected(block * PARTS.parts, 10**6)[0] == to_come[0]
+
+
+def test_a_turning_course_is_an_arc_of_its_circle():
+    """Displacements of a course at 3 m/s and a quarter turn per second are those of the circle."""
+    turn_rad_s = math.pi / 2
+    course = Course(np.zeros(3), np.array([3.0, 0.0, 0.5]), turn_rad_s)
+    radius_m = 3.0 / turn_rad_s
+    quarters = np.array([0, 1, 2, 4]) * S_NS
+    expected_m = [[0, 0, 0], [radius_m, radius_m, 0.5], [0, 2 * radius_m, 1.0], [0, 0, 2.0]]
+    assert course.onwards_m(quarters) == pytest.approx(np.array(expected_m), abs=1e-12)
+    straight = Course(np.zeros(3), np.array([3.0, 0.0, 0.5]), 0.0)
+    assert straight.onwards_m(quarters)[3] == pytest.approx([12.0, 0.0, 2.0])
+
+
+def test_one_window_is_opened_ahead_at_a_time(windows_of, asked):
+    """While a window is being opened no further one is asked for, so the one in need waits for one at most."""
+    of = windows_of(Knots(START_NS, FLIGHTS["8 m/s"]))
+    expected = of.expected(200 * PARTS.parts, 10**6)
+    asked.slow.add(expected[1])
+    asked.watch(of)
+    of.open_ahead(200 * PARTS.parts, 10**6)
+    assert len(expected) > 3
+    assert asked.all == expected[:2]
+
+
+def test_no_window_is_opened_for_after_the_end(windows_of):
+    """Three seconds before the end of a run only the windows of these seconds are expected."""
+    of = windows_of(Knots(START_NS, FLIGHTS["8 m/s"]))
+    end = 228 * PARTS.parts
+    last = of.expected(200 * PARTS.parts, end)
+    assert last == of.expected(200 * PARTS.parts, 10**6)[: len(last)]
+    assert set(last) <= {of.name_of(block) for block in range(200 * PARTS.parts, end, PARTS.parts)}
+    assert of.expected(end - 1, end) == [of.name_of(end - 1)]
 
 
 def test_a_body_that_jumps_has_the_window_of_its_place(windows_of):
@@ -167,3 +248,18 @@ def test_a_body_may_leave_the_region_of_its_path(tmp_path):
     near_m = flight_ranges_m(tmp_path, place_m, live % "[[400,-200],[300,-300]]")
     assert off_m.tobytes() == near_m.tobytes()
     assert (off_m > 0.0).mean() > 0.3
+
+
+@pytest.mark.usefixtures("kept_woods")
+def test_windows_opened_before_change_no_byte(tmp_path):
+    """Ranges in a window are the same to the last bit if other windows, or it, were opened long before."""
+    begin_m = (-3.0, 5.0, 2.0)
+    flown = table(tmp_path / "flown.csv", states_at((0.0, 0.0, 0.0), 0.5, begin_m=begin_m))
+    settings = ["beam.model=none", "noise.preset=ideal", "world.near_m=6", "sensor.max_range_m=20"]
+    ranges = []
+    for before in ((), ((0, 0, 0), (-1, -1, 0)), ((-1, 0, 0), (-2, 0, 0), (0, 0, 0))):
+        emulator = Emulator("birch_walk", [*settings, f'motion={{kind="live",flown="{flown}"}}'])
+        for cube in before:
+            emulator.engine.windows._future_of((Cube(*cube), 0)).result()
+        ranges.append(next(emulator.returns(0.0, 0.005)).distance_m.tobytes())
+    assert len(set(ranges)) == 1

@@ -56,4 +56,4 @@ class FlownMotion(Knots):
 
     def windows(self, parts: Parts, start_ns: int, batching: Batching, threads: int) -> Windows[Geometry]:
         """Return the windows of the run that was flown; parameters as in `engine.windows.windows_of`."""
-        return CubeWindows(parts, start_ns, batching, threads, self)
+        return CubeWindows(parts, start_ns, batching, threads, self, builders=threads)

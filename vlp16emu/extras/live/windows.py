@@ -2,14 +2,16 @@
 
 The bytes of a pulse depend on the window that it is cast in, through rounding. So windows belong to cubes of
 the world, and the window of a block follows from the places of the body before the block alone: a recorded
-flight has the windows of the flight.
+flight has the windows of the flight. Which windows are opened ahead follows from where the body would be if
+it flew on as it does; a wrong guess costs time, but changes no byte.
 """
 
 import math
 import os
 import sys
 from collections.abc import Hashable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import repeat
 from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
@@ -19,7 +21,7 @@ from vlp16emu.engine import Parts
 from vlp16emu.engine.windows import Batching, Windows, window_around
 from vlp16emu.motion.pose import Motion
 from vlp16emu.raycast.caster import Geometry, caster
-from vlp16emu.types import F8
+from vlp16emu.types import F8, I8
 from vlp16emu.units import S_NS
 
 if TYPE_CHECKING:
@@ -31,8 +33,14 @@ _APART_M = 2.0
 """Distance between the lines that a window is opened along: each place is within the 1 m that the medium
 allows for."""
 _BEFORE_NS = 4 * S_NS
-"""Time for which the body has been in the next cube before its window is used, so that it is open by then:
-less for bodies that leave the margin earlier, 2 s at 3 m/s."""
+"""Time for which the body has been in the next cube before its window is used: less for bodies that leave the
+margin earlier, 2 s at 3 m/s."""
+_AHEAD_NS = 6 * S_NS
+"""Time ahead of its use at which a window is opened. A new cube takes 1.2 s of one core, 4.3 s at the priority
+of its threads beside other programs; at 3 m/s the body flies a whole cube in 6 s, and guesses for longer are
+often wrong."""
+_TURN_NS = S_NS // 4  # time over which the rate of turn is measured
+_LOOK = 5  # ordinary blocks, 0.5 s, between those ahead whose windows are looked up
 _KNOWN_NS = 200_000_000
 """Time before a block at which the place of the body is known when the block is submitted."""
 _SPARE_M = 1.0
@@ -42,7 +50,7 @@ _LATE_BLOCKS = 6
 """Steps of delay, 32 ms, from which all late steps are left out: receivers need recent packets."""
 _NICE = 10
 """Niceness of threads that open windows of a live run above the casting threads, which then get nine tenths
-of a core."""
+of a core. With 3, every other step is late while a window is opened."""
 
 
 class Cube(NamedTuple):
@@ -76,13 +84,49 @@ class Cube(NamedTuple):
         return low_m + np.column_stack([x_m, y_m, z_m])
 
 
+class Course(NamedTuple):
+    """Course of a body that flies on as it does: at constant speed, and at a constant rate of turn."""
+
+    place_m: F8  # (3,)
+    velocity_m_s: F8  # (3,)
+    turn_rad_s: float  # counter-clockwise as seen from above
+
+    @classmethod
+    def of(cls, motion: Motion, t_ns: int) -> Self:
+        """Return the course of a motion at a UTC instant, from its places until then."""
+        flown = motion.kinematics_at(np.array([t_ns - _TURN_NS, t_ns]))
+        (x_before, y_before, _), (x, y, _) = flown.world_v_body_m_s
+        turned_rad = math.atan2(x_before * y - y_before * x, x_before * x + y_before * y)
+        return cls(flown.world_p_body_m[1], flown.world_v_body_m_s[1], turned_rad / _TURN_NS * S_NS)
+
+    @property
+    def speed_m_s(self) -> float:
+        """Speed of the body."""
+        return float(norm(self.velocity_m_s))
+
+    def onwards_m(self, after_ns: I8) -> F8:
+        """Return displacements (n, 3) after times (n,)."""
+        after_s = after_ns[:, None] / S_NS
+        x, y, z = self.velocity_m_s
+        half_turn = self.turn_rad_s * after_s / (2.0 * math.pi)
+        ahead_s = after_s * np.sinc(2.0 * half_turn)  # sine of the turn over its rate
+        aside_s = math.pi * half_turn * after_s * np.sinc(half_turn) ** 2  # 1 - cosine, over the rate
+        return ahead_s * [x, y, 0.0] + aside_s * [-y, x, 0.0] + after_s * [0.0, 0.0, z]
+
+
 class CubeWindows(Windows[Geometry]):
-    """The world in windows of cubes; parameters as in `windows_of`, and the motion of the body."""
+    """The world in windows of cubes; parameters as in `windows_of`, and the motion of the body.
 
-    kept = 4
+    `builders` is the number of threads that build a window.
+    """
 
-    def __init__(self, parts: Parts, start_ns: int, batching: Batching, threads: int, motion: Motion) -> None:
-        built = caster(parts.world, ThreadPoolExecutor(threads, "build", self.prepare_thread))
+    kept = 6
+    ahead = 4  # windows of them that are opened ahead; others serve the present and the sky of a moment ago
+
+    def __init__(
+        self, parts: Parts, start_ns: int, batching: Batching, threads: int, motion: Motion, *, builders: int
+    ) -> None:
+        built = caster(parts.world, ThreadPoolExecutor(builders, "build", self.prepare_thread))
         arm_m = max(float(norm(np.array(unit.mount.lever_arm_m))) for unit in parts.units)
 
         def open_window(name: tuple[Cube, int]) -> Geometry:
@@ -94,7 +138,8 @@ class CubeWindows(Windows[Geometry]):
         self._start_ns = start_ns
         self._motion = motion
         self._segment = batching.segment if parts.wind is not None else None  # time counts if trees sway
-        self._ahead = _BEFORE_NS // batching.block_ns
+        self._looked_ns = 0
+        self._guess: Future[Geometry] | None = None  # window that was last opened ahead
 
     def name_of(self, block: int) -> Hashable:
         """Return the name of the window of a block: its cube, and its segment of time if trees sway.
@@ -104,22 +149,54 @@ class CubeWindows(Windows[Geometry]):
         begin_ns = self._begin_ns(block)
         known = self._motion.kinematics_at(np.array([begin_ns - _BEFORE_NS, begin_ns - _KNOWN_NS]))
         before_m, place_m = known.world_p_body_m
-        cube = Cube.containing(before_m)
-        if not cube.serves(place_m, float(norm(known.world_v_body_m_s[1]))):
-            cube = Cube.containing(place_m)
-        return self._window_name(cube, block)
+        return self._window_name(block, before_m, place_m, float(norm(known.world_v_body_m_s[1])))
 
-    def open_ahead(self, block: int, stop: int) -> None:  # noqa: ARG002  # the body goes on
-        """Begin to open the window of the cube that the body has entered."""
-        known_ns = self._begin_ns(block) - _KNOWN_NS
-        place_m = self._motion.poses_at(np.array([known_ns])).world_p_body_m[0]
-        self._future_of(self._window_name(Cube.containing(place_m), block + self._ahead))
+    def open_ahead(self, block: int, stop: int) -> None:
+        """Begin to open the next window that the body needs if it flies on as it does.
+
+        Only one is begun before it is needed, so that the body never waits for more than one wrong guess.
+        """
+        begin_ns = self._begin_ns(block)
+        if begin_ns == self._looked_ns:  # names change at ordinary blocks only
+            return
+        self._looked_ns = begin_ns
+        if self._guess is not None and not self._guess.done():
+            return
+        for name in self.expected(block, stop)[: self.ahead]:
+            self._guess = self._future_of(name)
+            if not self._guess.done():
+                return
+
+    def expected(self, block: int, stop: int) -> list[Hashable]:
+        """Return the names of the windows that the body needs next if it flies on as it does, nearest first.
+
+        Parameters
+        ----------
+        block : block whose poses are known
+        stop : number of the block after the last of the run
+        """
+        begin_ns = self._begin_ns(block)
+        known_ns = begin_ns - _KNOWN_NS
+        first = block // self._parts * self._parts
+        blocks = np.arange(first, min(first + _AHEAD_NS // self._block_ns + 1, stop), _LOOK * self._parts)
+        places_ns = known_ns + (blocks - first) * self._block_ns
+        befores_ns = places_ns + _KNOWN_NS - _BEFORE_NS
+        flown = self._motion.kinematics_at(np.minimum(befores_ns, known_ns))
+        course = Course.of(self._motion, known_ns)
+        befores_m = flown.world_p_body_m + course.onwards_m(np.maximum(befores_ns - known_ns, 0))
+        places_m = course.place_m + course.onwards_m(places_ns - known_ns)
+        names = map(self._window_name, blocks.tolist(), befores_m, places_m, repeat(course.speed_m_s))
+        return list(dict.fromkeys(names))
 
     def _begin_ns(self, block: int) -> int:
         """UTC at which the ordinary block begins that a block is part of."""
         return self._start_ns + block // self._parts * self._parts * self._block_ns
 
-    def _window_name(self, cube: Cube, block: int) -> tuple[Cube, int]:
+    def _window_name(self, block: int, before_m: F8, place_m: F8, speed_m_s: float) -> tuple[Cube, int]:
+        """Name the window of a block for a body that is at `place_m` and was at `before_m`, both (3,)."""
+        cube = Cube.containing(before_m)
+        if not cube.serves(place_m, speed_m_s):
+            cube = Cube.containing(place_m)
         return cube, block // self._segment if self._segment else 0
 
 
@@ -129,7 +206,8 @@ class LiveWindows(CubeWindows):
     def __init__(
         self, parts: Parts, start_ns: int, batching: Batching, threads: int, motion: "LiveMotion"
     ) -> None:
-        super().__init__(parts, start_ns, batching, threads, motion)
+        # With more builders than one, casting threads wait for the interpreter.
+        super().__init__(parts, start_ns, batching, threads, motion, builders=1)
         self._live = motion
         self.left_out = 0  # blocks that were not cast because their time was over
 
