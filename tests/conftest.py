@@ -9,6 +9,7 @@ from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
 
 import pytest
+from kit import DEFAULT_UNIT
 
 os.environ["VLP16EMU_CACHE_DIR"] = "off"
 os.environ.pop("VLP16EMU_CACHE_MB", None)
@@ -99,12 +100,7 @@ def kept_woods():
     user_store.cache_clear()
 
 
-DEFAULT_UNIT = Path(__file__).parent / "default_unit.toml"
-
-
-@pytest.fixture(
-    scope="session", params=["static_bench", str(DEFAULT_UNIT)], ids=["ideal unit", "default unit"]
-)
+@pytest.fixture(scope="session", params=["static_bench", DEFAULT_UNIT], ids=["ideal unit", "default unit"])
 def each_unit(request):
     """Scene of a hall with a sensor without errors, GPS and beam width, then with the unit of scenes by
     default."""
@@ -115,7 +111,7 @@ def each_unit(request):
 def default_unit():
     """Scene of a hall with the unit that scenes have by default: rotor and noise of a real one, GPS, beams
     with a width."""
-    return str(DEFAULT_UNIT)
+    return DEFAULT_UNIT
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ import pytest
 from vlp16emu.captures import Capture
 from vlp16emu.packets import DATA_BYTES
 
+DEFAULT_UNIT = str(Path(__file__).parent / "default_unit.toml")
 CAPTURES = Path(__file__).resolve().parents[2] / "shared" / "captures"
 
 

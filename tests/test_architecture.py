@@ -472,3 +472,16 @@ def test_words_are_the_fields_own():
         if words.search(line)
     ]
     assert found == []
+
+
+def test_validators_of_sections_raise_expectations():
+    """A validator raises `ExpectationError`, so that its text is known to end the line after "expected"."""
+    found = [
+        f"{name}: {function.name}"
+        for name, tree in trees().items()
+        for function in functions(tree)
+        if any("_validator" in ast.unparse(decorator) for decorator in function.decorator_list)
+        for node in ast.walk(function)
+        if isinstance(node, ast.Raise) and node.exc and "ExpectationError(" not in ast.unparse(node.exc)
+    ]
+    assert found == []

@@ -22,10 +22,8 @@ from vlp16emu.types import PacketKind
 HALL = {"gps.connected": True, "duration_s": 3600.0}  # longer than any of these tests on the busiest machine
 
 
-def streaming(events=(), **options):
-    return vlp16emu.stream(
-        "static_bench", HALL | {"events": list(events)}, look_ahead=256, truth=False, **options
-    )
+def streaming(events=(), scene="static_bench", **options):
+    return vlp16emu.stream(scene, HALL | {"events": list(events)}, look_ahead=256, truth=False, **options)
 
 
 def get(http, path):
@@ -61,12 +59,12 @@ def azimuths(payload):
     return np.frombuffer(payload, DATA_PAYLOAD)["blocks"]["azimuth_cdeg"][0].astype(int)
 
 
-def test_a_return_mode_is_followed_without_a_gap(tmp_path):
+def test_a_return_mode_is_followed_without_a_gap(each_unit, tmp_path):
     """Packets are of the new mode from an instant on; stamps go on, and the run repeats byte for byte from
     its truth."""
     data, stop, steps = Listener(), Event(), []
     ports = {"sensor.data_port": data.port, "sensor.position_port": 9}
-    emulator = Emulator("static_bench", HALL | ports, threads=1)
+    emulator = Emulator(each_unit, HALL | ports, threads=1)
     stream = SceneStream(emulator, StreamOptions(http=Http("127.0.0.1:0"), truth=tmp_path / "t"), stop=stop)
 
     class Steering(StreamPart):
@@ -121,14 +119,14 @@ def test_another_receiver_gets_the_packets():
     assert [len(listener.end()[0]) for listener in (data, position)] == [1206, 512]
 
 
-def test_events_of_the_scene_show_in_the_web_interface():
+def test_events_of_the_scene_show_in_the_web_interface(each_unit):
     """What an event has set is among the settings, and an error of the web interface is the answer while
     it lasts."""
     events = [
         {"kind": "setting", "at_s": 0.5, "return_mode": "dual", "phase_lock_deg": 90.0},
         {"kind": "http_error", "at_s": 1.5, "status": 503},
     ]
-    with streaming(events) as live:
+    with streaming(events, each_unit) as live:
         first_us = stamp_us(until(live, lambda payload: payload[1204] == 0x39))
         settings = get(live.http, "settings")
         assert settings["returns"] == "Dual"
@@ -147,11 +145,11 @@ def test_a_stream_to_this_machine_is_sent_to_no_other():
         live.packets(400)
 
 
-def test_a_reset_loses_what_was_not_saved(tmp_path):
+def test_a_reset_loses_what_was_not_saved(default_unit, tmp_path):
     """After a reset all is silent, the web too; then the saved settings hold, the clock begins anew, and
     they hold in the next run."""
     http = Http("127.0.0.1:0", tmp_path / "saved.json")
-    with streaming(http=http) as live:
+    with streaming(scene=default_unit, http=http) as live:
         post(live.http, "setting", "returns=Last")
         post(live.http, "save", "data=submit")
         post(live.http, "setting", "returns=Dual")

@@ -105,6 +105,31 @@ def test_a_time_offset_takes_later_poses(walk):
     assert 0.1 < report["without_pose"] / (report["without_pose"] + report["points"]) < 0.2
 
 
+@pytest.mark.parametrize(
+    ("epoch_s", "clock"),
+    [(-315_964_782, "GPS time"), (18, "GPS time since 1970"), (None, "both begin together")],
+)
+def test_the_clock_of_a_trajectory_is_found(walk, true, tmp_path, epoch_s, clock):
+    """With stamps in GPS time, 18 s ahead of UTC since 2017 (IERS Bulletin C), or from zero, `auto` finds the
+    offset, and no point moves; as a number the same offset gives the same points."""
+    folder, _, _ = walk
+    rows = np.loadtxt(folder / "truth" / "trajectory.tum")
+    added_s = -rows[0, 0] if epoch_s is None else epoch_s
+    rows[:, 0] += added_s
+    np.savetxt(tmp_path / "moved.tum", rows, fmt="%.9f")
+    capture = folder / "walk.pcap"
+    found, report = deskewed(capture, tmp_path / "moved.tum", tmp_path / "a.npz", time_offset_s=None)
+    assert report["clock_of_poses"] == clock
+    # From zero, the trajectory begins with the run, and the first packet less than a millisecond later.
+    assert report["time_offset_s"] == pytest.approx(added_s, abs=2e-3)
+    known, _ = true
+    assert np.abs(found["world_m"] - known["world_m"][: len(found["t_ns"])]).max() < 5e-3
+    given, _ = deskewed(
+        capture, tmp_path / "moved.tum", tmp_path / "b.npz", time_offset_s=report["time_offset_s"]
+    )
+    np.testing.assert_allclose(given["world_m"], found["world_m"], atol=1e-5)
+
+
 def test_a_wrong_mount_moves_points_in_the_sensor(walk, true):
     """A boresight error of 2 degrees of yaw and a lever arm of 0.1 m move points in the frame of the body."""
     folder, emulator, _ = walk
@@ -166,7 +191,7 @@ def test_each_unit_of_a_rig_has_its_own_trajectory(tmp_path):
     with pytest.raises(InputError, match="--unit: found 3; expected at most 2"):
         Trajectory(tmp_path / "truth", 3)
     (tmp_path / "rig.json").write_text('{"units": 3}')
-    with pytest.raises(InputError, match="no description of a rig"):
+    with pytest.raises(InputError, match="world, antenna: missing"):
         Trajectory(tmp_path, 1)
 
 

@@ -184,7 +184,7 @@ def test_two_runs_of_an_emulator_end_each_by_its_own_stop(tmp_path):
 def test_a_wrong_option_is_an_input_error(verb, name, tmp_path):
     """An option that does not exist is named with those that do, whatever else has that name inside."""
     run = getattr(Emulator("static_bench"), verb)
-    with pytest.raises(InputError, match=f"{name}: found no such option; expected one of .*duration_s"):
+    with pytest.raises(InputError, match=f"{name}: unknown option; expected one of .*duration_s"):
         run(*[tmp_path / "x.pcap"][: verb == "record"], **{name: 2})
 
 

@@ -103,7 +103,7 @@ def test_the_mast_leans_with_each_step(field):
     have derivatives of their own."""
     carrier, start_ns = field.parts.carrier, field.scenario.start_ns
     t_ns = start_ns + np.arange(4_000_000_000, 9_000_000_000, 5_000_000)
-    pack, top = carrier.poses_at(t_ns), carrier.bent(field.scenario.motion.mast).poses_at(t_ns)
+    pack, top = carrier.poses_at(t_ns), carrier.mast_top(field.scenario.motion.mast).poses_at(t_ns)
     lean = Rotation.from_matrix(pack.world_R_body).inv() * Rotation.from_matrix(top.world_R_body)
     lean_deg = np.degrees(lean.as_rotvec())
     assert 0.05 < np.abs(lean_deg).max() < 0.5
@@ -112,9 +112,9 @@ def test_the_mast_leans_with_each_step(field):
         1.85, abs=0.3
     )  # steps per second
     axes = ("fore_aft", "sideways", "vertical", "roll", "pitch", "yaw")
-    stiff = carrier.bent(Harness(**{f"{axis}_hz": 1e6 for axis in axes}))
+    stiff = carrier.mast_top(Harness(**{f"{axis}_hz": 1e6 for axis in axes}))
     np.testing.assert_allclose(stiff.poses_at(t_ns).world_p_body_m, pack.world_p_body_m, atol=1e-8)
-    moving, step_ns = carrier.bent(field.scenario.motion.mast), 1_000_000
+    moving, step_ns = carrier.mast_top(field.scenario.motion.mast), 1_000_000
     before, after = (moving.poses_at(t_ns[:50] + d).world_p_body_m for d in (-step_ns, step_ns))
     np.testing.assert_allclose(
         moving.kinematics_at(t_ns[:50]).world_v_body_m_s, (after - before) / 2e-3, atol=2e-3

@@ -9,38 +9,54 @@ import pytest
 from kit import set_words
 from woods import LINES
 
-import vlp16emu.engine.engine as page
 from vlp16emu import Emulator
+from vlp16emu.engine.engine import Engine
 from vlp16emu.engine.windows import window_of
-from vlp16emu.extras.walk import gait, motion, pack
-from vlp16emu.foliage.far import FarCaster
 from vlp16emu.forest.plants.stem import StemKey
-from vlp16emu.raycast import near as fast
-from vlp16emu.returns import detect as detection
 from vlp16emu.scenario import Scenario, load, schema
-from vlp16emu.world.hall import HallWorld
 
 SPAN_S = 0.05  # less than one block
 
 
-class TouchedError(AssertionError):
-    """Something was done that should have been left out."""
+KERNELS = """
+import json, logging, sys
+import numpy as np
+from vlp16emu import Emulator
+from vlp16emu.scenario import load
+
+class Used(logging.Handler):
+    def emit(self, record):
+        used.update(record.args)
+
+logger = logging.getLogger("vlp16emu.kernels.cache")
+logger.setLevel(logging.DEBUG)
+logger.addHandler(Used())
+for scene, settings, work, watched in json.loads(sys.argv[1]):
+    used = set()
+    emulator = Emulator(load(scene, settings), threads=1)
+    if work == "poses":
+        t_ns = emulator.scenario.start_ns + 2 * 10**9 + np.arange(10)
+        emulator.parts.motion.poses_at(t_ns)
+    else:
+        next(emulator.engine.returns(0.0, 0.05, truth=work == "truth"))
+    print(json.dumps(sorted(used.intersection(watched))))
+"""
+"""A program that computes poses or returns of scenes one after the other, and says after each which of some
+kernels it has called for the first time."""
 
 
-def touched(*_arguments, **_options):
-    """Stand for a function that must not be called."""
-    raise TouchedError
+def kernels_called(steps, kernels):
+    """Which of some kernels are called for the first time in each step (scene, settings, work) of one
+    process."""
+    rows = json.dumps([[*step, kernels] for step in steps])
+    done = subprocess.run([sys.executable, "-c", KERNELS, rows], capture_output=True, text=True, check=True)
+    return [json.loads(line) for line in done.stdout.splitlines()]
 
 
-def forbid(monkeypatch, *places):
-    """Let (owner, name) pairs raise when they are called."""
-    for owner, name in places:
-        monkeypatch.setattr(owner, name, touched)
-
-
-def first(*settings, scene="static_bench", truth=False):
-    """Returns of the first blocks of a scene that are cast together."""
-    return next(Emulator(load(scene, settings), threads=1).engine.returns(0.0, SPAN_S, truth=truth))
+def first(*settings, taps=(), truth=False):
+    """Returns of the first blocks of a hall that are cast together."""
+    engine = Engine.of(load("static_bench", settings), threads=1, taps=taps)
+    return next(engine.returns(0.0, SPAN_S, truth=truth))
 
 
 def birch(*settings):
@@ -48,18 +64,29 @@ def birch(*settings):
     return load("birch_walk", [*LINES, *settings])
 
 
-def test_a_beam_without_width_has_no_footprint(monkeypatch):
-    """Without width no axis across the beam is made and no sub-ray laid or cast; with it both are."""
-    axes = []
-    monkeypatch.setattr(page, "add_texture", lambda firings, *_: axes.append(firings.beam_axis))
-    first()
-    first("beam.model=adaptive")
-    assert axes[0] is None
-    assert axes[-1].shape[1:] == (16, 3)
-    forbid(monkeypatch, (fast.EmbreeGeometry, "pulses"), (fast, "beam_axis_of"))
-    first()
-    with pytest.raises(TouchedError):
-        first("beam.model=adaptive")
+def test_a_beam_without_width_has_no_footprint():
+    """Without width a pulse has no axis across the beam and one ray; with it, an axis and sub-rays."""
+    seen = []
+
+    def tap(_job, firings, hits, _geometry):
+        seen.append((firings.beam_axis, int(hits.count.max())))
+
+    first(taps=[tap])
+    first("beam.model=adaptive", taps=[tap])
+    (no_axis, one_ray), *_, (axis, rays) = seen
+    assert no_axis is None
+    assert one_ray == 1
+    assert axis.shape[1:] == (16, 3)
+    assert rays > 1
+
+
+def test_an_ideal_sensor_calls_no_kernel_of_others():
+    """Sub-rays are cast only for a beam with a width, and surfaces are looked up only for ground truth."""
+    hall = "static_bench"
+    width = "beam.model=adaptive"
+    cast, look = "raycast.kernel.cast_pulses", "returns.echoes.find_source_surfaces"
+    steps = [(hall, [], "returns"), (hall, [width], "returns"), (hall, [width], "truth")]
+    assert kernels_called(steps, [cast, look]) == [[], [cast], [look]]
 
 
 def depends_on_seed(*settings):
@@ -83,62 +110,49 @@ def test_without_noise_nothing_is_drawn():
         assert depends_on_seed(setting), setting
 
 
-def test_without_truth_nobody_looks_for_surfaces(monkeypatch):
-    """Without truth there is neither an array of surfaces nor the work of filling it."""
-    forbid(monkeypatch, (detection, "find_source_surfaces"))
-    returns = first()
-    assert returns.surface is None
-    assert returns.surfaces is None
-    with pytest.raises(TouchedError):
-        first(truth=True)
+def test_without_truth_returns_have_no_surfaces():
+    """Without truth returns have neither surfaces nor a table of them; with truth they have both."""
+    for truth in (False, True):
+        returns = first(truth=truth)
+        assert (returns.surface is not None) == truth
+        assert (returns.surfaces is not None) == truth
 
 
-def test_a_static_sensor_has_one_pose_and_one_window(monkeypatch):
+def test_a_static_sensor_has_one_pose_and_one_window(caplog):
     """A sensor that stands has one pose, made once, and one window however long the run; a walk has more."""
-    opened, window = [], HallWorld.window
-    monkeypatch.setattr(
-        HallWorld, "window", lambda self, track_m: opened.append(len(track_m)) or window(self, track_m)
-    )
+    caplog.set_level("DEBUG", "vlp16emu.engine.windows")
     emulator = Emulator(load("static_bench"), threads=1)
     motion, t_ns = emulator.parts.motion, np.arange(1000, dtype=np.int64)
     assert motion.poses_at(t_ns) is motion.poses_at(t_ns + 10**12)
     assert len(motion.poses_at(t_ns).t_ns) == 1
     for start_s in (0.0, 7.0, 3000.0):
         next(emulator.returns(start_s, start_s + SPAN_S))
-    assert opened == [1]
+    assert caplog.messages == ["opens a window around 1 positions"]
     assert len(Emulator(birch(), threads=1).parts.motion.poses_at(t_ns).t_ns) == 1000
 
 
 BARE, STRAPS = "motion.gait={ preset = 'none' }", "motion.harness={}"
 
 
-@pytest.mark.parametrize(
-    ("places", "without", "beside"),
-    [
-        ([(gait.Trunk, "at"), (pack.Pack, "nodes"), (motion, "_add_pack")], [BARE, STRAPS], []),
-        ([(pack, "_swing")], [], [STRAPS]),
-    ],
-)
-def test_a_walk_computes_no_sway_that_it_has_not(monkeypatch, places, without, beside):
-    """Without gait neither trunk nor pack is asked, with straps too, and straps are solved only where
+def test_a_walk_computes_no_sway_that_it_has_not():
+    """Without gait neither trunk nor pack is computed, with straps too, and straps are solved only where
     there are some."""
-    forbid(monkeypatch, *places)
-    t_ns = birch().start_ns + 2 * 10**9 + np.arange(10, dtype=np.int64)
-    Emulator(birch(*without), threads=1).parts.motion.poses_at(t_ns)
-    with pytest.raises(TouchedError):
-        Emulator(birch(*beside), threads=1).parts.motion.poses_at(t_ns)
+    trunk, pack, swing = "extras.walk.gait._fill", "extras.walk.motion._add_pack", "extras.walk.pack._swing"
+    settings = [[BARE, STRAPS], [], [STRAPS]]
+    steps = [("birch_walk", [*LINES, *each], "poses") for each in settings]
+    assert kernels_called(steps, [trunk, pack, swing]) == [[], [trunk, pack], [swing]]
 
 
 @pytest.mark.parametrize("setting", ["gps.connected=false", "gps={ connected = true, canopy_loss = false }"])
-def test_without_canopy_loss_nobody_looks_at_the_sky(monkeypatch, setting):
-    """No ray is cast at the sky without a receiver, or for one that sees through trees; else one look a
-    second."""
-    looks = []
-    monkeypatch.setattr(page, "sky_cover", lambda *_: looks.append(1) or 0.0)
+def test_without_canopy_loss_nobody_looks_at_the_sky(caplog, setting):
+    """No ray is cast at the sky without a receiver, or for one that sees through trees; else once for each
+    second that the fix depends on."""
+    caplog.set_level("DEBUG", "vlp16emu.raycast.caster")
     list(Emulator(load("static_bench", [setting]), threads=1).packets(0.0, 0.5))
-    assert not looks
+    assert not caplog.messages
     list(Emulator(load("static_bench", ["gps.connected=true"]), threads=1).packets(0.0, 0.5))
-    assert 1 <= len(looks) <= 2
+    assert caplog.messages
+    assert len(set(caplog.messages)) == len(caplog.messages)
 
 
 @pytest.mark.usefixtures("kept_woods")
@@ -155,14 +169,15 @@ def test_still_air_moves_nothing():
     assert any(isinstance(key, StemKey) for key in blown.shapes)
 
 
-@pytest.mark.usefixtures("kept_woods")
-def test_a_medium_out_of_sight_is_not_made(monkeypatch):
+def test_a_medium_out_of_sight_is_not_made(tmp_path, monkeypatch):
     """Where no sensor sees beyond `world.near_m` all is faces and no voxels are made; where one does, they
     are."""
-    forbid(monkeypatch, (FarCaster, "medium"))
-    next(Emulator(birch("sensor.max_range_m=5", "world.near_m=5"), threads=1).returns(0.0, SPAN_S))
-    with pytest.raises(TouchedError):
-        next(Emulator(birch("sensor.max_range_m=5.1", "world.near_m=5"), threads=1).returns(0.0, SPAN_S))
+    monkeypatch.setenv("VLP16EMU_CACHE_DIR", str(tmp_path / "world"))
+    fill, march = "foliage.filling.fill_block", "foliage.march.march_pulses"
+    sparse = "world.stems_per_ha=15", "world.stones.cover=0.01", "world.near_m=5"
+    seen_to = [[*LINES, *sparse, f"sensor.max_range_m={far_m}"] for far_m in (5, 5.1)]
+    steps = [("birch_walk", settings, "returns") for settings in seen_to]
+    assert kernels_called(steps, [fill, march]) == [[], [fill, march]]
 
 
 STEPS = """

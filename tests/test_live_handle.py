@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kit import DEFAULT_UNIT
 
 import vlp16emu
 from vlp16emu import Emulator, decode
@@ -22,6 +23,7 @@ from vlp16emu.types import PacketKind
 
 SCENE = "static_bench"
 QUICK = {"look_ahead": 256}
+RANGE_ERROR_M = {SCENE: 0.0011, DEFAULT_UNIT: 0.15}  # half a step of 2 mm, and five sigma of a real unit
 
 
 def azimuths(payloads):
@@ -32,22 +34,22 @@ def azimuths(payloads):
 
 
 @pytest.fixture(scope="module")
-def live():
+def live(each_unit):
     """A stream of the hall."""
-    with vlp16emu.stream(SCENE, {"duration_s": 600.0}, **QUICK) as live:
+    with vlp16emu.stream(each_unit, {"duration_s": 600.0}, **QUICK) as live:
         yield live
 
 
-def test_what_is_read_is_what_the_scene_sends(live):
+def test_what_is_read_is_what_the_scene_sends(each_unit, live):
     """Packets of data and of position are, from the first one on, those that the engine makes."""
-    made = list(Emulator(SCENE).packets(0.0, 0.3))
+    made = list(Emulator(each_unit).packets(0.0, 0.3))
     for kind in ("data", "position"):
         payloads = [packet.payload for packet in made if packet.kind is PacketKind(kind)]
         halves = live.packets(10, kind=kind), live.packets(len(payloads) - 10, kind=kind)
         assert [*halves[0], *halves[1]] == payloads
 
 
-def test_a_receiver_gets_them_at_the_port_that_is_reserved(live):
+def test_a_receiver_gets_them_at_the_port_that_is_reserved(each_unit, live):
     """The ports differ, a socket can bind them, and what it receives is known with its ground truth."""
     assert live.data_port != live.position_port
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as driver:
@@ -58,23 +60,23 @@ def test_a_receiver_gets_them_at_the_port_that_is_reserved(live):
     records = np.frombuffer(payload, DATA_PAYLOAD)["blocks"]["records"].reshape(-1)
     is_return = records["distance_lsb"] > 0
     np.testing.assert_allclose(
-        truth["range_m"][is_return], records["distance_lsb"][is_return] * 0.002, atol=0.0011
+        truth["range_m"][is_return], records["distance_lsb"][is_return] * 0.002, atol=RANGE_ERROR_M[each_unit]
     )
     assert (truth["echo"][~is_return] == 255).all()
     assert set(truth["semantic"][is_return]) <= {1, 7}
     np.testing.assert_array_equal(truth["world_T_sensor"][:, :3, 3], np.tile([0.0, 0.0, 1.5], (384, 1)))
 
 
-def test_scans_are_those_of_a_capture_with_labels(tmp_path):
+def test_scans_are_those_of_a_capture_with_labels(each_unit, tmp_path):
     """Revolutions of the stream are those that `decode` finds in a recording, each point with its surface
     and true range."""
-    recorded = Emulator(SCENE, {"sensor.return_mode": "dual"}).record(tmp_path / "a.pcap", duration_s=0.4)
-    with vlp16emu.stream(SCENE, {"sensor.return_mode": "dual"}, duration_s=0.4) as live:
+    recorded = Emulator(each_unit, {"sensor.return_mode": "dual"}).record(tmp_path / "a.pcap", duration_s=0.4)
+    with vlp16emu.stream(each_unit, {"sensor.return_mode": "dual"}, duration_s=0.4) as live:
         for scan, other in zip(live.scans(), decode(tmp_path / "a.pcap", clock="sensor"), strict=True):
             for name in ("xyz_m", "ring", "is_last"):
                 np.testing.assert_array_equal(getattr(scan, name), getattr(other, name))
             assert np.abs(scan.t_ns - other.t_ns).max() < 1000  # stamps of a capture are whole microseconds
-            np.testing.assert_allclose(scan.labels.range_m, scan.distance_m, atol=0.0011)
+            np.testing.assert_allclose(scan.labels.range_m, scan.distance_m, atol=RANGE_ERROR_M[each_unit])
             assert scan.world_T_sensor.shape == (4, 4)
     assert live.stop().packets == recorded.packets
 

@@ -31,7 +31,7 @@ from vlp16emu.extras.imu.sampler import sampler_of
 from vlp16emu.extras.imu.settings import Imu
 from vlp16emu.extras.live.flight import Flight
 from vlp16emu.extras.meshes.files import load_mesh
-from vlp16emu.extras.meshes.furnished import furnished
+from vlp16emu.extras.meshes.furnish import furnish
 from vlp16emu.extras.meshes.settings import MeshFile
 from vlp16emu.extras.outlook import Outlook
 from vlp16emu.extras.people import People
@@ -52,7 +52,7 @@ from vlp16emu.run.stream import PRESENT
 from vlp16emu.scenario.load import FIELD
 from vlp16emu.scenario.model import CAMERA_SECTION, CHECKED_EVENTS, EVENT_TABLES, IMU_SECTION, WIND_SECTION
 from vlp16emu.world.hall import HallWorld
-from vlp16emu.world.settings import FURNISHED, HALL_SITE, MESH_SECTION
+from vlp16emu.world.settings import FURNISH, HALL_SITE, MESH_SECTION
 
 T = TypeVar("T")
 
@@ -78,7 +78,7 @@ PARTS = (
     loads(FOREST_SITE)(ForestSite),
     loads(FRAMES)(frames),
     loads(FREE_PORTS)(free_ports),
-    loads(FURNISHED)(furnished),
+    loads(FURNISH)(furnish),
     loads(GPS_IN)(GpsReader),
     loads(HALL_SITE)(HallWorld),
     loads(IMU)(sampler_of),

@@ -12,10 +12,10 @@ from vlp16emu.scenario import load
 @pytest.mark.parametrize(
     ("settings", "ahead_s"), [([], 0.4), (["sensor.return_mode=dual", "rig=[{}]"], 0.4), ([], 1000.0)]
 )
-def test_what_is_left_out_is_counted_and_the_rest_stays(settings, ahead_s):
+def test_what_is_left_out_is_counted_and_the_rest_stays(each_unit, settings, ahead_s):
     """Sent ahead, the engine gives exactly the packets before and after, none beyond the end, and counts
     those between."""
-    emulator = Emulator(load("static_bench", settings), threads=1)
+    emulator = Emulator(load(each_unit, settings), threads=1)
     whole = list(emulator.packets(0.0, 1.0))
     engine, got = PacketFeed(emulator.engine, 0.0, 1.0), []
     for packet in engine:

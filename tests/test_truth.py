@@ -18,7 +18,7 @@ from vlp16emu.cli.app import run
 from vlp16emu.errors import ScenarioError
 from vlp16emu.extras.clouds.scan import decode
 from vlp16emu.extras.truth.tables import FIXES, POSES, inertial_table
-from vlp16emu.extras.truth.truth import Truth, _resolved, write_truth
+from vlp16emu.extras.truth.truth import Truth, _scenario_tree, write_truth
 from vlp16emu.motion.gnss import to_geodetic
 from vlp16emu.output import write_json
 from vlp16emu.packets import decode_position
@@ -164,7 +164,7 @@ def test_truth_grows_with_the_run_and_not_in_memory(walk, tmp_path):
 def test_the_resolved_scenario_is_a_scene(name, tmp_path):
     """Every scene of ours, written with all its values and read again, is the same scenario."""
     scenario = load(name, ["seed=77", "title=ä"])
-    write_json(tmp_path / "scenario.json", _resolved(scenario, (0.0, scenario.duration_s)))
+    write_json(tmp_path / "scenario.json", _scenario_tree(scenario, (0.0, scenario.duration_s)))
     assert load(str(tmp_path / "scenario.json")) == scenario
 
 
@@ -173,7 +173,7 @@ def test_what_json_or_a_scene_cannot_have_is_not_written(setting, tmp_path):
     """JSON has no infinite number, and a scene no speed beside its run time; what is written without them
     is read as the same scenario."""
     scenario, path = load("birch_walk", [setting]), tmp_path / "scenario.json"
-    path.write_text(json.dumps(_resolved(scenario, (0.0, scenario.duration_s)), allow_nan=False))
+    path.write_text(json.dumps(_scenario_tree(scenario, (0.0, scenario.duration_s)), allow_nan=False))
     assert load(str(path)) == scenario
     assert load(str(path), ["world.near_m=inf"]).world.near_m == math.inf
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from vlp16emu import Emulator
 from vlp16emu.engine.windows import BLOCK, window_of
-from vlp16emu.raycast.beam import LINE, Footprint, beam_axis_of, lay, pulse_axes, turn
+from vlp16emu.raycast.beam import LINE, Footprint, beam_axis_of, draw_pattern, fill_sub_rays, pulse_axes
 from vlp16emu.raycast.build import relative_to_window
 from vlp16emu.raycast.pieces import faces_of
 from vlp16emu.scenario import load
@@ -89,7 +89,9 @@ def rays_of(firings: Firings, beam: Footprint, from_m: np.ndarray) -> np.ndarray
     rays, sigmas = np.empty((firings.t_ns.size, 8, 6), np.float32), beam.sigmas.astype(np.float32)
     for number, (i, j) in enumerate(np.ndindex(firings.t_ns.shape)):
         pulse_axes(firings.origin_m, firings.direction, beam_axis_of(firings, beam), from_m, i, j, axes)
-        lay(sub_rays.reshape(-1), axes, sigmas, *turn(beam.seed, firings.index + i, j), 0, False)
+        fill_sub_rays(
+            sub_rays.reshape(-1), axes, sigmas, *draw_pattern(beam.seed, firings.index + i, j), 0, False
+        )
         rays[number, :, :3], rays[number, :, 3:] = sub_rays[:3].T, sub_rays[4:].T
     return rays.reshape(-1, 6)
 

@@ -1,4 +1,6 @@
-"""Trees that rank windows of emulated and of real units; `tools/unmask` runs it in an environment with scikit-learn.
+"""Trees that rank windows of emulated and of real units.
+
+`tools/unmask` runs it in an environment with scikit-learn.
 
 python tools/unmask_trees.py WINDOWS.npz
 """
@@ -32,7 +34,10 @@ class Data:
 
 
 def scene_share(data: Data) -> Array:
-    """Return the share of variance between scenes of each feature (f,), over emulated windows; scenes have equal weights."""
+    """Return the share of variance between scenes of each feature (f,), over emulated windows.
+
+    Scenes have equal weights.
+    """
     own = [data.features[~data.real & (data.scene == one)] for one in dict.fromkeys(data.scene[~data.real])]
     with warnings.catch_warnings(action="ignore"):  # a scene may lack a feature
         between = np.nanvar([np.nanmean(of, axis=0) for of in own], axis=0)
@@ -52,7 +57,10 @@ def shown_by_all(data: Data) -> Array:
 
 
 def folds(data: Data) -> Iterator[tuple[str, Array, Array]]:
-    """Yield each real unit twice, with the training windows without it, and the test windows: each half of the emulated seeds is learnt once."""
+    """Yield each real unit twice, with the training windows without it, and the test windows.
+
+    Each half of the emulated seeds is learnt once.
+    """
     even = np.array([int(seed) % 2 == 0 for seed in data.seed])
     for unit in data.units[True]:
         out = data.unit == unit
@@ -100,7 +108,10 @@ def null(data: Data, x: Array) -> list[float]:
 
 
 def report(data: Data, wanted: Array, title: str, *, whole: bool = False) -> None:
-    """Print the areas of the trees for some features; with `whole` also for real units against each other, and the top features."""
+    """Print the areas of the trees for some features.
+
+    With `whole` also those of real units against each other, and the top features.
+    """
     names, x = data.names[wanted], data.features[:, wanted]
     carried, areas = np.zeros(len(names)), []
     for _, learnt, ranked in folds(data):

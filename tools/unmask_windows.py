@@ -65,7 +65,10 @@ class Features(dict[str, float]):
         self[name] = float(np.corrcoef(a, b)[0, 1]) if usable else np.nan
 
     def unevenness(self, name: str, of: Array, *moduli: int) -> None:
-        """Add the variance of the counts of residues over their squared mean, minus the value expected by chance."""
+        """Add the variance of the counts of residues over their squared mean.
+
+        The value expected by chance is subtracted.
+        """
         for modulus in moduli:
             counts = np.bincount(of % modulus, minlength=modulus)
             mean = counts.mean()
@@ -134,7 +137,10 @@ def _surfaces(out: Features, d: Array, r: Array, flat: Array, slot: Array) -> No
 
 
 def _losses(out: Features, d: Array, r: Array) -> None:
-    """Add lengths of runs with and without returns, and rates of missing returns by the neighbours before and after."""
+    """Add lengths of runs with and without returns.
+
+    Also rates of missing returns by the neighbours before and after.
+    """
     for name, of in (("silent_run", d == 0), ("run", d > 0)):
         edge = np.diff(np.pad(of, ((1, 1), (0, 0))).astype(int), axis=0).T
         out.shares(f"loss.{name}", np.nonzero(edge == -1)[1] - np.nonzero(edge == 1)[1], RUNS)
@@ -151,7 +157,10 @@ def _losses(out: Features, d: Array, r: Array) -> None:
 
 
 def _no_returns(out: Features, d: Array, r: Array) -> None:
-    """Add codes of no-returns over the most common code of their laser, next to returns and apart from them."""
+    """Add codes of no-returns over the most common code of their laser.
+
+    Next to returns and apart from them.
+    """
     silent, mode = d == 0, commonest(d == 0, r)
     share, usable = (r / np.maximum(mode, 1))[1:-1], (silent & (mode > 0))[1:-1]
     beside = usable & ~(silent[:-2] & silent[2:])

@@ -57,7 +57,7 @@ class _Both:
         self._inlined = inlined
 
     @functools.cached_property
-    def compiled(self) -> Callable[..., object]:
+    def kernel(self) -> Callable[..., object]:
         """Compiled function for kernels; made when the first kernel is compiled."""
         return inner_kernel(self.function, inlined=self._inlined)
 
@@ -72,8 +72,10 @@ class _Broadcast(_Both):
         arrays = [np.asarray(x, np.float64) for x in numbers]
         if self.function.__name__ in _LOOPS:
             value = np.empty(np.broadcast(*arrays).shape)
-            whole = (x if x.shape == value.shape else np.broadcast_to(x, value.shape).copy() for x in arrays)
-            flat = [np.ascontiguousarray(x).reshape(-1) for x in whole]
+            broadcast = (
+                x if x.shape == value.shape else np.broadcast_to(x, value.shape).copy() for x in arrays
+            )
+            flat = [np.ascontiguousarray(x).reshape(-1) for x in broadcast]
             _fill(_LOOPS.index(self.function.__name__), flat[0], flat[-1], value.reshape(-1))
         else:
             with np.errstate(all="ignore"):
@@ -82,11 +84,11 @@ class _Broadcast(_Both):
 
 
 @numba.extending.typeof_impl.register(_Both)  # type: ignore[untyped-decorator]
-def _typed(both: _Both, _context: object) -> types.Dispatcher:
-    return types.Dispatcher(both.compiled)
+def _type_of(both: _Both, _context: object) -> types.Dispatcher:
+    return types.Dispatcher(both.kernel)
 
 
-def _inlined(function: Callable[..., _Value]) -> _Both:
+def _inline(function: Callable[..., _Value]) -> _Both:
     return _Both(function, inlined=True)
 
 
@@ -139,7 +141,7 @@ _as_instruction(
 )
 
 
-@_inlined
+@_inline
 def around_zero(y: _Value) -> tuple[_Value, _Value]:
     """Cosine and sine of angles up to pi / 4, numbers or arrays: fdlibm, k_cos.c and k_sin.c."""
     z = y * y
@@ -151,7 +153,7 @@ def around_zero(y: _Value) -> tuple[_Value, _Value]:
     return 1.0 - 0.5 * z + z * z * (4.16666666666666019037e-02 + z * high), s
 
 
-@_inlined
+@_inline
 def _cos_sin(x: _Value) -> tuple[_Value, _Value]:
     """Return cosine and sine from the nearest right angle and the remainder, a sum of two numbers."""
     shifted = _pick(abs(x) <= _LARGEST_RAD, x, math.nan) * (2.0 / math.pi) + _WHOLE
@@ -280,7 +282,7 @@ def expm1(x: _Value) -> _Value:
     return _pick(abs(x) < 1.0, _pick(y == 1.0, x, quotient), y - 1.0)
 
 
-@_inlined
+@_inline
 def log_of_normal(x: _Value) -> _Value:
     """Logarithm of normal numbers above 0, within 1 ulp.
 

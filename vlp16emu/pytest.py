@@ -47,7 +47,7 @@ def vlp16(request: pytest.FixtureRequest) -> "Iterator[Live]":
 
     marker = request.node.get_closest_marker("vlp16")
     config = request.config
-    scene, settings, options = _asked(*marker.args, **marker.kwargs) if marker else _asked()
+    scene, settings, options = _arguments(*marker.args, **marker.kwargs) if marker else _arguments()
     scene = scene or config.getoption("--vlp16-scene") or config.getini("vlp16_scene")
     emulator = config.stash[_LAST] = Emulator(scene, settings, like=config.stash.get(_LAST, None))
     end_s = min(emulator.parts.motion.run_time_s, _LONGEST_S)
@@ -55,7 +55,7 @@ def vlp16(request: pytest.FixtureRequest) -> "Iterator[Live]":
         yield live
 
 
-def _asked(
+def _arguments(
     scene: Any = None, settings: Mapping[str, object] | Sequence[str] = (), **options: Any
 ) -> tuple[Any, Mapping[str, object] | Sequence[str], dict[str, Any]]:
     """Return scene, settings and options of a marker."""

@@ -214,7 +214,7 @@ Size = Annotated[float, Field(ge=1e-3, le=1e4)]  # an extent in the world, in m
 Fraction = Annotated[float, Field(ge=0, le=1)]
 
 
-def merged(base: Table, own: Table) -> Tree:
+def merge_tables(base: Table, own: Table) -> Tree:
     """Return the keys of both tables, with the values of `own` for common ones.
 
     Tables of one kind are merged likewise.
@@ -222,7 +222,7 @@ def merged(base: Table, own: Table) -> Tree:
     both = {**base, **own}
     for key in base.keys() & own.keys():
         if isinstance(base[key], dict) and isinstance(own[key], dict) and _same_kind(base[key], own[key]):
-            both[key] = merged(base[key], own[key])
+            both[key] = merge_tables(base[key], own[key])
     return both
 
 

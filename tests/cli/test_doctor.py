@@ -74,7 +74,7 @@ def test_kernels_on_disk_are_looked_for(cli, monkeypatch, tmp_path):
     check = rows(cli("doctor", "--json"))["kernel cache"]
     assert (check["finding"], check["mend"]) == ("warning", "vlp16emu cache --compile")
     folder = cache.user_kernels().usable_folder
-    (folder / f"{cache._state()}-raycast.kernel.cast-1-0-0.kernel").touch()
+    (folder / f"{cache.state_digest(cache.library_versions())}-raycast.kernel.cast-1-0-0.kernel").touch()
     check = rows(cli("doctor", "--json"))["kernel cache"]
     assert (check["finding"], check["found"]) == ("ok", f"1 kernels in {folder}")
     (tmp_path / "base").chmod(0o777)

@@ -33,7 +33,7 @@ def test_no_output_is_written_over_an_input(cli, plot, command, name):
     outcome = cli(*({"SCENE": plot, "OUT": out}.get(word, word) for word in command.split()))
     line = f"error: {out}: is read by this run, and would be written over; expected another place\n"
     if command.startswith("points") and name == "plot.toml":  # no format of points has that suffix
-        line = f"error: {out}: found suffix '.toml'; expected .csv, .npz, .ply, .pcd, .las, .laz\n"
+        line = f"error: {out}: found the ending '.toml'; expected .csv, .npz, .ply, .pcd, .las, .laz\n"
     assert (outcome.code, outcome.err) == (2, line)
     assert (plot.read_text(), (plot.parent / "stems.csv").read_text()) == (SCENE, STEMS)
 

@@ -1,15 +1,18 @@
-"""What all verbs have in common: a good run, one JSON object, Ctrl-C, and a line for an unknown
-option."""
+"""What all verbs have in common: a good run, one JSON object, Ctrl-C, a line for an unknown option, and files of
+the user that stay as they are."""
 
 import io
 import json
 import shutil
 import signal
+import stat
+from pathlib import Path
 
 import pytest
 
 from vlp16emu.cli.app import run
-from vlp16emu.doors import DOORS
+from vlp16emu.cli.verb import leaves_of
+from vlp16emu.doors import DOORS, door
 
 NO_PORTS = "--data-port 9 --position-port 10"
 SMALL = "--set camera.width_px=32 --set camera.height_px=24"
@@ -133,3 +136,132 @@ def test_an_unknown_option_is_one_line(cli, verb):
     outcome = cli(verb, "--no-such-option")
     assert (outcome.code, outcome.out) == (2, "")
     assert outcome.err == f"error: No such option: --no-such-option; see `vlp16emu {verb} --help`\n"
+
+
+WITH_PATHS = {
+    "SCENE",
+    "SCENE|FILE.pcap",
+    "OUT",
+    "--gps-out",
+    "--imu-out",
+    "--gps-in",
+    "--pose-in",
+    "--scheduler",
+}
+"""Texts that may be the path of a file, a device or a folder."""
+FILES_OUT = {"OUT", "OUT.png", "--out", "--plot", "--save", "--prepare-to"}
+FILES_OUT |= {("forest", name) for name in ("--inventory", "--stems", "--ground", "--glb")}
+"""Files that a run writes: an earlier file of that name is replaced by a whole new one, or not at all."""
+MINE = b"mine, and of no run\n"
+
+
+def paths_of(verb):
+    """Names of arguments and options that take a path, each with its index among the arguments."""
+    at = -1
+    for leaf in leaves_of(door(verb, "verbs")):
+        at += not leaf.name.startswith("-")
+        if "Path" in str(leaf.kind) or leaf.name in WITH_PATHS:
+            yield leaf.name, at
+
+
+CASES = [(verb, name, at) for verb in sorted(GOOD) for name, at in paths_of(verb)]
+
+
+def with_path(words, name, at, path):
+    """Words of a command with a path as its option, or as its argument of this index."""
+    if name.startswith("-"):
+        return [*words, name, str(path)]
+    places = [
+        i for i, word in enumerate(words) if not word.startswith("--") and not words[i - 1].startswith("--")
+    ]
+    place = places[at + 1]  # after the verb
+    return [*words[:place], str(path), *words[place + 1 :]]
+
+
+def content_of(folder):
+    """Names, kinds, modes, and contents or targets of all that is in a folder."""
+    found = {}
+    for path in sorted(folder.rglob("*")):
+        state = path.lstat()
+        is_file = stat.S_ISREG(state.st_mode)
+        content = path.read_bytes() if is_file else path.readlink() if path.is_symlink() else None
+        found[str(path.relative_to(folder))] = state.st_mode, content
+    return found
+
+
+def make_target(kind, name, folder):
+    """Make files of the user in a folder, and return the path among them that a run is given."""
+    suffix = Path(name.partition("|")[2] or name).suffix or ".pcap"
+    (folder / "notes").mkdir()
+    for file in ("a.txt", "manifest.json", "walk.json", "scenario.json", "trajectory.tum", f"a{suffix}"):
+        (folder / "notes" / file).write_bytes(MINE)
+    for file in (
+        f"mine{suffix}",
+        f"mine{suffix}.part",
+        f"mine{suffix}.01234567.part",
+        "mine.json",
+        "mine.tum",
+    ):
+        (folder / file).write_bytes(MINE)
+    (folder / f"link{suffix}").symlink_to(f"notes/a{suffix}")
+    return {"file": folder / f"mine{suffix}", "folder": folder / "notes", "link": folder / f"link{suffix}"}[
+        kind
+    ]
+
+
+@pytest.mark.usefixtures("ctrl_c")
+@pytest.mark.parametrize("kind", ["file", "folder", "link"])
+@pytest.mark.parametrize(("verb", "name", "at"), CASES, ids=[f"{verb} {name}" for verb, name, _ in CASES])
+def test_no_file_of_the_user_changes(inputs, tmp_path, monkeypatch, capsys, verb, name, at, kind):
+    """A file, a folder with files and a link, given as any path of any verb, stay as they are with all around
+    them; the one file that the user names as an output is replaced by a whole one if the run succeeds."""
+    work = tmp_path / "work"
+    work.mkdir()
+    monkeypatch.chdir(work)
+    Path("spec.toml").write_text(SPEC)
+    Path("forest.json").write_text('{"report": "forest"}')
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    target = make_target(kind, name, mine)
+    before = content_of(mine)
+    of_inputs = content_of(inputs)
+    words = with_path([verb, *GOOD[verb].format(inputs=inputs).split()], name, at, target)
+    if verb == "view":
+        monkeypatch.setattr("sys.stdout", Interrupting())
+    code = run(words)
+    lines = capsys.readouterr().err.splitlines()
+    assert code in (0, 1, 2, 130)
+    assert not any(line.startswith("Traceback") for line in lines)
+    after = content_of(mine)
+    is_output = name in FILES_OUT or (verb, name) in FILES_OUT
+    if is_output and code == 0 and kind != "folder":
+        written = str(target.resolve().relative_to(mine))
+        mode, content = after.pop(written)
+        assert mode == before.pop(written)[0]
+        assert content
+        assert content != MINE
+    assert after == before
+    assert content_of(inputs) == of_inputs
+
+
+INPUT_AS_OUTPUT = [case for case in CASES if case[1] in FILES_OUT or case[:2] in FILES_OUT]
+
+
+@pytest.mark.parametrize(
+    ("verb", "name", "at"), INPUT_AS_OUTPUT, ids=[f"{v} {n}" for v, n, _ in INPUT_AS_OUTPUT]
+)
+def test_an_input_is_no_output(inputs, tmp_path, monkeypatch, capsys, verb, name, at):
+    """What a run reads is not written by it: each file that a command names as an input, given as its output
+    too, is refused or stays as it is."""
+    monkeypatch.chdir(tmp_path)
+    Path("spec.toml").write_text(SPEC)
+    Path("forest.json").write_text('{"report": "forest"}')
+    words = [verb, *GOOD[verb].format(inputs=inputs).split()]
+    given = [word for word in words[1:] if Path(word).is_file()]
+    before = content_of(tmp_path), content_of(inputs)
+    if verb == "view":
+        monkeypatch.setattr("sys.stdout", Interrupting())
+    for path in given:
+        run(with_path(words, name, at, path))
+        assert "Traceback" not in capsys.readouterr().err
+        assert (content_of(tmp_path), content_of(inputs)) == before

@@ -10,8 +10,8 @@ import pytest
 from raycast import lab
 
 from vlp16emu.foliage.far import FarCaster
-from vlp16emu.foliage.lanes import lanes
-from vlp16emu.foliage.stems import no_stems_ahead
+from vlp16emu.foliage.lanes import empty_lanes
+from vlp16emu.foliage.stems import room_for_stems
 from vlp16emu.foliage.voxel import QUANTILES, VOXEL_M
 from vlp16emu.types import NO_SURFACE, PlantPart
 
@@ -31,8 +31,8 @@ def one_voxel(empty, code, cell=(2, 1, 3), corner=(40, -7, 11)):
 
 
 LANES, NO_STEMS = (
-    lanes(),
-    no_stems_ahead(lab.no_medium().stems),
+    empty_lanes(),
+    room_for_stems(lab.no_medium().stems),
 )  # made once: thousands of rays go through them
 
 

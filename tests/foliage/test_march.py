@@ -8,7 +8,7 @@ from raycast import lab
 
 from vlp16emu.foliage import leaves as room
 from vlp16emu.foliage.far import FarCaster
-from vlp16emu.foliage.lanes import lanes
+from vlp16emu.foliage.lanes import empty_lanes
 from vlp16emu.foliage.voxel import BRICK, COLUMNS, FINER, KNOTS, QUANTILES, TAU_PER_M, VOXEL_M
 from vlp16emu.types import NO_SURFACE
 
@@ -148,7 +148,7 @@ class Twin:
 def marched(medium, origin_m, direction, axis=None, far_m=FAR_M):
     """Ranges, surfaces and cosines of up to eight rays that are a pulse, whose middle is the first if none
     is given."""
-    L, n = lanes(), len(origin_m)
+    L, n = empty_lanes(), len(origin_m)
     L.origin_m[:, :n], L.direction[:, :n] = np.transpose(origin_m), np.transpose(direction)
     L.range_m[:], L.surface[:], L.cosine[:] = far_m, NO_SURFACE, 0.0
     line = np.concatenate([origin_m[0], direction[0]] if axis is None else axis).astype("f4")
@@ -289,7 +289,7 @@ def test_pulses_meet_the_stems_of_their_sector_as_those_of_the_whole_window(stan
         ahead = lab.sight_of(medium, axes, FAR_M)
         assert (len(medium.stems.line) == ahead.total[0]) == (half_width > 1.0)
         for line in axes:
-            alone, together = lanes(), lanes()
+            alone, together = empty_lanes(), empty_lanes()
             for L in (alone, together):
                 L.origin_m[:, 0], L.direction[:, 0], L.range_m[0], L.surface[0] = (
                     line[:3],

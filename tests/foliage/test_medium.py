@@ -230,7 +230,7 @@ def test_what_is_open_keeps_its_blocks_whatever_comes_and_goes():
         shelf.clear(names)
         for name in names:
             if name not in shelf.blocks:
-                shelf.lay(name, block(name[0], *rng.integers(2, 400, 2).tolist()), len(names))
+                shelf.put(name, block(name[0], *rng.integers(2, 400, 2).tolist()), len(names))
         laid = {name: found(shelf, name, shelf.arrays) for name in names}
         kept = {
             name: replace(each, **{n: getattr(each, n).copy() for n in Block.__slots__[1:]})

@@ -5,33 +5,35 @@ import pickle
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 from types import FunctionType
 from typing import NamedTuple
 
 import numba
 import pytest
-from llvmlite import binding
-from numba.core.caching import FunctionCache
-from numba.core.registry import cpu_target
 
 from vlp16emu import store
-from vlp16emu.kernels import cache, compiler
-from vlp16emu.kernels.cache import KernelCache, user_kernels
-from vlp16emu.kernels.numba_private import KernelDispatcher
+from vlp16emu.kernels.cache import (
+    KernelCache,
+    library_versions,
+    modules_of,
+    source_digest,
+    state_digest,
+    user_kernels,
+)
+from vlp16emu.kernels.compiler import target_for
 
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "base"))
-    for name in ("_state", "_content", "_files_of", "_read"):
-        monkeypatch.setattr(cache, name, getattr(cache, name).__wrapped__)  # what they read changes in a test
     user_kernels.cache_clear()
     yield user_kernels().usable_folder
     user_kernels.cache_clear()
 
 
 @pytest.fixture
-def package(tmp_path, monkeypatch):
+def package(tmp_path):
     """A package of a caster that takes a kernel, two ways, and settings with a table, of a medium that it
     knows nothing of, and of a verb."""
     folder = tmp_path / "package"
@@ -48,12 +50,12 @@ def package(tmp_path, monkeypatch):
     for name, text in texts.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(text)
-    monkeypatch.setattr(cache, "PACKAGE", folder)
     return folder
 
 
-def named(*modules):
-    return cache._content(frozenset(f"vlp16emu.{module}" for module in modules))
+def digest(package, *modules):
+    """Part of the names of the kernels of a package's modules that stands for their sources."""
+    return source_digest(frozenset(f"vlp16emu.{module}" for module in modules), package)
 
 
 KEPT = []  # a kernel of no module can be loaded while the one that was compiled is alive
@@ -72,30 +74,30 @@ def twice(x):
     return 2 * x
 
 
-def kernel(module="vlp16emu.room"):
-    """Make a kernel of a module, which is not compiled yet in this process."""
+def kernel(module="vlp16emu.room", packaged=None):
+    """Make a kernel of a module, which is not compiled yet in this process; a package may carry it."""
     function = FunctionType(twice.__code__, {}, "twice")
     function.__module__ = module
     KEPT.append(numba.njit(cache=True)(function))
+    if packaged is not None:
+        KEPT[-1].kept = KernelCache(function, packaged)
     return KEPT[-1]
 
 
-def is_compiled_anew():
+def is_compiled_anew(packaged=None):
     """Whether a call of the kernel compiles it."""
-    function = kernel()
+    function = kernel(packaged=packaged)
     assert function(3) == 6
     return bool(sum(function.stats.cache_misses.values()))
 
 
-def test_time_and_place_change_nothing(package, tmp_path, monkeypatch):
+def test_time_and_place_change_nothing(package, tmp_path):
     """Neither a `touch` nor another folder of the same files has kernels of its own: the second
     installation compiles nothing."""
-    before = named("near.kernel")
-    for path in package.rglob("*.py"):
+    second = Path(shutil.copytree(package, tmp_path / "second"))
+    for path in second.rglob("*.py"):
         os.utime(path, (1.0, 1.0))
-    assert named("near.kernel") == before
-    monkeypatch.setattr(cache, "PACKAGE", shutil.copytree(package, tmp_path / "second"))
-    assert named("near.kernel") == before
+    assert digest(second, "near.kernel") == digest(package, "near.kernel")
 
 
 @pytest.mark.parametrize(
@@ -110,12 +112,15 @@ def test_time_and_place_change_nothing(package, tmp_path, monkeypatch):
         ("cli/verb.py", False, False),
     ],
 )
-def test_content_changes_what_is_made_of_it(package, name, near, far):
+def test_content_changes_what_is_made_of_it(package, tmp_path, name, near, far):
     """A change of a file renames the kernels of its module and of all that import it, also inside
     functions, and no others."""
-    before = named("near.kernel"), named("near.kernel", "far.medium")
-    (package / name).write_text("x = 2\n")
-    assert (named("near.kernel") != before[0], named("near.kernel", "far.medium") != before[1]) == (near, far)
+    changed = Path(shutil.copytree(package, tmp_path / "changed"))
+    (changed / name).write_text("x = 2\n")
+    near_modules = ("near.kernel",)
+    far_modules = ("near.kernel", "far.medium")
+    assert (digest(changed, *near_modules) != digest(package, *near_modules)) == near
+    assert (digest(changed, *far_modules) != digest(package, *far_modules)) == far
 
 
 class Passage(NamedTuple):
@@ -127,15 +132,19 @@ class Passage(NamedTuple):
 def test_types_bring_their_modules():
     """The module of a named tuple among the arguments, however deep, decides what a kernel is."""
     kind = numba.typeof((1, (Passage(2), 3.0)))
-    assert list(cache._modules((kind, numba.int64))) == [__name__]
+    assert list(modules_of((kind, numba.int64))) == [__name__]
 
 
-@pytest.mark.parametrize("library", ["numba", "llvmlite", "numpy"])
-def test_libraries_change_all(monkeypatch, library):
-    """Kernels compiled by another version of a library are kept apart."""
-    before = cache._state()
-    monkeypatch.setattr(f"{library}.__version__", "1.2.3")
-    assert cache._state() != before
+@pytest.mark.parametrize("library", ["numba", "llvmlite", "numpy", "python"])
+def test_libraries_change_all(folder, library):
+    """Kernels compiled by another version of a library are kept apart; a file's name begins with them."""
+    versions = library_versions()
+    other = {**versions, library: "1.2.3"}
+    assert versions[library] != "1.2.3"
+    assert state_digest(other) != state_digest(versions)
+    is_compiled_anew()
+    (file,) = folder.glob("*.kernel")
+    assert file.name.startswith(f"{state_digest(versions)}-")
 
 
 def test_a_kernel_is_compiled_once(folder):
@@ -200,27 +209,26 @@ def test_a_planted_kernel_does_not_run(folder, tmp_path):
     assert (tmp_path / "proof").exists()
 
 
-def test_kernels_of_a_wheel_are_read_and_left_as_they_are(folder, monkeypatch, tmp_path):
+def test_kernels_of_a_wheel_are_read_and_left_as_they_are(folder, tmp_path):
     """Kernels that lie in the package serve without anything written elsewhere, and a damaged one is
     compiled."""
     is_compiled_anew()
     carried = folder.rename(tmp_path / "carried")
     (file,) = carried.iterdir()
-    monkeypatch.setattr(cache, "_PACKAGED", carried)
     shutil.rmtree(tmp_path / "base")
     user_kernels.cache_clear()
-    assert not is_compiled_anew()
+    assert not is_compiled_anew(carried)
     assert not (tmp_path / "base").exists()
     file.write_bytes(bytes(100))
-    assert is_compiled_anew()
+    assert is_compiled_anew(carried)
     assert file.read_bytes() == bytes(100)
 
 
-def test_kernels_of_others_are_left_to_numba():
-    """A program that calls us keeps its own kernels as it did."""
-    assert isinstance(kernel("their.module")._cache, FunctionCache)
-    assert not isinstance(kernel("their.module"), KernelDispatcher)
-    assert isinstance(kernel()._cache, KernelCache)
+def test_kernels_of_others_are_left_to_numba(folder):
+    """A program that calls us keeps its own kernels where numba does; ours lie in our folder."""
+    assert Path(kernel().stats.cache_path) == folder
+    theirs = Path(kernel("their.module").stats.cache_path)
+    assert folder not in (theirs, *theirs.parents)
 
 
 def test_a_kernel_of_another_one_is_no_file_until_it_is_called(folder):
@@ -292,16 +300,31 @@ def test_a_signal_while_a_kernel_is_loaded_interrupts():
     assert said == "interrupted (2,)\n"
 
 
-def test_the_target_is_fixed(monkeypatch):
-    """Kernels are for a level of the x86-64 psABI that the processor has, for another one where that is
-    named."""
-    assert cpu_target.target_context.codegen().magic_tuple()[1:] == compiler._target()
-    has = dict.fromkeys([feature for needs in compiler._TARGETS.values() for feature in needs], True)
-    monkeypatch.setattr(binding, "get_host_cpu_features", lambda: has)
-    assert compiler._target() == ("x86-64-v3", "")
-    has["fma"] = False
-    assert compiler._target() == ("x86-64-v2", "")
-    has.clear()
-    assert compiler._target() == ("generic", "")
-    monkeypatch.setenv("VLP16EMU_TARGET", "x86-64")
-    assert compiler._target() == ("x86-64", "")
+PSABI = {  # features of the levels of the x86-64 psABI beyond those below, in LLVM's names
+    "x86-64-v2": {"cx16", "sahf", "popcnt", "sse3", "ssse3", "sse4.1", "sse4.2"},
+    "x86-64-v3": {"avx", "avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe", "xsave"},
+}
+
+
+def test_kernels_are_for_a_level_that_the_processor_has():
+    """The target is the highest level of the x86-64 psABI all of whose features are there, else generic."""
+    third = dict.fromkeys(PSABI["x86-64-v2"] | PSABI["x86-64-v3"], True)
+    assert target_for(third) == "x86-64-v3"
+    assert target_for({**third, "fma": False}) == "x86-64-v2"
+    assert target_for(dict.fromkeys(PSABI["x86-64-v2"], True)) == "x86-64-v2"
+    assert target_for({**third, "ssse3": False, "fma": False}) == "generic"
+    assert target_for({}) == "generic"
+
+
+@pytest.mark.parametrize("chosen", ["x86-64", ""])
+def test_the_target_is_that_of_the_environment(chosen):
+    """Numba compiles for the level of `VLP16EMU_TARGET`, without it for that of the processor."""
+    program = """
+import vlp16emu.kernels.compiler as compiler
+from llvmlite import binding
+from numba.core.registry import cpu_target
+print(*cpu_target.target_context.codegen().magic_tuple()[1:], compiler.target_for(binding.get_host_cpu_features()))
+"""
+    environment = {**os.environ, "VLP16EMU_TARGET": chosen}
+    found = subprocess.check_output([sys.executable, "-c", program], text=True, env=environment).split()
+    assert found[0] == (chosen or found[-1])

@@ -5,7 +5,7 @@ import pytest
 from extras.walk.kit import START_NS, straps, walking
 from scipy.spatial.transform import Rotation
 
-from vlp16emu.motion.mount import mounted
+from vlp16emu.motion.mount import device_motion
 from vlp16emu.motion.pose import StaticMotion, rotations
 from vlp16emu.motion.settings import Mount
 
@@ -17,13 +17,13 @@ def tripod():
 def test_mount_that_changes_nothing_costs_nothing():
     """A device in the carrier's own frame has the carrier's own motion."""
     carrier = walking()
-    assert mounted(carrier, Mount(), START_NS) is carrier
+    assert device_motion(carrier, Mount(), START_NS) is carrier
 
 
 def test_lever_arm_and_tilt_are_in_the_carriers_frame():
     """On a carrier that looks north, an arm forward points north and a tilt nose down looks down
     northwards."""
-    device = mounted(tripod(), Mount(lever_arm_m=(0.5, 0.0, 0.2), pitch_deg=90.0), START_NS)
+    device = device_motion(tripod(), Mount(lever_arm_m=(0.5, 0.0, 0.2), pitch_deg=90.0), START_NS)
     poses = device.poses_at(np.arange(5))
     assert len(poses.t_ns) == 1
     assert not device.moves
@@ -35,7 +35,7 @@ def test_lever_arm_and_tilt_are_in_the_carriers_frame():
 def test_spinning_stage_turns_the_tilted_device():
     """After a quarter of a turn counter-clockwise about the carrier's z, a device tilted forward is tilted
     left."""
-    device = mounted(tripod(), Mount(pitch_deg=30.0, spin_hz=0.5, spin_axis=(0.0, 0.0, 2.0)), START_NS)
+    device = device_motion(tripod(), Mount(pitch_deg=30.0, spin_hz=0.5, spin_axis=(0.0, 0.0, 2.0)), START_NS)
     assert device.moves
     t_ns = START_NS + np.array([0, 500_000_000, 86_400 * 10**9 + 500_000_000])
     tilt, turns = rotations(np.zeros(1), np.radians(30.0), 0.0)[0], device.poses_at(t_ns).world_R_body
@@ -46,7 +46,9 @@ def test_spinning_stage_turns_the_tilted_device():
 
 def test_spinning_device_on_a_tripod_has_the_rate_of_its_stage():
     """It reads the stage's rate about its own tilted axis, steadily, and moves nowhere."""
-    device = mounted(tripod(), Mount(lever_arm_m=(0.3, 0.0, 0.0), pitch_deg=30.0, spin_hz=0.5), START_NS)
+    device = device_motion(
+        tripod(), Mount(lever_arm_m=(0.3, 0.0, 0.0), pitch_deg=30.0, spin_hz=0.5), START_NS
+    )
     k = device.kinematics_at(START_NS + np.arange(0, 2 * 10**9, 1_000_003))
     np.testing.assert_allclose(
         k.body_w_rad_s, np.tile(np.pi * np.array([-0.5, 0, np.sqrt(0.75)]), (len(k.t_ns), 1))
@@ -60,7 +62,7 @@ def test_poses_and_kinematics_are_one_function(spin_hz):
     """Both ways of asking give the same bits, at any size of question."""
     turns = {"yaw_deg": 1.0, "pitch_deg": 2.0, "roll_deg": 3.0, "spin_hz": spin_hz}
     mount = Mount(lever_arm_m=(0.1, 0.2, 0.3), spin_axis=(1.0, 1.0, 1.0), **turns)
-    device = mounted(walking(), mount, START_NS)
+    device = device_motion(walking(), mount, START_NS)
     t_ns = START_NS + np.arange(0, 3 * 10**9, 7_000_001)
     poses, kinematics = device.poses_at(t_ns), device.kinematics_at(t_ns)
     assert (poses.world_R_body == kinematics.world_R_body).all()
@@ -77,7 +79,7 @@ def test_rates_are_the_derivatives_of_poses(spins):
     motion = walking(harness=straps((2.5, 3.0, 2.0, 3.0, 3.0, 2.5), 0.2))
     if spins:
         turns = {"yaw_deg": 20.0, "pitch_deg": 30.0, "roll_deg": -10.0, "spin_hz": 0.5}
-        motion = mounted(
+        motion = device_motion(
             motion, Mount(lever_arm_m=(0.1, -0.2, 0.5), spin_axis=(0.2, 0.0, 1.0), **turns), START_NS
         )
     t_ns, h_ns = START_NS + np.arange(0, 25 * 10**9, 12_345_678), 20_000

@@ -9,7 +9,7 @@ import trimesh
 
 from vlp16emu.foliage.lanes import Ground, Medium, Pulse
 from vlp16emu.foliage.march import march
-from vlp16emu.foliage.stems import find_stems_ahead, no_stems_ahead, stems_of
+from vlp16emu.foliage.stems import find_stems_ahead, room_for_stems, stems_of
 from vlp16emu.foliage.tiles import STEM, FarTile, TiledWindow
 from vlp16emu.foliage.voxel import KNOTS, QUANTILES
 from vlp16emu.forest.tiles import TileKey, ground_mesh
@@ -83,7 +83,7 @@ def joined(pieces):
 def beam(model, **changed):
     """The footprint of a VLP-16, with other settings."""
     seed = changed.pop("seed", 7)
-    return Footprint(Beam(model=model, rays=32), seed, resolution_m=1.0).changed(**changed)
+    return Footprint(Beam(model=model, rays=32), seed, resolution_m=1.0).with_settings(**changed)
 
 
 def level_pulses(y_m):
@@ -355,7 +355,7 @@ def no_medium():
 
 def sight_of(medium, axes, far_m, aside_m=0.0, spread=0.0):
     """List the stems of a medium that pulses, origins and directions (n, 6), may meet."""
-    ahead = no_stems_ahead(medium.stems)
+    ahead = room_for_stems(medium.stems)
     find_stems_ahead(medium.stems, ahead, axes, medium.near_m, far_m, aside_m, spread)
     return ahead
 

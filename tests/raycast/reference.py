@@ -8,7 +8,7 @@ import numpy as np
 from vlp16emu.elementary import matvec
 from vlp16emu.extras.displace import displace
 from vlp16emu.raycast.adaptive import enough
-from vlp16emu.raycast.beam import LINE, ROUND, beam_axis_of, lay, pulse_axes, turn
+from vlp16emu.raycast.beam import LINE, ROUND, beam_axis_of, draw_pattern, fill_sub_rays, pulse_axes
 from vlp16emu.raycast.build import relative_to_window, shear_placements
 from vlp16emu.raycast.pieces import faces_of
 from vlp16emu.types import NO_SURFACE, Hits
@@ -50,9 +50,9 @@ def sub_rays(firings, beam, from_m, first, count):
     sigmas, adaptive = beam.sigmas.astype(np.float32), beam.budget.adaptive
     for i, j in np.ndindex(firings.t_ns.shape):
         pulse_axes(*pulses, i, j, axes)
-        u, v = turn(beam.seed, firings.index + i, j)
+        u, v = draw_pattern(beam.seed, firings.index + i, j)
         for number in range(rays.shape[2]):
-            lay(laid.reshape(-1), axes, sigmas, u, v, first + ROUND * number, adaptive)
+            fill_sub_rays(laid.reshape(-1), axes, sigmas, u, v, first + ROUND * number, adaptive)
             rays[i, j, number, :3], rays[i, j, number, 3:] = laid[:3], laid[4:]
     rays = rays.swapaxes(3, 4).reshape(*firings.t_ns.shape, -1, 6)[:, :, :count]
     return np.ascontiguousarray(rays[..., :3]), np.ascontiguousarray(rays[..., 3:])
@@ -78,7 +78,7 @@ class ReferenceScene:
         if beam.budget.adaptive:
             return self._by_rounds(cast, firings, beam)
         if beam.has_width:
-            each = beam.budget.most
+            each = beam.budget.max_rays
             return Hits(np.full(shape, each, np.uint16), *cast(self._sub_rays(firings, beam, 0, each), each))
         lines = (firings.origin_m - self._origin_m).reshape(-1, 3), firings.direction.reshape(-1, 3)
         met = cast(lines, 1)

@@ -14,7 +14,7 @@ from raycast import lab
 
 from vlp16emu.errors import RunError
 from vlp16emu.raycast import embree
-from vlp16emu.raycast.build import EmbreeMesh, Placed, shape_of
+from vlp16emu.raycast.build import EmbreeMesh, Instances, shape_of
 from vlp16emu.raycast.caster import caster, sky_cover
 from vlp16emu.raycast.near import EmbreeCaster
 from vlp16emu.types import SURFACE, Mesh, Window
@@ -81,7 +81,7 @@ def test_a_window_that_fails_leaves_nothing_behind(workers, monkeypatch):
     monkeypatch.setattr(embree, "library", Watched)
     monkeypatch.setattr(embree, "check", fails)
     with pytest.raises(RunError, match=r"^Embree could not build the window: out of memory$"):
-        Placed(lab.placed(0), [], workers).scene(np.zeros(0, np.bool_))
+        Instances(lab.placed(0), [], workers).scene(np.zeros(0, np.bool_))
     assert len(released) == 1
     real.rtcReleaseScene(released[0])
 

@@ -9,7 +9,7 @@ from raycast import lab
 from raycast.reference import ReferenceScene, flatten, ranges_m
 
 from vlp16emu.raycast import build
-from vlp16emu.raycast.build import widened
+from vlp16emu.raycast.build import widen
 from vlp16emu.raycast.near import EmbreeCaster
 from vlp16emu.types import NO_SURFACE, Mesh
 
@@ -117,10 +117,10 @@ def test_no_number_of_embree_reaches_a_hit(workers, monkeypatch, model):
     true, rng = lab.opened(workers).cast(*cast), np.random.default_rng(9)
 
     def disturbed(vertices_m, triangles):
-        wider_m = widened(vertices_m, triangles)
+        wider_m = widen(vertices_m, triangles)
         return wider_m + rng.uniform(-2e-5, 2e-5, wider_m.shape).astype("f4")
 
-    monkeypatch.setattr(build, "widened", disturbed)
+    monkeypatch.setattr(build, "widen", disturbed)
     lab.assert_same_bits(true, lab.opened(workers).cast(*cast))
 
 
@@ -128,7 +128,7 @@ def test_embree_reads_corners_only_until_a_scene_is_committed(workers, monkeypat
     """With numbers that are none in the arrays of corners that Embree was given, every hit has the same
     bits."""
     cast, given = (lab.pulses(256), lab.NEAR_M, lab.FAR_M), []
-    monkeypatch.setattr(build, "widened", lambda *faces: given.append(widened(*faces)) or given[-1])
+    monkeypatch.setattr(build, "widen", lambda *faces: given.append(widen(*faces)) or given[-1])
     true = (scene := lab.opened(workers)).cast(*cast)
     for wider_m in given:
         wider_m[:] = np.nan

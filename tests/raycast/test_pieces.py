@@ -12,7 +12,7 @@ from raycast.reference import ReferenceScene, frozen
 
 from vlp16emu.foliage import far
 from vlp16emu.foliage.far import STRAY_M, FarCaster, within_reach
-from vlp16emu.raycast.build import _SHARPEST, _WIDER_M, widened
+from vlp16emu.raycast.build import _SHARPEST, _WIDER_M, widen
 from vlp16emu.raycast.packet import LEVEL
 from vlp16emu.raycast.pieces import faces_of, split_into_pieces
 from vlp16emu.types import SURFACE, Mesh, Sway, Window
@@ -34,7 +34,7 @@ def test_wider_triangles_hold_the_triangle_and_a_margin():
     sharp corners less, as the sine."""
     for sharp in (1.0, 0.02):
         corners_m = triangles(2000, sharp=sharp)
-        wider_m = widened(corners_m.reshape(-1, 3), np.arange(6000, dtype="u4").reshape(-1, 3))
+        wider_m = widen(corners_m.reshape(-1, 3), np.arange(6000, dtype="u4").reshape(-1, 3))
         assert wider_m.shape == (6001, 3)
         wider_m = wider_m[:-1].reshape(-1, 3, 3).astype(float)
         corners_m = corners_m.astype(float)
@@ -59,7 +59,7 @@ def test_triangles_of_no_area_stay_where_they_are():
     than sharp ones do."""
     point, line = np.ones((3, 3), "f4"), np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]], "f4")
     both = np.concatenate([point, line])
-    wider_m = widened(both, np.arange(6, dtype="u4").reshape(-1, 3))
+    wider_m = widen(both, np.arange(6, dtype="u4").reshape(-1, 3))
     assert np.array_equal(wider_m[:3], point)
     assert np.isfinite(wider_m).all()
     assert np.abs(wider_m[3:6] - line).max() <= 2 * _WIDER_M / _SHARPEST

@@ -89,8 +89,8 @@ def test_packets_leave_in_real_time():
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a thread has a priority of its own on Linux alone")
 def test_threads_that_compute_give_way():
-    """The thread that computes and one that it starts are nicer by 3 than the one that sends, which stays
-    as it was."""
+    """The computing thread and those that it starts have a nice value 3 above the sending thread, whose own
+    is unchanged."""
     before, nice = os.getpriority(os.PRIO_PROCESS, 0), []
 
     def note():

@@ -6,7 +6,7 @@ from scipy import stats
 
 from vlp16emu.engine import Engine
 from vlp16emu.scenario import load
-from vlp16emu.sensor.power_up import counters_of, powered_up
+from vlp16emu.sensor.power_up import counters_of, with_start_state
 from vlp16emu.sensor.settings import Sensor
 from vlp16emu.types import PacketKind
 
@@ -20,7 +20,7 @@ HALL = {
 def test_units_differ_in_their_state():
     """Over many seeds rotors stand anywhere (KS), clocks are within 2 ppm of nominal or up to 20 off, and
     no MAC address comes twice."""
-    units = [powered_up(Sensor(), seed) for seed in range(400)]
+    units = [with_start_state(Sensor(), seed) for seed in range(400)]
     assert stats.kstest([unit.start_azimuth_deg / 360 for unit in units], "uniform").pvalue > 0.01
     assert min(unit.powered_for_s for unit in units) >= 60
     ppm = np.array([unit.clock_error_ppm for unit in units])
@@ -33,8 +33,8 @@ def test_units_differ_in_their_state():
 
 def test_what_is_set_is_kept_and_a_steady_unit_begins_with_the_run():
     """Keys of the scene hold, one by one; `steady` has round numbers, and counts from 0."""
-    assert powered_up(Sensor(start_azimuth_deg=5.0), 7).start_azimuth_deg == 5.0
-    steady = powered_up(Sensor(preset="steady"), 7)
+    assert with_start_state(Sensor(start_azimuth_deg=5.0), 7).start_azimuth_deg == 5.0
+    steady = with_start_state(Sensor(preset="steady"), 7)
     assert (steady.start_azimuth_deg, steady.powered_for_s, steady.clock_error_ppm) == (0.1, 0.0, 0.0)
     assert counters_of(steady, 7, 1).mac == bytes.fromhex("607688380002")
     assert counters_of(steady, 7, 1).identification == 0

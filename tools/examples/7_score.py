@@ -1,5 +1,7 @@
 #!/usr/bin/env python3
-"""7. Score a trajectory against the ground truth of a run: here the estimate is the ground truth with 5 cm of noise.
+"""7. Score a trajectory against the ground truth of a run.
+
+Here the estimate is the ground truth with 5 cm of noise.
 
 tools/examples/7_score.py [SECONDS]
 """

@@ -17,7 +17,10 @@ schema = 1
 layout = "semantickitti"
 seeds = [1, 2]
 stands = [{{ name = "hall", scene = "static_bench", set = ["duration_s={seconds}"] }}]
-paths = [{{ name = "low", set = ["motion.height_m=1.0"] }}, {{ name = "high", set = ["motion.height_m=2.0"] }}]
+paths = [
+    {{ name = "low", set = ["motion.height_m=1.0"] }},
+    {{ name = "high", set = ["motion.height_m=2.0"] }},
+]
 sensors = [{{ name = "puck" }}]
 splits = {{ train = 1.0, val = 0.0, test = 0.0 }}
 """)

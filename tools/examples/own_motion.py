@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
 """Your own motion: a carrier that follows a function of time, here a sensor that swings on a rope.
 
-A package that declares it as an entry point of the group `vlp16emu.motions` makes it available to all scene files and commands.
+A package that declares it as an entry point of the group `vlp16emu.motions` makes it available to all
+scene files and commands.
 
 tools/examples/own_motion.py [SECONDS]
 """

@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
 """Your own beam table: a sensor with 32 lasers, denser around the horizon, for `points`.
 
-A package that declares it as an entry point of the group `vlp16emu.sensors` makes it available to all scene files and commands.
+A package that declares it as an entry point of the group `vlp16emu.sensors` makes it available to all
+scene files and commands.
 
 tools/examples/own_sensor.py [SECONDS]
 """
@@ -14,7 +15,10 @@ from vlp16emu.extras.free_sensor import FreeSensor
 
 
 class Dense32(FreeSensor):
-    """A sensor without packets; lasers in firing order: every third of a degree from -4 to 2, coarser beyond."""
+    """A sensor without packets.
+
+    Lasers in firing order: every third of a degree from -4 to 2, coarser beyond.
+    """
 
     model: Literal["dense-32"]
     elevations_deg: tuple[float, ...] = (

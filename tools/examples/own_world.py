@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
 """Your own world: bare dunes. A scene selects a class by its `kind`.
 
-A package that declares it as an entry point of the group `vlp16emu.worlds` makes it available to all scene files and commands.
+A package that declares it as an entry point of the group `vlp16emu.worlds` makes it available to all
+scene files and commands.
 
 tools/examples/own_world.py [SECONDS]
 """

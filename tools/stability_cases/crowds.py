@@ -12,7 +12,7 @@ from scipy.stats import norm
 from stability_cases.case import Row, case, refusal
 from stability_cases.lab import PULSES, beam, cast, faces, open_scene, pulses, wall
 from vlp16emu.extras.meshes.files import UserMesh
-from vlp16emu.extras.meshes.furnished import Furnished
+from vlp16emu.extras.meshes.furnish import Furnished
 from vlp16emu.extras.meshes.settings import MeshFile, MeshPlace
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.types import F8, Firings, Mesh

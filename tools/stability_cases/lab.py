@@ -29,10 +29,10 @@ def unit_of(scene: str, *settings: str) -> Unit:
 
 def beam(model: str, rays: int = 64, *, has_width: bool = True) -> Footprint:
     """Light of a VLP-16, or light without width."""
-    light = Footprint(Beam(model=model), seed=7, resolution_m=1.0).changed(
+    light = Footprint(Beam(model=model), seed=7, resolution_m=1.0).with_settings(
         rays=rays
     )  # fewer, too, than a scene may have
-    return light if has_width else light.changed(spot_mm=(0.0, 0.0), divergence_mrad=(0.0, 0.0))
+    return light if has_width else light.with_settings(spot_mm=(0.0, 0.0), divergence_mrad=(0.0, 0.0))
 
 
 def faces(corners_m: F8) -> Mesh:

@@ -154,7 +154,7 @@ def merging_echoes() -> Iterator[Row]:
 def _light(model: str, rays: int, spot_mm: float, divergence_mrad: float) -> Footprint:
     divergence = divergence_mrad, divergence_mrad
     section = Beam(model=model, spot_mm=(spot_mm, spot_mm), divergence_mrad=divergence)
-    return Footprint(section, seed=7, resolution_m=1.0).changed(rays=rays)
+    return Footprint(section, seed=7, resolution_m=1.0).with_settings(rays=rays)
 
 
 @case("closed form in float64 without width; 4096 sub-rays with it", is_slow=True)

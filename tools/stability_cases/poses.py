@@ -15,7 +15,7 @@ from stability_cases.case import Row, case, refusal
 from vlp16emu.extras.recorded.files import RecordedPoses, read_kitti
 from vlp16emu.extras.recorded.motion import RecordedMotion
 from vlp16emu.extras.recorded.settings import Recorded
-from vlp16emu.motion.mount import mounted
+from vlp16emu.motion.mount import device_motion
 from vlp16emu.motion.pose import Motion, StaticMotion
 from vlp16emu.motion.settings import Mount
 from vlp16emu.types import F8
@@ -189,7 +189,7 @@ def mounts() -> Iterator[Row]:
         ("pitch of -90 degrees", Mount(yaw_deg=-170.0, pitch_deg=-90.0, roll_deg=179.9)),
         ("stage of 9.7 Hz, seven days", Mount(pitch_deg=90.0, roll_deg=3.0, spin_hz=9.7)),
     ):
-        found = mounted(base, mount, start_ns).poses_at(start_ns + times_ns).world_R_body
+        found = device_motion(base, mount, start_ns).poses_at(start_ns + times_ns).world_R_body
         with mp.workdps(40):
             worst = max(
                 abs(float(_exact_mount(mount, t)[i, j] - mpf(float(turn[i, j]))))

@@ -179,7 +179,7 @@ def cache(
     from vlp16emu.store import user_store
 
     if clear and compile_all:
-        raise InputError("--compile", "found --clear", "one of both")
+        raise InputError("--compile", "found beside --clear", "only one of the two")
     if compile_all:
         compile_first(None)
     tree: Tree = {"cleared": clear}
@@ -253,7 +253,7 @@ def forest(
     for name, path in wanted.items():  # before anything heavy
         spare(inputs, path)
         if path.suffix != (suffix := _SUFFIXES[name]):
-            raise InputError(f"{name} {path}", f"found suffix '{path.suffix}'", suffix)
+            raise InputError(f"{name} {path}", f"found the ending {path.suffix!r}", suffix)
     with plotting(plot, inputs) as draw:
         compile_first(scenario.world.kind)
         from vlp16emu.extras.survey import write_survey

@@ -137,12 +137,12 @@ def compare(
     most a minute of each capture is read. Scatter of ranges and of reflectivity also depends on the scene:
     compare walls with walls, foliage with foliage.
     """
-    from vlp16emu.extras.compare import compared, histograms_of, read_sequences
+    from vlp16emu.extras.compare import compare_statistics, histograms_of, read_sequences
     from vlp16emu.extras.plot.sheet import plotting
 
     with plotting(plot, [file, other]) as draw:
         sequences = read_sequences(file), read_sequences(other)
-        rows = compared(*sequences)
+        rows = compare_statistics(*sequences)
         apart = [row.name for row in rows if row.apart]
         found = {"files": [file, other], "apart": apart, "statistics": [row._asdict() for row in rows]}
         report = report_of("compare", {**found, "histograms": histograms_of(*sequences)})
@@ -179,14 +179,14 @@ def fit(
 
     The beat of its ranges has its phase at the capture's first pulse. At most a minute is read.
     """
-    from vlp16emu.extras.compare import fitted, read_sequences
+    from vlp16emu.extras.compare import fit_settings, read_sequences
     from vlp16emu.output import STDOUT, OutputFile, spare
 
     if out is not None:
         spare((file,), out)
     tables = {
         name: "".join(f"{key} = {json.dumps(value)}\n" for key, value in table.items())  # TOML's syntax, too
-        for name, table in fitted(read_sequences(file)).items()
+        for name, table in fit_settings(read_sequences(file)).items()
     }
     text = "\n".join(f"[{name}]\n{lines}" for name, lines in tables.items())
     if out is None or out == STDOUT:
@@ -233,7 +233,7 @@ def score(
     if as_json:
         print_json(report)
     else:
-        print_rows("scores", {name: f"{value:.6g}" for name, value in card.scores.items()})
+        print_rows("scores", card.texts())
         print_rows("measured", card.notes)
         for line in missed:
             print_line(f"missed: {line}")

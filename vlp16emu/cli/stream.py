@@ -156,7 +156,7 @@ def _is_measured(*, wanted: bool | None, is_prepared: bool, is_live: bool) -> bo
     """Return if the beam and the reach are set with which this machine keeps up."""
     cannot = "--prepare" if is_prepared else ("--pose-in" if is_live else None)
     if wanted and cannot:
-        raise InputError("--keep-up", f"found beside {cannot}", "one of both")
+        raise InputError("--keep-up", f"found beside {cannot}", "only one of the two")
     if wanted is not None or cannot:
         return bool(wanted)
     return sys.stderr is not None and sys.stderr.isatty()

@@ -95,7 +95,7 @@ def points(
         _refuse({**spans, **made}, f"the capture {scene}", "a scene")
         _deskew(Path(scene), out, trajectory, errors, options, clock=clock, as_json=as_json)
         return
-    wrong = {"--time-offset": errors.time_offset_s, "--mount": errors.mount, "--drift": errors.drift}
+    wrong = {"--time-offset": errors.time_offset_s != 0.0, "--mount": errors.mount, "--drift": errors.drift}
     _refuse({**wrong, "--clock": clock}, "a scene", "a capture and its --trajectory")
     began_s = time.perf_counter()
     emulator = make_emulator(scene, making)
@@ -124,7 +124,7 @@ def _deskew(
     as_json: bool,
 ) -> None:
     if trajectory is None:
-        expected = "--trajectory DIR or FILE.tum; `vlp16emu decode` leaves points in the sensor"
+        expected = "--trajectory DIR or FILE.tum, or `vlp16emu decode` for points in the sensor's frame"
         raise InputError(str(capture), "is a capture", expected)
     from vlp16emu.extras.clouds.cloud import label_scheme
     from vlp16emu.extras.clouds.deskew import CaptureTruth, Trajectory, write_deskewed

@@ -1,6 +1,6 @@
-"""Assembly of an emulator's parts from the sections of a scenario: heads, receivers, carrier and world.
+"""Assembly of an emulator's parts, from the sections of a scenario.
 
-No geometry is built here.
+Parts are heads, receivers, carrier and world. No geometry is built here.
 """
 
 from collections.abc import Callable
@@ -14,7 +14,7 @@ from vlp16emu.elementary import norm
 from vlp16emu.engine.gps_input import GpsInput
 from vlp16emu.engine.state import SensorState
 from vlp16emu.engine.timeline import Timeline, stretches_of
-from vlp16emu.motion.mount import mounted, true_mount
+from vlp16emu.motion.mount import device_motion, true_mount
 from vlp16emu.motion.pose import Motion
 from vlp16emu.motion.settings import Gps, Mount
 from vlp16emu.packets import FACTORY_LINK, Link, positions_from_ns
@@ -28,7 +28,7 @@ from vlp16emu.sensor.beams import with_angle_errors
 from vlp16emu.sensor.clock import clock_of
 from vlp16emu.sensor.head import Head
 from vlp16emu.sensor.operation import spins
-from vlp16emu.sensor.power_up import counters_of, powered_up
+from vlp16emu.sensor.power_up import counters_of, with_start_state
 from vlp16emu.sensor.rotor import Encoder, Rotor, Swing
 from vlp16emu.sensor.settings import Lidar, require_packets
 from vlp16emu.types import F8, I8, HeightField, Inertial, MovingTrees, ReturnMode, World
@@ -39,9 +39,8 @@ if TYPE_CHECKING:
     from vlp16emu.engine.engine import Engine
 
 _IMU = 1000  # device number of the inertial unit's mount, above all sensors
-_STRAY_M = (
-    1.0  # greatest distance of a laser from the carrier's path on the ground: sway, and lasers off the centre
-)
+_STRAY_M = 1.0
+"""Greatest distance of a laser from the carrier's path on the ground: sway, and lasers off the centre."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,14 +197,15 @@ def assemble(scenario: Scenario, like: "Engine | None" = None) -> Parts:
     people = None
     if imu:
         imu_mount = true_mount(imu.mount, seed, _IMU)
-        sampler = IMU.load()(mounted(carrier, imu_mount, start_ns), imu, start_ns=start_ns, seed=seed)
+        sampler = IMU.load()(device_motion(carrier, imu_mount, start_ns), imu, start_ns=start_ns, seed=seed)
     if scenario.people:
         people = PEOPLE.load()(
             scenario.people, carrier, ground_m, start_ns=start_ns, seed=scenario.motion_seed
         )
     mounts = [true_mount(mount, seed, device) for device, mount in enumerate(mounts_of(scenario))]
     units = tuple(
-        _unit(scenario, number, mount, mounted(top, mount, start_ns)) for number, mount in enumerate(mounts)
+        _unit(scenario, number, mount, device_motion(top, mount, start_ns))
+        for number, mount in enumerate(mounts)
     )
     return Parts(units, carrier, sampler, imu_mount, ground_m, world, wind, people, gps_input(scenario.gps))
 
@@ -220,8 +220,12 @@ def seed_of(scenario: Scenario, unit: int) -> int:
     """Seed of a unit's random numbers."""
     if unit == 0:
         return scenario.sensor_seed
-    own = scenario.rig[unit - 1].seed
-    return int(generator(scenario.sensor_seed, Purpose.UNIT, unit).integers(2**63)) if own is None else own
+    set_seed = scenario.rig[unit - 1].seed
+    return (
+        int(generator(scenario.sensor_seed, Purpose.UNIT, unit).integers(2**63))
+        if set_seed is None
+        else set_seed
+    )
 
 
 def beam_of(scenario: Scenario, seed: int) -> Footprint:
@@ -275,7 +279,7 @@ def _sensors(scenario: Scenario) -> list[tuple[Lidar, Mount]]:
 def _unit(scenario: Scenario, number: int, mount: Mount, motion: Motion) -> Unit:
     given = [scenario.sensor, *scenario.rig][number]
     seed = seed_of(scenario, number)
-    section = powered_up(given, seed)
+    section = with_start_state(given, seed)
     state = SensorState.steady(section, gps_input(scenario.gps))
     if scenario.events:
         state = EVENTS.load()(state, scenario, number)
@@ -322,7 +326,7 @@ def _head(scenario: Scenario, section: Lidar, seed: int, state: SensorState) -> 
         wobbles=state.wobbles,
         swings=swings,
         drift=drift,
-        locks_ns=state.operation.where(lambda now: now.settings.phase_lock_deg != "off"),
+        locks_ns=state.operation.where(lambda operation: operation.settings.phase_lock_deg != "off"),
     )
     beams = with_angle_errors(
         section.beam_table(),

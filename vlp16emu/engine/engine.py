@@ -1,4 +1,4 @@
-"""The program on one page: poses - aim - cast - shade - dim - detect - pack - merge in order of sending.
+"""The program on one page: poses, aim, cast, shade, dim, detect, pack, merge in order of sending.
 
 Blocks of firing sequences are computed whole, and windows of the world change at fixed blocks, so neither the
 number of threads nor the requested span can change a byte.
@@ -32,9 +32,8 @@ from vlp16emu.types import F8, Firings, Hits, Packet, PacketKind, Returns
 from vlp16emu.units import S_NS, seconds_to_ns
 
 _AT_ONCE = 128  # position packets whose times are computed at once: one second
-_LONGEST_S = (
-    14 * 86_400
-)  # the latest start of a run and the longest run together; then stamps still fit a capture
+_LONGEST_S = 14 * 86_400
+"""Sum of the latest start of a run and the longest run; stamps then still fit a capture."""
 _LOWEST_DEG = 15.0  # lowest elevation of satellites that receivers use: the usual mask of forest surveys
 
 
@@ -77,9 +76,9 @@ def scan(job: Job, geometry: Geometry, taps: Iterable[Tap] = ()) -> Returns:
     add_texture(firings, hits, geometry.surfaces, job.texture_seed)
     firings = replace(firings, beam_axis=None)  # a quarter of the memory of returns that wait
     optics = unit.state.optics
-    light = optics.dimmed(firings, hits) if optics else hits
+    light = optics.dim(firings, hits) if optics else hits
     returns = detect(firings, light, geometry.surfaces, job.detector, truth=job.truth, block=job.block)
-    return optics.received(returns) if optics else returns
+    return optics.without_dead_lasers(returns) if optics else returns
 
 
 @dataclass(frozen=True)
@@ -127,10 +126,10 @@ class Engine:
         require_packets(self.scenario.sensor)
         span_ns = self.span_ns(start_s, stop_s)
         if not self.scenario.events:
-            return self.sent(*span_ns)
-        return FAULTS.load()(self.scenario, self.parts.units, self.sent, *span_ns)
+            return self.packets_sent(*span_ns)
+        return FAULTS.load()(self.scenario, self.parts.units, self.packets_sent, *span_ns)
 
-    def sent(self, start_ns: int, stop_ns: int) -> Iterator[Packet]:
+    def packets_sent(self, start_ns: int, stop_ns: int) -> Iterator[Packet]:
         """Merge the packets that are sent in a span since the first pulse, before network faults."""
         streams = list[Iterator[Packet]]()
         # Packets due at the same time leave in order of units, data packets before position packets.
@@ -179,8 +178,10 @@ class Engine:
             raise TrajectoryError("start", f"found {start_s:g} s", "0 s or later")
         if stop_s > (end_s := self.parts.motion.run_time_s):
             keys = "; longer with motion.laps, and motion.back_and_forth where the path is open"
-            most = f"at most the walk's {end_s:.1f} s{keys if self.scenario.motion.kind == 'walk' else ''}"
-            raise TrajectoryError("duration", f"found {stop_s:g} s", most)
+            expected = (
+                f"at most the walk's {end_s:.1f} s{keys if self.scenario.motion.kind == 'walk' else ''}"
+            )
+            raise TrajectoryError("duration", f"found {stop_s:g} s", expected)
         stop_ns = seconds_to_ns(stop_s)
         if max(start_ns, stop_ns) > _LONGEST_S * S_NS:
             raise TrajectoryError(
@@ -196,9 +197,8 @@ class Engine:
             packer = Packer(unit, stretch, self.truth_of)
             blocks = stretch.blocks(self.batching.block)
             scans = self._scans(unit, detector, blocks, threads, truth=self.truth_of is not None)
-            for packets in map(
-                packer.pack, scans
-            ):  # no variable keeps returns, up to 25 MB, until the next are ready
+            # With `map` no variable keeps returns, up to 25 MB, until the next are ready.
+            for packets in map(packer.pack, scans):
                 yield from packets
 
     def _returns_of(self, unit: Unit, stretch: Stretch, blocks: range, *, truth: bool) -> Iterator[Returns]:
@@ -216,14 +216,14 @@ class Engine:
         self, unit: Unit, detector: UnitDetector, blocks: range, threads: int, *, truth: bool
     ) -> Iterator[Returns]:
         """Scan blocks on several threads; yield their returns in order of blocks."""
-        together = 1 if self.prompt or self.truth_of else unit.beam.together
+        at_once = 1 if self.prompt or self.truth_of else unit.beam.revolutions_at_once
         block = self.batching.block
         seed = self.parts.world.seed
 
         def work(run: range, opened: Future[Geometry]) -> Returns:
             return self._scan(Job(unit, detector, run, block, seed, truth), opened)
 
-        runs = self.windows.runs(blocks, together, threads)
+        runs = self.windows.runs(blocks, at_once, threads)
         return in_order(work, runs, self.windows, threads=threads, stop=blocks.stop)
 
     def _scan(self, job: Job, opened: Future[Geometry]) -> Returns:

@@ -156,8 +156,8 @@ def _garble(sentence: bytes, characters: int, random: np.random.Generator) -> by
     text = bytearray(sentence)
     body = range(len(b"$GPRMC,"), text.index(b"*"))
     for place in random.choice(body, min(characters, len(body)), replace=False).tolist():
-        others = [code for code in _PRINTABLE if code != text[place]]
-        text[place] = others[int(random.integers(len(others)))]
+        other_codes = [code for code in _PRINTABLE if code != text[place]]
+        text[place] = other_codes[int(random.integers(len(other_codes)))]
     summed = np.bitwise_xor.reduce(np.frombuffer(bytes(text[1 : text.index(b"*")]), np.uint8))
     if b"%02X" % int(summed) == text[-4:-2]:  # changes of several characters may cancel
         text[-3] = ord("1") if text[-3] == ord("0") else ord("0")

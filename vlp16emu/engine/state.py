@@ -14,12 +14,12 @@ from vlp16emu.types import Firings, Hits, Returns
 
 
 class Optics(Protocol):
-    """Window and lasers that are not as they should be."""
+    """Dirty window and dead lasers."""
 
-    def dimmed(self, firings: Firings, hits: Hits) -> Hits:
+    def dim(self, firings: Firings, hits: Hits) -> Hits:
         """Attenuate the light of each pulse."""
 
-    def received(self, returns: Returns) -> Returns:
+    def without_dead_lasers(self, returns: Returns) -> Returns:
         """Remove the returns of dead lasers."""
 
 
@@ -41,4 +41,4 @@ class SensorState:
     @cached_property
     def silences(self) -> Spans:
         """Spans since the first pulse without power, in which no packet of any kind leaves."""
-        return self.operation.where(lambda now: not now.is_powered)
+        return self.operation.where(lambda operation: not operation.is_powered)

@@ -37,9 +37,8 @@ class Stretch:
     first: int  # Firing sequence, at which a packet begins
     stop: int | None  # Firing sequence after the last; None for a span without end
     mode: ReturnMode
-    fov_deg: (
-        tuple[int, int] | None
-    )  # First and last azimuth that is sent, in whole degrees; None for the full circle
+    fov_deg: tuple[int, int] | None
+    """First and last azimuth that is sent, in whole degrees; None for the full circle."""
 
     @property
     def per_packet(self) -> int:
@@ -64,8 +63,8 @@ class Timeline:
     head: Head
     spans: tuple[Stretch, ...]  # In order of time, without overlap
     _counts: dict[Stretch, tuple[int, ...]] = field(default_factory=dict, init=False, repr=False)
-    """Numbers of chosen firing sequences from the begin of a span to each multiple of `_AT_ONCE` after it, as
-    far as they have been counted."""
+    """Numbers of firing sequences in view from the begin of a span to each multiple of `_AT_ONCE` after it,
+    as far as they have been counted."""
     _totals: dict[int, int] = field(default_factory=lambda: {0: 0}, init=False, repr=False)
     """Numbers of packets before spans, by their places."""
 
@@ -74,7 +73,7 @@ class Timeline:
         last = -(-stop_ns // self.head.beams.sequence_ns) - 1
         return last if span.stop is None else min(span.stop, last)
 
-    def chosen(self, span: Stretch, first: int, stop: int) -> NDArray[np.int64]:
+    def in_view(self, span: Stretch, first: int, stop: int) -> NDArray[np.int64]:
         """Find firing sequences from `first` to before `stop`, both even, in a span's field of view.
 
         A data block is sent as a whole or not at all, by its azimuth; the field of view includes its last
@@ -86,8 +85,8 @@ class Timeline:
         inside = FieldOfView(self.head, *span.fov_deg).inside(every[::2])
         return every[np.repeat(inside, 2)]
 
-    def _chosen_before(self, span: Stretch, stop: int) -> int:
-        """Count a span's chosen firing sequences before an even one; the counts are kept."""
+    def _count_in_view(self, span: Stretch, stop: int) -> int:
+        """Count a span's firing sequences in view before an even one; the counts are kept."""
         if span.fov_deg is None or stop <= span.first:
             return max(stop - span.first, 0)
         field_of_view = FieldOfView(self.head, *span.fov_deg)
@@ -100,12 +99,12 @@ class Timeline:
 
     def _packets_before(self, span: Stretch, t_ns: int) -> int:
         """Count the packets of a span that are due before a time since the first pulse."""
-        return self._chosen_before(span, self._stop_of(span, t_ns) & ~1) // span.per_packet
+        return self._count_in_view(span, self._stop_of(span, t_ns) & ~1) // span.per_packet
 
     def _begin_of(self, span: Stretch, start_ns: int) -> tuple[int, int]:
         """Find a firing sequence from which the packets that are due at or after a time are found.
 
-        Returns its number, and the number of chosen firing sequences from it to the first of these packets.
+        Returns its number, and the number of firing sequences in view from it to the first of these packets.
         """
         before = self._packets_before(span, start_ns) * span.per_packet
         if span.fov_deg is None:
@@ -132,7 +131,7 @@ class Timeline:
         begin, skipped = self._begin_of(span, start_ns)
         left = np.empty(0, np.int64)
         for first in range(begin, stop, _AT_ONCE):
-            chosen = self.chosen(span, first, min(first + _AT_ONCE, stop))
+            chosen = self.in_view(span, first, min(first + _AT_ONCE, stop))
             rows = np.concatenate([left, chosen[skipped:]])
             skipped = max(skipped - len(chosen), 0)
             complete = len(rows) // span.per_packet * span.per_packet
@@ -166,7 +165,7 @@ class Timeline:
         for later in range(len(self._totals), place + 1):
             span = self.spans[later - 1]
             assert span.stop is not None
-            packets = self._chosen_before(span, span.stop) // span.per_packet
+            packets = self._count_in_view(span, span.stop) // span.per_packet
             self._totals[later] = self._totals[later - 1] + packets
         return self._totals[place] + self._packets_before(self.spans[place], t_ns)
 
@@ -177,7 +176,7 @@ class Timeline:
         if (begin, end) == (first, stop) and span.fov_deg is None:
             return None
         sent = np.zeros(stop - first, np.bool_)
-        sent[self.chosen(span, begin, end) - first] = True
+        sent[self.in_view(span, begin, end) - first] = True
         return sent
 
 
@@ -187,11 +186,11 @@ def stretches_of(operation: Steps[Operation]) -> tuple[Stretch, ...]:
     A change takes effect with the next packet of single return, and begins a packet.
     """
     spans = list[Stretch]()
-    for begin_ns, end_ns, now in operation.spans():
+    for begin_ns, end_ns, in_force in operation.spans():
         first = _sequence(begin_ns)
         stop = None if end_ns == FOREVER_NS else _sequence(end_ns)
-        settings = now.settings
-        if not now.is_powered or not settings.laser or first == stop:
+        settings = in_force.settings
+        if not in_force.is_powered or not settings.laser or first == stop:
             continue
         mode = ReturnMode(settings.return_mode)
         fov_deg = None if settings.fov_deg == ALL_AROUND else settings.fov_deg
@@ -229,7 +228,7 @@ class Packer:
         first, stop = max(stretch.first, begin), min(stretch.stop or 2**62, begin + _count(returns))
         rows = self._rows(returns, first, stop)
         if first > self._reached:
-            missing = len(self._unit.timeline.chosen(stretch, self._reached, first & ~1))
+            missing = len(self._unit.timeline.in_view(stretch, self._reached, first & ~1))
             self._lost += missing + (_count(self._left) if self._left else 0)
             self._left = None
         self._reached = stop
@@ -255,7 +254,7 @@ class Packer:
         begin = returns.firings.index
         if self._stretch.fov_deg is None:
             return _rows(returns, slice(first - begin, stop - begin))
-        return _rows(returns, self._unit.timeline.chosen(self._stretch, first, stop & ~1) - begin)
+        return _rows(returns, self._unit.timeline.in_view(self._stretch, first, stop & ~1) - begin)
 
 
 _BY_RETURN = ("distance_m", "reflectivity", "surface", "range_m", "share")
@@ -264,15 +263,16 @@ _BY_RETURN = ("distance_m", "reflectivity", "surface", "range_m", "share")
 def _rows(returns: Returns, rows: slice | NDArray[np.int64]) -> Returns:
     """Select firing sequences of returns for packing: in order of time, with gaps."""
     arrays = {name: getattr(returns.firings, name)[rows] for name in _BY_SEQUENCE}
-    taken = {name: whole[rows] for name in _BY_RETURN if (whole := getattr(returns, name)) is not None}
+    present = [name for name in _BY_RETURN if getattr(returns, name) is not None]
+    selected = {name: getattr(returns, name)[rows] for name in present}
     firings = Firings(index=returns.firings.index, beam_axis=None, **arrays)
-    return Returns(firings, surfaces=returns.surfaces, mode=returns.mode, **taken)
+    return Returns(firings, surfaces=returns.surfaces, mode=returns.mode, **selected)
 
 
 def _concatenate(earlier: Returns, later: Returns) -> Returns:
     """Concatenate the rows of two returns and their tables of surfaces."""
 
-    def both(first: object, second: object, names: tuple[str, ...]) -> dict[str, Any]:
+    def concatenate(first: object, second: object, names: tuple[str, ...]) -> dict[str, Any]:
         present = [name for name in names if getattr(first, name) is not None]
         return {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in present}
 
@@ -280,9 +280,11 @@ def _concatenate(earlier: Returns, later: Returns) -> Returns:
         moved = later.surface + np.uint32(len(earlier.surfaces))
         later = replace(later, surface=np.where(later.surface == NO_SURFACE, NO_SURFACE, moved))
     firings = Firings(
-        index=earlier.firings.index, beam_axis=None, **both(earlier.firings, later.firings, _BY_SEQUENCE)
+        index=earlier.firings.index,
+        beam_axis=None,
+        **concatenate(earlier.firings, later.firings, _BY_SEQUENCE),
     )
-    return Returns(firings, mode=earlier.mode, **both(earlier, later, (*_BY_RETURN, "surfaces")))
+    return Returns(firings, mode=earlier.mode, **concatenate(earlier, later, (*_BY_RETURN, "surfaces")))
 
 
 def _count(returns: Returns) -> int:

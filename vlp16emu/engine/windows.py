@@ -1,5 +1,6 @@
 """Windows of the world and blocks of a run, computed ahead on several threads and yielded in order."""
 
+import logging
 import math
 from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Iterator
@@ -21,6 +22,7 @@ from vlp16emu.raycast.caster import Caster, Geometry, caster
 from vlp16emu.sensor.beams import SEQUENCE_NS, BeamTable
 from vlp16emu.types import F8, Window
 
+_log = logging.getLogger(__name__)  # at DEBUG it names each window that is opened
 BLOCK = 1_920
 """Firing sequences of a VLP-16 computed at once, 106 ms: whole packets in every return mode, and a multiple
 of 8 rays."""
@@ -64,8 +66,8 @@ class Batching:
     @property
     def block(self) -> int:
         """Firing sequences of a block, or of a part of one."""
-        most = min(16 * BLOCK // self.lasers, _LONGEST_NS // self.sequence_ns)
-        return max(most // (_RAYS * self.parts), 1) * _RAYS
+        greatest = min(16 * BLOCK // self.lasers, _LONGEST_NS // self.sequence_ns)
+        return max(greatest // (_RAYS * self.parts), 1) * _RAYS
 
     @property
     def block_ns(self) -> int:
@@ -114,17 +116,17 @@ class Windows(Generic[S]):
         too_far = max(0, threads + 1 - self._free)
 
         @lru_cache(self.kept + math.ceil(too_far / batching.segment))
-        def opened(name: Hashable) -> Future[S]:
+        def future_of(name: Hashable) -> Future[S]:
             return opener.submit(open_segment, name)
 
-        self._opened = opened
+        self._future_of = future_of
         self.stop = Event()  # never set; see `stopped_by`
 
     def stopped_by(self, stop: Event) -> Self:
         """Return the same windows for a run that stops waiting for results once `stop` is set."""
-        other = copy(self)
-        other.stop = stop
-        return other
+        windows = copy(self)
+        windows.stop = stop
+        return windows
 
     def wait(self, future: Future[T]) -> T:
         """Return the result of a future; `CancelledError` if the run is stopped first."""
@@ -145,7 +147,7 @@ class Windows(Generic[S]):
 
     def at_block(self, block: int) -> Future[S]:
         """Window of a block."""
-        return self._opened(self.name_of(block))
+        return self._future_of(self.name_of(block))
 
     def at_time(self, since_ns: int) -> Future[S]:
         """Window of a time since the first pulse; before it, the first segment's, as nothing moves yet."""
@@ -156,19 +158,19 @@ class Windows(Generic[S]):
         lead = int(_LEAD * self._per_segment) if self._per_segment else 0
         self.at_block(min(block + lead, stop - 1))
 
-    def runs(self, blocks: range, together: int, threads: int) -> Iterator[range]:
-        """Cut blocks into runs of at most `together` whole blocks, each within one window.
+    def runs(self, blocks: range, at_once: int, threads: int) -> Iterator[range]:
+        """Cut blocks into runs of at most `at_once` whole blocks, each within one window.
 
         Runs are short at first, so that the first packet comes soon, and at the end, so that workers end
         together; they are also short enough that workers do not get too far ahead.
         """
-        together = max(1, min(together * self._parts, self._free // (threads + 1)))
+        at_once = max(1, min(at_once * self._parts, self._free // (threads + 1)))
         first = blocks.start
         number = 0
         while first < blocks.stop:
-            size = min(together, 2 ** (number // threads), max(1, (blocks.stop - first) // (2 * threads)))
-            _, same = next(groupby(range(first, first + size), self.name_of))
-            size = len(list(same))
+            size = min(at_once, 2 ** (number // threads), max(1, (blocks.stop - first) // (2 * threads)))
+            _, in_window = next(groupby(range(first, first + size), self.name_of))
+            size = len(list(in_window))
             yield range(first, first + size)
             first = first + size
             number = number + 1
@@ -227,6 +229,7 @@ def window_of(parts: Parts, start_ns: int, batching: Batching, segment: int) -> 
 
 def window_around(parts: Parts, track_m: F8, edges_ns: NDArray[np.int64]) -> Window:
     """Return the window within reach of positions (n, 3); trees sway from the first instant to the last."""
+    _log.debug("opens a window around %d positions", len(track_m))
     window = parts.world.window(track_m)
     if parts.wind is None:
         return window

@@ -1,6 +1,6 @@
 """Conditions of a real walk in the field: the tables that `conditions = "field"` gives."""
 
-from vlp16emu.settings import merged
+from vlp16emu.settings import merge_tables
 from vlp16emu.trees import Tree
 
 _MOUNT = {"error_deg": 0.3, "error_mm": 5.0}
@@ -23,6 +23,6 @@ def in_the_field(tree: Tree) -> Tree:
     units = tree.get("rig")
     if isinstance(units, list):
         tree = tree | {
-            "rig": [merged({"mount": _MOUNT}, one) if isinstance(one, dict) else one for one in units]
+            "rig": [merge_tables({"mount": _MOUNT}, one) if isinstance(one, dict) else one for one in units]
         }
-    return merged(base, tree)
+    return merge_tables(base, tree)

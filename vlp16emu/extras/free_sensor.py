@@ -43,7 +43,7 @@ class FreeSensor(Lidar):
 
     @field_validator("vertical_fov_deg")
     @classmethod
-    def _rising(cls, vertical_fov_deg: tuple[float, float]) -> tuple[float, float]:
+    def _check_order(cls, vertical_fov_deg: tuple[float, float]) -> tuple[float, float]:
         if vertical_fov_deg[0] >= vertical_fov_deg[1]:
             raise ExpectationError("the lower elevation first")
         return vertical_fov_deg

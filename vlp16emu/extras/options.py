@@ -11,6 +11,8 @@ _LARGEST_PX = 8_192
 _MOUNT = "X,Y,Z,ROLL,PITCH,YAW"
 _DRIFT = "EAST,NORTH,UP,YAW"
 _FARTHEST = 1e6  # greatest of these numbers
+_AUTO = "auto"
+_MOST_OFFSET_S = float(2**32)  # between any two epochs in use, and far from the ends of int64 nanoseconds
 
 
 def _pixels(text: str) -> tuple[int, ...]:
@@ -33,20 +35,33 @@ def _numbers(names: str) -> Callable[[str], tuple[float, ...]]:
     return parse
 
 
+def _seconds_or_auto(text: str) -> float | None:
+    return None if text == _AUTO else float(text)
+
+
+TimeOffset = Annotated[
+    float | None,
+    Option(
+        "Time of the trajectory's stamps minus UTC, for stamps of another epoch or with an error on purpose: "
+        "the pose of a pulse is looked up so much later. auto finds it: the clock (UTC, GPS time, TAI) with "
+        "which spans overlap, else both begin together; `score` then moves it until steps agree best.",
+        "S|auto",
+        "--time-offset",
+        ge=-_MOST_OFFSET_S,
+        le=_MOST_OFFSET_S,
+        parse=_seconds_or_auto,
+        expected=f"auto, or a number from {-_MOST_OFFSET_S:.0f} to {_MOST_OFFSET_S:.0f}",
+        shown=False,
+    ),
+]
+"""None on the command line is `auto`."""
+
+
 @dataclass(frozen=True)
 class TrajectoryErrors(Options):
     """Errors that a trajectory gets on purpose, to see what they do to a map."""
 
-    time_offset_s: Annotated[
-        float,
-        Option(
-            "For a capture: seconds added to the time of a pulse before its pose is looked up.",
-            "S",
-            ge=-7 * 86_400,
-            le=7 * 86_400,
-            shown=False,
-        ),
-    ] = 0.0
+    time_offset_s: TimeOffset = 0.0
     mount: Annotated[
         tuple[float, ...] | None,
         Option(
@@ -190,6 +205,7 @@ class ScoreInputs(Options):
     times: Annotated[
         Path | None, Option("A time in seconds for each pose of KITTI, one per line.", "FILE")
     ] = None
+    time_offset_s: TimeOffset = 0.0
     map: Annotated[
         Path | None, Option("Points in the world: .ply, .npz, .csv, .pcd, .las or .laz.", "FILE")
     ] = None

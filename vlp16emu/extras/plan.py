@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from vlp16emu.engine import Engine, Job, Unit
 from vlp16emu.engine.windows import window_of
-from vlp16emu.extras.meshes.furnished import MeshKey
+from vlp16emu.extras.meshes.furnish import MeshKey
 from vlp16emu.extras.outlook import Outlook
 from vlp16emu.extras.walk.settings import Walk
 from vlp16emu.forest.plants.foliage import IvyKey
@@ -148,7 +148,7 @@ def stages(engine: Engine, repeats: int) -> list[Stage]:
     """
     unit = engine.parts.units[0]
     parts = engine.parts
-    count = unit.beam.together * engine.batching.block * engine.batching.parts
+    count = unit.beam.revolutions_at_once * engine.batching.block * engine.batching.parts
     segment = engine.batching.segment * engine.batching.block
     geometry = engine.windows.at_block(0).result()
     spent_s = dict[str, float]()
@@ -180,7 +180,7 @@ def _stages_at(
     )
     spent_s = dict[str, float]()
 
-    def timed(name: str, work: Callable[[], T]) -> T:
+    def time_stage(name: str, work: Callable[[], T]) -> T:
         times_s = []
         for _ in range(repeats):
             began_s = time.thread_time()
@@ -190,25 +190,29 @@ def _stages_at(
         return result
 
     t_ns = head.times_ns(first, count).reshape(-1)
-    poses = timed("poses of pulses", lambda: unit.motion.poses_at(t_ns))
-    firings = timed("aim", lambda: head.aim(first, count, lambda _: poses, beam_axis=unit.beam.has_width))
+    poses = time_stage("poses of pulses", lambda: unit.motion.poses_at(t_ns))
+    firings = time_stage(
+        "aim", lambda: head.aim(first, count, lambda _: poses, beam_axis=unit.beam.has_width)
+    )
     far_m, near_m = (
         sensor.max_range_m,
         min(sensor.max_range_m, 0.999 * world.near_m),
     )  # no ray goes on into the medium
-    timed("cast, near", lambda: geometry.cast(firings, head.beams.near_m, near_m, unit.beam))
-    hits = timed("cast, far", lambda: geometry.cast(firings, head.beams.near_m, far_m, unit.beam))
+    time_stage("cast, near", lambda: geometry.cast(firings, head.beams.near_m, near_m, unit.beam))
+    hits = time_stage("cast, far", lambda: geometry.cast(firings, head.beams.near_m, far_m, unit.beam))
     spent_s["cast, far"] = max(spent_s["cast, far"] - spent_s["cast, near"], 0.0)
     for tap in engine.taps:
-        timed("audit", lambda tap=tap: tap(job, firings, hits, geometry))  # type: ignore[misc]
-    timed("texture", lambda: add_texture(firings, hits, geometry.surfaces, world.seed))
+        time_stage("audit", lambda tap=tap: tap(job, firings, hits, geometry))  # type: ignore[misc]
+    time_stage("texture", lambda: add_texture(firings, hits, geometry.surfaces, world.seed))
     if unit.state.optics is not None:
         optics = unit.state.optics
-        hits = timed("window", lambda: optics.dimmed(firings, hits))
-    returns = timed("detect", lambda: detect(firings, hits, geometry.surfaces, unit.detector, truth=False))
+        hits = time_stage("window", lambda: optics.dim(firings, hits))
+    returns = time_stage(
+        "detect", lambda: detect(firings, hits, geometry.surfaces, unit.detector, truth=False)
+    )
     if sensor.model in {model.value for model in SensorModel}:
         mode = ReturnMode(sensor.return_mode)
-        timed("pack", lambda: pack_data(returns, mode, SensorModel(sensor.model), unit.number))
+        time_stage("pack", lambda: pack_data(returns, mode, SensorModel(sensor.model), unit.number))
     return spent_s
 
 

@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 from vlp16emu.engine import Parts, assemble
 from vlp16emu.errors import InputError
 from vlp16emu.extras.colours import surface_colours
-from vlp16emu.extras.meshes.furnished import Furnished
+from vlp16emu.extras.meshes.furnish import Furnished
 from vlp16emu.extras.stand_map import bark_seen, map_of
 from vlp16emu.foliage.polyline import Polyline
 from vlp16emu.forest.ground.dem import write_ascii

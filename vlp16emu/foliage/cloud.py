@@ -146,7 +146,7 @@ def _cells(corners_m: F8, mesh_of: I8, area_m2: F8) -> tuple[F4, F4, U1]:
 
 
 def kept_share(corners_m: F8, first: I8, share: F4) -> F8:
-    """Return the share (f,) of each face's area that hides as much if it is placed at random.
+    """Return the share (f,) of each face's area that hides as much when placed at random.
 
     The faces of each mesh are rasterized along x and along y, voxel by voxel. Randomly placed leaves that
     hide the same part of a voxel's side have an area of -log(1 - hidden) times that side (Beer's law);
@@ -238,14 +238,14 @@ def _draw(corners_m: F8, begin: int, stop: int, low: F8, axis: int, edges: F8, d
 
 
 @inline_kernel
-def _turn_edges(corners_m: F8, low: F8, other: int, edges: F8) -> None:
+def _turn_edges(corners_m: F8, low: F8, across: int, edges: F8) -> None:
     """Fill starts and directions (4, 4) of the edges of a face, in pixels, with the face on their left."""
     u = edges[0]
     v = edges[1]
     du = edges[2]
     dv = edges[3]
     for c in range(4):
-        u[c] = (corners_m[c, other] / VOXEL_M - low[other]) * _PIXELS
+        u[c] = (corners_m[c, across] / VOXEL_M - low[across]) * _PIXELS
         v[c] = (corners_m[c, 2] / VOXEL_M - low[2]) * _PIXELS
     turn = 0.0
     for c in range(4):

@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import hypot, matvec, norm
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.cloud import Cloud, Library, cloud_of
-from vlp16emu.foliage.lanes import Ground, Medium, Stems, lanes
+from vlp16emu.foliage.lanes import Ground, Medium, Stems, empty_lanes
 from vlp16emu.foliage.march import Passage, march_lines, march_pulses
 from vlp16emu.foliage.medium import Block, Name, Shelf, block_of, pack_block, stretch_of, unpack_block
 from vlp16emu.foliage.polyline import distance_m
-from vlp16emu.foliage.stems import no_stems_ahead, stem_lines, stems_of
+from vlp16emu.foliage.stems import room_for_stems, stem_lines, stems_of
 from vlp16emu.foliage.tiles import STEM, FarTile, TiledWindow, TiledWorld
 from vlp16emu.foliage.voxel import BRICK, COLUMNS, FINER, KNOTS, QUANTILES, VOXEL_M
-from vlp16emu.raycast.build import Placed
+from vlp16emu.raycast.build import Instances
 from vlp16emu.raycast.near import EmbreeCaster, EmbreeGeometry, target_of
 from vlp16emu.raycast.packet import LEVEL, Target
 from vlp16emu.store import recall
@@ -90,7 +90,7 @@ class FarGeometry(EmbreeGeometry):
     lines = staticmethod(march_lines)
     pulses = staticmethod(march_pulses)
 
-    def __init__(self, near: Placed, track_m: F8, beyond: Placed | None, medium: Medium) -> None:
+    def __init__(self, near: Instances, track_m: F8, beyond: Instances | None, medium: Medium) -> None:
         self._within_reach, level = within_reach(near, track_m, medium.near_m)
         super().__init__(near, level)
         self.medium = medium
@@ -114,24 +114,26 @@ class FarGeometry(EmbreeGeometry):
 
     def passage(self) -> tuple[object, ...]:
         """Return the medium, the faces at any range, and scratch."""
-        return (Passage(self.medium, self._beyond, lanes(), no_stems_ahead(self.medium.stems)),)
+        return (Passage(self.medium, self._beyond, empty_lanes(), room_for_stems(self.medium.stems)),)
 
     def _target_for(self, rise: float) -> Target:
         """Return the near faces; pieces that only steep rays can meet are built for the first steep ray."""
         if rise > _LEVEL:
             with self._building:
                 if not self._near.steep:
-                    self._near = self._near._replace(steep=self._placed.scene(self._within_reach))
+                    self._near = self._near._replace(steep=self._instances.scene(self._within_reach))
         return self._near
 
 
-def within_reach(placed: Placed, track_m: F8, reach_m: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def within_reach(
+    instances: Instances, track_m: F8, reach_m: float
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return masks (n,), (n,) of the pieces in reach of positions (t, 3): by any ray, and by level rays."""
-    window = placed.window
-    placement = placed.placement
+    window = instances.window
+    placement = instances.placement
     world_T_shape = window.world_T_shape[placement]
-    half_m = np.diff(placed.boxes_m, axis=1)[:, 0] / 2
-    at_m = matvec(world_T_shape[..., :3], placed.boxes_m[:, 0] + half_m) + world_T_shape[..., 3]
+    half_m = np.diff(instances.boxes_m, axis=1)[:, 0] / 2
+    at_m = matvec(world_T_shape[..., :3], instances.boxes_m[:, 0] + half_m) + world_T_shape[..., 3]
     half_m = matvec(np.abs(world_T_shape[..., :3]), half_m)
     low_m, high_m = at_m[:, 2] - half_m[:, 2], at_m[:, 2] + half_m[:, 2]
     aside_m = hypot(half_m[:, 0], half_m[:, 1])
@@ -149,7 +151,7 @@ def within_reach(placed: Placed, track_m: F8, reach_m: float) -> tuple[NDArray[n
 
 
 class FarCaster(EmbreeCaster):
-    """Opens windows with tiles; parameters as in `EmbreeCaster`, but the world also describes its far tiles.
+    """Opens windows with tiles of a world that describes its far tiles; parameters as in `EmbreeCaster`.
 
     Clouds of shapes and blocks of tiles are kept from window to window.
     """
@@ -174,22 +176,23 @@ class FarCaster(EmbreeCaster):
         is_near[window.far] = self._is_near(window)
         is_near[exact] = self._is_reached(window, exact)
         everywhere = _part(window, exact & ~window.low)
-        beyond = self._placed(everywhere, self._start_shapes(everywhere))
+        beyond = self._instances(everywhere, self._start_shapes(everywhere))
         part = _part(window, is_near)
         begun = self._start_shapes(part)  # runs while the medium is put together
         medium = self.medium(window, tiles)
-        near = self._placed(part, begun)
+        near = self._instances(part, begun)
         return FarGeometry(near, window.track_m, beyond if beyond.meshes else None, medium)
 
     def _is_near(self, window: TiledWindow) -> NDArray[np.bool_]:
         """Return a mask of the placements of `window.far` that light may meet before the medium."""
-        own = np.array([self._clouds[key].radius_m if key in self._clouds else 0.0 for key in window.shapes])
-        radius_m = own[window.shape] * stretch_of(window.world_T_shape)
+        shape_radius_m = np.array(
+            [self._clouds[key].radius_m if key in self._clouds else 0.0 for key in window.shapes]
+        )
+        radius_m = shape_radius_m[window.shape] * stretch_of(window.world_T_shape)
         at_m = window.world_T_shape[:, :2, 3].copy()
         rows = np.array([row for _, _, row in window.tiles], np.uint32)
-        own_shapes = np.flatnonzero(
-            np.isin(window.first_surface, rows) & window.far
-        )  # at each tile's first surface
+        # The own shape of each tile is at its first surface.
+        own_shapes = np.flatnonzero(np.isin(window.first_surface, rows) & window.far)
         for place, (ix, iy, _) in zip(own_shapes.tolist(), window.tiles, strict=True):
             lines = stem_lines(self._tiled.far_tile(ix, iy).stems, np.array([*at_m[place], 0.0]))
             ends_m = (
@@ -222,7 +225,7 @@ class FarCaster(EmbreeCaster):
         missing = [name for name in rows if name not in self._shelf.blocks]
         made = self._workers.map(lambda name: self._block(tiles, *name), missing)
         for name, block in zip(missing, made, strict=True):
-            self._shelf.lay(name, block, len(rows))
+            self._shelf.put(name, block, len(rows))
         medium = self._assemble(window, tiles, rows)
         self._shelf.keep(medium.brick, rows)
         return medium
@@ -240,9 +243,9 @@ class FarCaster(EmbreeCaster):
         surface = np.zeros((*(high - low), 9), np.uint32)
         for (ix, iy), block in blocks.items():
             i, j, k = (ix - low[0]) * _BRICKS, (iy - low[1]) * _BRICKS, block.bottom - bottom
-            here = slice(i, i + _BRICKS), slice(j, j + _BRICKS), slice(k, k + block.mask.shape[2])
-            brick[(*here, 0)] = block.mask
-            brick[(*here, 1)] = block.first
+            bricks = slice(i, i + _BRICKS), slice(j, j + _BRICKS), slice(k, k + block.mask.shape[2])
+            brick[(*bricks, 0)] = block.mask
+            brick[(*bricks, 1)] = block.first
             surface[ix - low[0], iy - low[1]] = [rows.get((ix + dx, iy + dy), 0) for dx, dy in _AROUND]
         corner = np.array([*(low * COLUMNS), bottom * BRICK], np.int64)
         corner_m = corner * VOXEL_M - window.origin_m

@@ -44,22 +44,22 @@ _Packed = tuple[U8, U4, U4, U4, U8]  # arrays of a block, in the order of `Block
 
 @array_kernel
 def fill_block(
-    library: Library, placed: _Placed, ground_m: F4, low_m: float, levels: int, projection: F8
+    library: Library, placements: _Placed, ground_m: F4, low_m: float, levels: int, projection: F8
 ) -> _Packed:
     """Fill the arrays of a block, in the order of `Block`.
 
     Parameters
     ----------
-    placed : (n,) shapes, their transforms (n, 3, 4), first surfaces and numbers of tiles
+    placements : (n,) shapes, their transforms (n, 3, 4), first surfaces and numbers of tiles
     """
-    which, relative, row, tile_of = placed
+    shape, relative, row, tile_of = placements
     head = np.full((COLUMNS, COLUMNS, levels * BRICK), -1, np.int32)
     node = np.empty((4096, 4), np.int64)
     area = np.empty((4096, 3))
     used = ZERO
     add = np.empty(3)
-    for p in range(which.shape[0]):
-        s = which[p]
+    for p in range(shape.shape[0]):
+        s = shape[p]
         T = relative[p]
         needed = used + library.first_cell[s + 1] - library.first_cell[s]
         for f in range(library.first_face[s], library.first_face[s + 1]):
@@ -93,11 +93,11 @@ def _with_capacity(node: I8, area: F8, used: int, needed: int) -> tuple[I8, F8]:
     while needed > room:
         room *= 2
         bigger = np.empty((room, 4), np.int64)
-        more = np.empty((room, 3))
+        larger_area = np.empty((room, 3))
         bigger[:used] = node[:used]
-        more[:used] = area[:used]
+        larger_area[:used] = area[:used]
         node = bigger
-        area = more
+        area = larger_area
     return node, area
 
 

@@ -10,9 +10,8 @@ from vlp16emu.kernels.compiler import inline_kernel
 
 f4 = np.float32
 _Ray = tuple[np.float32, np.float32, np.float32, np.float32, np.float32, np.float32]
-_Slope = tuple[
-    np.float32, np.float32, np.float32
-]  # height over the ground, and the slope of the ground along x and y
+_Slope = tuple[np.float32, np.float32, np.float32]
+"""Height over the ground, and the slope of the ground along x and y."""
 
 
 @inline_kernel

@@ -57,9 +57,8 @@ class Medium(NamedTuple):
 
 AHEAD = 16  # slabs examined before the voxels in them, without unpredictable branches
 
-AT, HEIGHT, FACING, _END = (
-    ROW + LANES * row for row in range(4)
-)  # offsets of further rows of lanes in `Lanes.row`
+AT, HEIGHT, FACING, _END = (ROW + LANES * row for row in range(4))
+"""Offsets of further rows of lanes in `Lanes.row`."""
 
 
 class Lanes(NamedTuple):
@@ -73,9 +72,8 @@ class Lanes(NamedTuple):
     axis and cosine at which a lane meets a stem."""
     origin_m: F4  # (3, 8) of these rows
     direction: F4  # (3, 8) likewise
-    range_m: (
-        F4  # (8,) likewise; in: range of the hit so far, or the farthest range; out: range of the first hit
-    )
+    range_m: F4
+    """(8,) likewise; in: range of the hit so far, or the farthest range; out: range of the first hit."""
     cosine: F4  # (8,) likewise
     surface: U4  # (8,) likewise
     line: F4
@@ -98,7 +96,7 @@ class Pulse(NamedTuple):
     spread: np.float32  # greatest growth of that distance per metre of range
 
 
-def lanes() -> Lanes:
+def empty_lanes() -> Lanes:
     """Return empty lanes."""
     row = np.zeros(_END, np.float32)
     return Lanes(
@@ -117,7 +115,7 @@ def lanes() -> Lanes:
 
 
 @numba.extending.intrinsic
-def lowest(typingctx: NumbaObject, word: NumbaObject) -> NumbaObject:
+def lowest_bit(typingctx: NumbaObject, word: NumbaObject) -> NumbaObject:
     """Find the lowest bit of a word that is not 0."""
 
     def codegen(
@@ -129,7 +127,7 @@ def lowest(typingctx: NumbaObject, word: NumbaObject) -> NumbaObject:
 
 
 @numba.extending.intrinsic
-def ones(typingctx: NumbaObject, word: NumbaObject) -> NumbaObject:
+def count_bits(typingctx: NumbaObject, word: NumbaObject) -> NumbaObject:
     """Count the bits of a word."""
 
     def codegen(

@@ -12,7 +12,7 @@ import numpy as np
 from llvmlite import ir
 
 from vlp16emu.elementary import exp
-from vlp16emu.foliage.lanes import Lanes, Medium, Pulse, lowest
+from vlp16emu.foliage.lanes import Lanes, Medium, Pulse, lowest_bit
 from vlp16emu.foliage.voxel import (
     COLUMNS,
     LAW_BIT,
@@ -120,7 +120,7 @@ def lit_lanes(
     corner, cell : corner of the grid in voxels of the world, and the voxel in the grid, along these axes
     code : code of the voxel
     """
-    (main, one, two) = axes
+    (main, second, third) = axes
     (k, i1, i2) = cell
     low, high = (code >> weights.bits) & u4(127), (code >> (weights.bits + u4(7))) & u4(127)
     g = k + corner[0]
@@ -134,22 +134,22 @@ def lit_lanes(
         (TAU_PER_M[low] * weights.low + TAU_PER_M[high] * weights.high) * f4(_COVER_STEPS),
         f4(_COVER_STEPS * _COVER_MOST),
     )
-    whole = int(x)
-    cover = _COVER[whole] + (_COVER[whole + 1] - _COVER[whole]) * (x - f4(whole))
+    step = int(x)
+    cover = _COVER[step] + (_COVER[step + 1] - _COVER[step]) * (x - f4(step))
     count = int(cover * f4(64.0) + f4(h >> u4(24)) * f4(1.0 / 256.0))
     bits = _MASK[main, int(h & u4(_VARIANTS - 1)), count]
     line = pulse.lanes.line
     middle_m = (f4(k) + f4(0.5)) * f4(VOXEL_M)
-    (r1, r2) = _mirrors(h, one, two)
+    (r1, r2) = _mirrors(h, second, third)
     if pulse.n == 1:
         return h, (bits >> np.uint64(_column(line, 0, middle_m, r1, r2))) & np.uint64(1)
     return h, _in_columns(line, middle_m, r1, r2, bits)
 
 
 @inline_kernel
-def _mirrors(h: np.uint32, one: int, two: int) -> tuple[np.int32, np.int32]:
+def _mirrors(h: np.uint32, second: int, third: int) -> tuple[np.int32, np.int32]:
     """Return how columns are mirrored along two axes."""
-    return np.int32((h >> u4(5 + 3 * one)) & u4(7)), np.int32((h >> u4(5 + 3 * two)) & u4(7))
+    return np.int32((h >> u4(5 + 3 * second)) & u4(7)), np.int32((h >> u4(5 + 3 * third)) & u4(7))
 
 
 @inline_kernel
@@ -171,7 +171,7 @@ def meet_leaves(
     number : number of the voxel's record
     knot : knot of the light's elevation
     """
-    (main, one, two) = axes
+    (main, second, third) = axes
     (k, i1, i2) = cell
     x = k if main == 0 else i1
     y = k if main == 1 else (i1 if main == 0 else i2)
@@ -182,11 +182,11 @@ def meet_leaves(
     line = L.line
     range_m = L.range_m
     middle_m = (f4(k) + f4(0.5)) * f4(VOXEL_M)
-    (r1, r2) = _mirrors(h, one, two)
+    (r1, r2) = _mirrors(h, second, third)
     mirror = int((h >> u4(5 + 3 * main)) & u4(7)) << 5
     met = False
     while lit:
-        lane = int(lowest(lit))
+        lane = int(lowest_bit(lit))
         lit &= lit - np.uint64(1)
         leaf = int(_LEAF_OF[main, variant, _column(line, lane, middle_m, r1, r2)])
         place = int(_PLACE[variant, leaf, main]) ^ mirror

@@ -1,4 +1,4 @@
-"""The march of light through the far medium: ground as a grid, stems as tapered cones, foliage as voxels.
+"""The march of light through the far medium: a grid of ground, tapered stems, and voxels of foliage.
 
 A pulse first meets the stems in its way (`vlp16emu.foliage.stems`). Up to the range where they end it, it
 passes slabs of voxels along the axis that it is most parallel to. The voxel on its centre ray decides for all
@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vlp16emu.foliage.ground import meet_ground
-from vlp16emu.foliage.lanes import AHEAD, Lanes, Medium, Pulse, lowest, ones
+from vlp16emu.foliage.lanes import AHEAD, Lanes, Medium, Pulse, count_bits, lowest_bit
 from vlp16emu.foliage.leaves import Weights, lit_lanes, meet_leaves, weights_of
 from vlp16emu.foliage.stems import StemsAhead, find_stems_ahead, meet_stems
 from vlp16emu.foliage.voxel import BRICK, GROUND, VOXEL_M
@@ -24,14 +24,14 @@ from vlp16emu.raycast.kernel import (
     LANES,
     RANGE,
     Cast,
-    all_pulses,
-    cast_middles,
+    cast_centre_rays,
     cast_near,
     concatenate,
     empty_groups,
-    further,
+    further_hits,
+    queue_all,
     settle,
-    write_middles,
+    write_centre_rays,
 )
 from vlp16emu.raycast.packet import PACKET, Target, set_filter
 from vlp16emu.trig import ZERO
@@ -56,22 +56,22 @@ class _CentreRay(NamedTuple):
     """Centre ray of a pulse through a grid, slab by slab."""
 
     main: int  # axis across the slabs
-    one: int
-    two: int
+    second: int
+    third: int
     k: int  # slab in which the medium begins; others are counted from it
     step: int  # +1 or -1 along the axis
     length: np.float32  # metres of range from slab to slab
     to_middle: np.float32  # range at the centre of slab k
-    p1: (
-        np.float32
-    )  # position in voxels along axes one and two at the centre of slab k, and its change per slab
+    p1: np.float32
+    """Position in voxels along the second axis at the centre of slab k; `p2` likewise along the third, and
+    their changes per slab."""
     p2: np.float32
     d1: np.float32
     d2: np.float32
 
 
 class _Grid(NamedTuple):
-    """A grid along the axes main, one and two."""
+    """A grid along the main axis, the second and the third."""
 
     size: tuple[int, int, int]  # size in voxels
     stride: tuple[np.uint32, np.uint32, np.uint32]  # stride from brick to brick
@@ -85,9 +85,9 @@ def march_lines(cast: Cast, passage: Passage, range_m: F4, surface: U4, cos_inci
     pulses = cast.batch.missed.shape[0]
     set_filter(cast.packet)
     for first in cast.light.order:
-        cast_middles(cast, passage.beyond, first)
+        cast_centre_rays(cast, passage.beyond, first)
         _march_misses(passage, cast, pulses, ZERO + 1, f4(0.0))
-        write_middles(cast, first, range_m, surface, cos_incidence)
+        write_centre_rays(cast, first, range_m, surface, cos_incidence)
 
 
 @array_kernel
@@ -96,15 +96,15 @@ def march_pulses(cast: Cast, passage: Passage, budget: RayBudget, count: U2, fir
     set_filter(cast.packet)
     groups = empty_groups(count)
     for first in cast.light.order:
-        todo = all_pulses(cast.batch)
+        todo = queue_all(cast.batch)
         have = ZERO
         while todo:
-            rays = min(ROUND, budget.most - have)
+            rays = min(ROUND, budget.max_rays - have)
             cast_near(cast, passage.beyond, budget, first, todo, have, rays)
             _march_misses(passage, cast, todo, rays, reach_of(have, budget.adaptive))
             todo = settle(cast, budget, first_round, first, todo, have, rays)
             have = have + rays
-        groups[first // PACKET] = further(cast.batch, min(ROUND, budget.most), first, count)
+        groups[first // PACKET] = further_hits(cast.batch, min(ROUND, budget.max_rays), first, count)
     return concatenate(groups)
 
 
@@ -124,7 +124,7 @@ def march(M: Medium, bricks: U8, ahead: StemsAhead, pulse: Pulse) -> None:
     meet_stems(M.stems, ahead, pulse)
     corner_m = (f4(M.corner_m[0]), f4(M.corner_m[1]), f4(M.corner_m[2]))
     centre = _centre_ray(corner_m, axis, near_m)
-    axes = (centre.main, centre.one, centre.two)
+    axes = (centre.main, centre.second, centre.third)
     length = centre.length
     alive, last_m = _set_up_lines(corner_m, L, n, near_m, axes)
     weights = weights_of(abs(axis[5]), length)
@@ -137,22 +137,22 @@ def march(M: Medium, bricks: U8, ahead: StemsAhead, pulse: Pulse) -> None:
         while left:
             left, voxels = _lit_voxels(M, pulse, centre, grid, weights, bricks, slab, left, alive)
             while voxels:
-                at = int(lowest(voxels))
+                at = int(lowest_bit(voxels))
                 voxels &= voxels - np.uint64(1)
-                here = slab + at
-                if here > slabs:
+                slab_here = slab + at
+                if slab_here > slabs:
                     left = np.uint64(0)
                     break
                 lit = L.lit[at] & alive
                 met = False
                 if lit:
                     met = meet_leaves(
-                        M, pulse, axes, _voxel(centre, here), L.place[at], weights.knot, L.hash[at], lit
+                        M, pulse, axes, _voxel(centre, slab_here), L.place[at], weights.knot, L.hash[at], lit
                     )
                 if L.code[at] & GROUND:
-                    met |= meet_ground(M.ground, pulse, centre.to_middle + f4(here) * length, length)
+                    met |= meet_ground(M.ground, pulse, centre.to_middle + f4(slab_here) * length, length)
                 if met:
-                    alive, slabs = _drop_ended(L, centre, n, alive, here + 1, slabs)
+                    alive, slabs = _drop_ended(L, centre, n, alive, slab_here + 1, slabs)
         slab += AHEAD
 
 
@@ -171,32 +171,32 @@ def _centre_ray(
     for a in (1, 2):
         if abs(axis[3 + a]) > abs(axis[3 + main]):
             main = a
-    one, two = (1, 2) if main == 0 else ((0, 2) if main == 1 else (0, 1))
+    second, third = (1, 2) if main == 0 else ((0, 2) if main == 1 else (0, 1))
     inverse = f4(1.0) / axis[3 + main]
     step = 1 if inverse > 0 else -1
     length = f4(VOXEL_M) * abs(inverse)
     along = axis[main] - corner_m[main]
     k = _floor((along + axis[3 + main] * near_m) * f4(1.0 / VOXEL_M))
     to_middle = ((f4(k) + f4(0.5)) * f4(VOXEL_M) - along) * inverse
-    p1 = (axis[one] - corner_m[one] + axis[3 + one] * to_middle) * f4(1.0 / VOXEL_M)
-    p2 = (axis[two] - corner_m[two] + axis[3 + two] * to_middle) * f4(1.0 / VOXEL_M)
-    d1 = axis[3 + one] * length * f4(1.0 / VOXEL_M)
-    d2 = axis[3 + two] * length * f4(1.0 / VOXEL_M)
-    return _CentreRay(main, one, two, k, step, length, to_middle, p1, p2, d1, d2)
+    p1 = (axis[second] - corner_m[second] + axis[3 + second] * to_middle) * f4(1.0 / VOXEL_M)
+    p2 = (axis[third] - corner_m[third] + axis[3 + third] * to_middle) * f4(1.0 / VOXEL_M)
+    d1 = axis[3 + second] * length * f4(1.0 / VOXEL_M)
+    d2 = axis[3 + third] * length * f4(1.0 / VOXEL_M)
+    return _CentreRay(main, second, third, k, step, length, to_middle, p1, p2, d1, d2)
 
 
 @inline_kernel
 def _grid(M: Medium, axes: tuple[int, int, int]) -> _Grid:
-    main, one, two = axes
+    main, second, third = axes
     nx, ny, nz, _ = M.brick.shape
     size = (nx * BRICK, ny * BRICK, nz * BRICK)
     strides = (u4(ny * nz), u4(nz), u4(1))
     shifts = (u4(4), u4(2), u4(0))
     return _Grid(
-        (size[main], size[one], size[two]),
-        (strides[main], strides[one], strides[two]),
-        (shifts[main], shifts[one], shifts[two]),
-        (M.corner[main], M.corner[one], M.corner[two]),
+        (size[main], size[second], size[third]),
+        (strides[main], strides[second], strides[third]),
+        (shifts[main], shifts[second], shifts[third]),
+        (M.corner[main], M.corner[second], M.corner[third]),
     )
 
 
@@ -204,13 +204,13 @@ def _grid(M: Medium, axes: tuple[int, int, int]) -> _Grid:
 def _crossing(centre: _CentreRay, size: tuple[int, int, int]) -> tuple[np.float32, np.float32]:
     """Return the slabs at which the pulse enters and leaves the grid."""
     first, stop = f4(0.0), f4(1e6)
-    n_main, n_one, n_two = size
+    n_main, n_second, n_third = size
     k = f4(centre.k) + f4(0.5)
     step = f4(centre.step)
     for at, change, voxels in (
         (k, step, n_main),
-        (centre.p1, centre.d1, n_one),
-        (centre.p2, centre.d2, n_two),
+        (centre.p1, centre.d1, n_second),
+        (centre.p2, centre.d2, n_third),
     ):
         if abs(change) < f4(1e-9):
             if not 0 <= at < voxels:
@@ -282,17 +282,17 @@ def _lit_voxels(
     """
     L = pulse.lanes
     records = M.record
-    axes = (centre.main, centre.one, centre.two)
+    axes = (centre.main, centre.second, centre.third)
     asked = np.uint64(0)
     for _ in range(_FEW):
         if not voxels:
             break
-        at = int(lowest(voxels))
+        at = int(lowest_bit(voxels))
         voxels &= voxels - np.uint64(1)
         pair = np.uint64(L.place[at] >> u4(6)) << np.uint64(1)
         bit = np.uint64(L.place[at] & u4(63))
         before_it = bricks[pair] & ((np.uint64(1) << bit) - np.uint64(1))
-        number = bricks[pair + np.uint64(1)] + ones(before_it)
+        number = bricks[pair + np.uint64(1)] + count_bits(before_it)
         code = records[number]
         h, lit = lit_lanes(M, pulse, axes, grid.corner, _voxel(centre, slab + at), code, weights)
         lit &= alive
@@ -350,22 +350,22 @@ def _fill_lines(
     lanes: int,
     axes: tuple[int, int, int],
 ) -> None:
-    (main, one, two) = axes
+    (main, second, third) = axes
     scale = f4(LANES / VOXEL_M)
     along = LANES * main
-    across = LANES * one
-    up = LANES * two
+    across = LANES * second
+    up = LANES * third
     c_main = corner_m[main]
-    c_one = corner_m[one]
-    c_two = corner_m[two]
+    c_second = corner_m[second]
+    c_third = corner_m[third]
     for lane in range(lanes):
         inverse = f4(1.0) / row[DIRECTION + along + lane]
         begin = row[along + lane] - c_main
         d1 = row[DIRECTION + across + lane] * inverse * scale
         d2 = row[DIRECTION + up + lane] * inverse * scale
-        line[lane] = (row[across + lane] - c_one) * scale - begin * d1
+        line[lane] = (row[across + lane] - c_second) * scale - begin * d1
         line[LANES + lane] = d1
-        line[2 * LANES + lane] = (row[up + lane] - c_two) * scale - begin * d2
+        line[2 * LANES + lane] = (row[up + lane] - c_third) * scale - begin * d2
         line[3 * LANES + lane] = d2
         line[4 * LANES + lane] = begin
         line[5 * LANES + lane] = inverse
@@ -373,7 +373,7 @@ def _fill_lines(
 
 @kernel
 def _march_misses(passage: Passage, cast: Cast, todo: int, count: int, reach: np.float32) -> None:
-    """Continue rays without a near hit through the medium; `reach` is how far from the centre, in sigmas."""
+    """Continue rays without a near hit through the medium, `reach` sigmas from the centre at most."""
     (medium, _, L, ahead) = passage
     light = cast.light
     if light.reach_m >= light.far_m:

@@ -54,7 +54,7 @@ def block_of(
     shape_of : index in the library by shape
     near : tiles, at least (ix, iy) itself and the eight around it, whose shapes may reach into it
     """
-    here = near[ix, iy]
+    tile_here = near[ix, iy]
     corner_m = near[ix, iy].corner_m
     around = [(3 * (dx + 1) + dy + 1, near[ix + dx, iy + dy]) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
     parts = zip(
@@ -63,7 +63,7 @@ def block_of(
     shape, world_T_shape, first_surface, number = (np.concatenate(part) for part in parts)
     placed = shape, world_T_shape, first_surface, number
     stems = np.concatenate([tile.stems for _, tile in around])
-    ground_m = here.ground_m - corner_m[2]
+    ground_m = tile_here.ground_m - corner_m[2]
     lines = stem_lines(stems, corner_m)
     brick_m = BRICK * VOXEL_M
     top_m = placed[1][:, 2, 3] + library.radius_m[placed[0]] * stretch_of(placed[1])
@@ -74,8 +74,8 @@ def block_of(
     )
     bottom = math.floor(low_m / brick_m)
     levels = math.ceil(high_m / brick_m) - math.floor(low_m / brick_m)
-    own = ground_m.astype(np.float32), bottom * brick_m, max(levels, 1), PROJECTION
-    return Block(bottom + round(corner_m[2] / brick_m), *fill_block(library, placed, *own))
+    ground_and_size = ground_m.astype(np.float32), bottom * brick_m, max(levels, 1), PROJECTION
+    return Block(bottom + round(corner_m[2] / brick_m), *fill_block(library, placed, *ground_and_size))
 
 
 def _placements_near(
@@ -83,15 +83,15 @@ def _placements_near(
 ) -> tuple[I8, F8, I8, I8]:
     """Select the placements of a tile that may reach into the tile at `corner_m`, for `fill_block`."""
     places = np.array([shape_of[key] for key in tile.keys], np.int64)
-    which = places[tile.shape] if len(tile.shape) else np.zeros(0, np.int64)
+    shape = places[tile.shape] if len(tile.shape) else np.zeros(0, np.int64)
     world_T = tile.world_T_shape
     at_m = world_T[:, :, 3] - corner_m
-    reach_m = library.radius_m[which] * stretch_of(world_T)
+    reach_m = library.radius_m[shape] * stretch_of(world_T)
     gap_m = np.maximum(np.maximum(-at_m[:, :2], at_m[:, :2] - COLUMNS * VOXEL_M), 0.0)
     near = np.flatnonzero((np.square(gap_m)).sum(axis=1) <= np.square(reach_m))
     relative = world_T[near].copy()
     relative[:, :, 3] = at_m[near]
-    return which[near], relative, tile.first_surface[near], np.full(len(near), number)
+    return shape[near], relative, tile.first_surface[near], np.full(len(near), number)
 
 
 def stretch_of(world_T_shape: F8) -> F8:
@@ -104,11 +104,11 @@ def pack_block(block: Block, library: Library, names: Sequence[str]) -> Tree:
     """Return the fields of a block, with laws by the names of shapes, as each library has its own order."""
     laws, law = np.unique((block.owner >> LAW_BIT) & LAW_MASK, return_inverse=True)
     shape = np.searchsorted(library.first_law, laws.astype(np.int64), side="right") - 1
-    used, of = np.unique(shape, return_inverse=True)
+    used, law_shape = np.unique(shape, return_inverse=True)
     return {
         **{field.name: getattr(block, field.name) for field in fields(block)},
         "owner": _with_law(block.owner, law),
-        "law_shape": of,
+        "law_shape": law_shape,
         "law_mesh": laws.astype(np.int64) - library.first_law[shape],
         "shapes": [names[i] for i in used.tolist()],
     }
@@ -116,8 +116,8 @@ def pack_block(block: Block, library: Library, names: Sequence[str]) -> Tree:
 
 def unpack_block(kept: Tree, library: Library, place: Mapping[str, int]) -> Block:
     """Return the block from packed fields, for a library whose shapes have these indices by name."""
-    which = np.array([place[name] for name in kept.pop("shapes")], np.int64)
-    law = library.first_law[which[kept.pop("law_shape")]] + kept.pop("law_mesh")
+    shapes = np.array([place[name] for name in kept.pop("shapes")], np.int64)
+    law = library.first_law[shapes[kept.pop("law_shape")]] + kept.pop("law_mesh")
     kept["owner"] = _with_law(kept["owner"], law[(kept["owner"] >> LAW_BIT) & LAW_MASK])
     return Block(**kept)
 
@@ -149,27 +149,27 @@ class Shelf:
     @property
     def arrays(self) -> tuple[U4, U4, U8]:
         """Records, their first owners, and owners, up to the end of the last block."""
-        records = max((laid.records.stop for laid in self.blocks.values()), default=0)
-        owners = max((laid.owners.stop for laid in self.blocks.values()), default=0)
+        records = max((entry.records.stop for entry in self.blocks.values()), default=0)
+        owners = max((entry.owners.stop for entry in self.blocks.values()), default=0)
         return self._record[:records], self._first_owner[:records], self._owner[:owners]
 
     def clear(self, wanted: Iterable[Name]) -> None:
         """Remove blocks that are neither wanted nor used by an open window."""
         self._users = [(user, names) for user, names in self._users if user() is not None]
         kept = frozenset(wanted).union(*(names for _, names in self._users))
-        self.blocks = {name: laid for name, laid in self.blocks.items() if name in kept}
+        self.blocks = {name: entry for name, entry in self.blocks.items() if name in kept}
 
-    def lay(self, name: Name, block: Block, most: int) -> None:
+    def put(self, name: Name, block: Block, expected: int) -> None:
         """Put a block on the shelf; arrays that are too small are replaced, but open windows keep theirs.
 
         Parameters
         ----------
-        most : expected number of blocks, for which room is made
+        expected : expected number of blocks, for which room is made
         """
-        laid = self.blocks.values()
-        records = _gap([each.records for each in laid], len(block.record))
-        owners = _gap([each.owners for each in laid], len(block.owner))
-        share = max(most / (len(laid) + 1), 1.0)
+        entries = self.blocks.values()
+        records = _gap([entry.records for entry in entries], len(block.record))
+        owners = _gap([entry.owners for entry in entries], len(block.owner))
+        share = max(expected / (len(entries) + 1), 1.0)
         self._record, self._first_owner = (
             _with_capacity(array, records.stop, share) for array in (self._record, self._first_owner)
         )
@@ -185,13 +185,13 @@ class Shelf:
         self._users.append((weakref.ref(user), frozenset(names)))
 
 
-def _gap(taken: Iterable[slice], size: int) -> slice:
-    """Return the first gap of a size."""
+def _gap(occupied: Iterable[slice], size: int) -> slice:
+    """Return the first gap of a size between occupied slices."""
     begin = 0
-    for each in sorted(taken, key=lambda each: each.start):
-        if each.start - begin >= size:
+    for part in sorted(occupied, key=lambda part: part.start):
+        if part.start - begin >= size:
             break
-        begin = each.stop
+        begin = part.stop
     return slice(begin, begin + size)
 
 

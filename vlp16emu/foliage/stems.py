@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import hypot
-from vlp16emu.foliage.lanes import AT, FACING, HEIGHT, Pulse, Stems, lowest
+from vlp16emu.foliage.lanes import AT, FACING, HEIGHT, Pulse, Stems, lowest_bit
 from vlp16emu.kernels.compiler import inline_kernel, kernel
 from vlp16emu.raycast.kernel import COSINE, DIRECTION, LANES, ORIGIN, RANGE
 from vlp16emu.types import F4, F8, I4, I8, U1, U4
@@ -74,8 +74,8 @@ def stems_of(line: F8, profile: F4, surface: U4, flare_m: F4) -> Stems:
     return Stems(line, profile, plan, bounds, surface, flare_m)
 
 
-def no_stems_ahead(stems: Stems) -> StemsAhead:
-    """Return an empty `StemsAhead` with room for all `stems`."""
+def room_for_stems(stems: Stems) -> StemsAhead:
+    """Make an empty `StemsAhead` with room for all `stems`."""
     blocks = -(-len(stems.line) // _BLOCK)
     return StemsAhead(
         np.zeros(blocks * _ROWS * _BLOCK, np.float32),
@@ -194,10 +194,10 @@ def meet_stems(stems: Stems, ahead: StemsAhead, pulse: Pulse) -> None:
     for begin in range(0, count, _BLOCK):
         if from_m[begin] > last_m:
             break
-        close = _close(ahead.row, begin * _ROWS, pulse, last_m)
+        close = _near_stems(ahead.row, begin * _ROWS, pulse, last_m)
         close &= (np.uint64(1) << np.uint64(min(count - begin, _BLOCK))) - np.uint64(1)
         while close:
-            at = begin + int(lowest(close))
+            at = begin + int(lowest_bit(close))
             close &= close - np.uint64(1)
             if from_m[at] <= last_m and meet_stem(stems, pulse, ahead.stem[at]):
                 last_m = _farthest(row, pulse.n)
@@ -212,7 +212,7 @@ def _farthest(row: F4, n: int) -> np.float32:
 
 
 @inline_kernel
-def _close(row: F4, at: int, pulse: Pulse, last_m: np.float32) -> np.uint64:
+def _near_stems(row: F4, at: int, pulse: Pulse, last_m: np.float32) -> np.uint64:
     """Return bits of the stems of a block, whose rows begin at `at`, that the pulse may hit.
 
     It excludes only stems for which the exact `meet_stem` has no hit.

@@ -18,11 +18,8 @@ STEM = np.dtype(
         ("foot_m", "<f8", 3),  # world: point where the axis leaves the ground, or the first leader
         ("axis", "<f8", 3),  # unit vector, upwards
         ("along_m", "<f4", 16),  # knots of the profile, from the foot along the axis, ascending
-        (
-            "aside_m",
-            "<f4",
-            (2, 16),
-        ),  # at the knots, east and north: offset of the section's centre from the axis
+        # At the knots, east and north: offset of the section's centre from the axis.
+        ("aside_m", "<f4", (2, 16)),
         ("radius_m", "<f4", 16),  # at the knots, linear in between; 0 at the tip of an unbroken tree
         ("flare_m", "<f4"),  # along the axis: end of the root flare
         ("row", "<u4", 2),  # rows of the tile's surfaces: root flare, and the stem above it
@@ -30,9 +27,8 @@ STEM = np.dtype(
 )
 """A far stem, or its second leader: circles across the axis."""
 
-EXACT = (
-    255  # in place of a `PlantPart`: a mesh of a `FarTile` that is exact as `STEM`s, not part of the medium
-)
+EXACT = 255
+"""In place of a `PlantPart`: a mesh of a `FarTile` that is exact as `STEM`s, not part of the medium."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -107,7 +107,7 @@ class ForestSite:
             plants_name=_content(section.species_file),
         )
         sway = None if blows is None else TreeSway(blows, forest=bare, start_ns=start_ns)
-        return section.furnished(bare, path_xy_m, reach_m), sway
+        return section.with_meshes(bare, path_xy_m, reach_m), sway
 
 
 def _cache_name(section: Woods, seed: int, path: Corridor, reach_m: float, *, loose_stems: bool) -> str:

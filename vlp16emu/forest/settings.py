@@ -1,4 +1,4 @@
-"""Settings of a generated forest or a plot of given trees: ground, trees, and what is under them."""
+"""Settings of a generated forest or a plot of given trees: ground, trees and undergrowth."""
 
 import math
 import tomllib
@@ -22,7 +22,7 @@ from vlp16emu.settings import (
     Section,
     Seed,
     Size,
-    merged,
+    merge_tables,
 )
 from vlp16emu.trees import Table
 from vlp16emu.world.settings import MeshSource, Roughness, Site, Texture, WorldSection
@@ -452,7 +452,7 @@ class Forest(Woods, Storey):
     @model_validator(mode="before")
     @classmethod
     def with_preset(cls, table: Any) -> Any:
-        """Lay a scene's `[world]` table over the preset that it names, as `merged` does.
+        """Lay a scene's `[world]` table over the preset that it names, as `merge_tables` does.
 
         An unknown preset changes nothing.
         """
@@ -460,7 +460,7 @@ class Forest(Woods, Storey):
         if not isinstance(name, str):
             return table
         left_out = DENSITY_KEYS if table.keys() & DENSITY_KEYS else frozenset[str]()
-        return merged(
+        return merge_tables(
             {key: value for key, value in presets().get(name, {}).items() if key not in left_out}, table
         )
 

@@ -1,4 +1,4 @@
-"""The plane cut into square tiles: tiles near a line, and their ground as triangles, large on even ground.
+"""The plane in square tiles: tiles near a line, and their ground as triangles, large on even ground.
 
 Right triangles are bisected repeatedly from the middle of their longest side, if the ground is off that
 middle (Evans, Kirkpatrick and Townsend, "Right-triangulated irregular networks", Algorithmica 30, 2001). A
@@ -31,7 +31,7 @@ _APRON = 2
 
 
 def ground_triangles(corner_m: tuple[float, float], edge_m: float, height_m: HeightField) -> tuple[F8, I8]:
-    """Triangulate the ground of a square, with the same vertices along the border as in neighbouring squares.
+    """Triangulate the ground of a square; neighbouring squares have the same vertices along the border.
 
     The south-west corner is at whole multiples of 0.5 m, and the edge is in whole metres. Returns vertices
     (n, 3) in the world, by rows from south to north, and faces (m, 3), counter-clockwise as seen from above.
@@ -43,8 +43,8 @@ def ground_triangles(corner_m: tuple[float, float], edge_m: float, height_m: Hei
     corner = (inner[:, None] * ground.side + inner).ravel()
     east, north = corner + _FINEST, corner + _FINEST * ground.side
     halves = [np.column_stack(t) for t in ((east, north + _FINEST, corner), (north, corner, north + _FINEST))]
-    used, which = np.unique(_bisect(np.concatenate(halves), _cuts(ground).ravel()), return_inverse=True)
-    return ground.points_m(used), which.reshape(-1, 3)
+    used, corners = np.unique(_bisect(np.concatenate(halves), _cuts(ground).ravel()), return_inverse=True)
+    return ground.points_m(used), corners.reshape(-1, 3)
 
 
 class _Ground:
@@ -57,17 +57,17 @@ class _Ground:
         self.z_m = np.full((side, side), np.nan)
 
     def ask(self, wanted: Mask) -> None:
-        """Compute unknown heights at the set points of a mask (side, side)."""
+        """Compute unknown heights at the points of a mask (side, side)."""
         self.points_m(np.flatnonzero(wanted & np.isnan(self.z_m)))
 
-    def points_m(self, which: I8) -> F8:
+    def points_m(self, numbers: I8) -> F8:
         """Points (n, 3) of the grid by number, row by row."""
-        row, column = np.divmod(which, self.side)
+        row, column = np.divmod(numbers, self.side)
         xy_m = self._first_m[:, None] + np.array([column, row]) * (_CELL_M / _FINEST)
         z_m = self.z_m.reshape(-1)
-        new = np.isnan(z_m[which])
-        z_m[which[new]] = self._height_m(*xy_m[:, new])
-        return np.column_stack([*xy_m, z_m[which]])
+        new = np.isnan(z_m[numbers])
+        z_m[numbers[new]] = self._height_m(*xy_m[:, new])
+        return np.column_stack([*xy_m, z_m[numbers]])
 
 
 def _cuts(ground: _Ground) -> Mask:
@@ -131,17 +131,17 @@ def _is_anti(side: int, step: int) -> Mask:
 
 def _bisect(triangles: I8, cut: Mask) -> I8:
     """Cut triangles (n, 3) until none has a cut in the middle of its longest side."""
-    whole = []
+    done = []
     for _ in range(_CUTS):
-        tip, one, other = triangles.T
-        middle = (one + other) // 2
+        tip, first, second = triangles.T
+        middle = (first + second) // 2
         is_cut = cut[middle]
-        whole.append(triangles[~is_cut])
-        tip, one, other, middle = (corner[is_cut] for corner in (tip, one, other, middle))
+        done.append(triangles[~is_cut])
+        tip, first, second, middle = (corner[is_cut] for corner in (tip, first, second, middle))
         triangles = np.concatenate(
-            [np.column_stack([middle, tip, one]), np.column_stack([middle, other, tip])]
+            [np.column_stack([middle, tip, first]), np.column_stack([middle, second, tip])]
         )
-    return np.concatenate([*whole, triangles])
+    return np.concatenate([*done, triangles])
 
 
 TILE_M = 20.0  # edge of a tile. Tile (ix, iy) spans TILE_M * ix .. TILE_M * (ix + 1) in x, and likewise in y.

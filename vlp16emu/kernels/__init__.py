@@ -1,1 +1,1 @@
-"""Compiled kernels: for a fixed processor, kept on disk by content, and compiled in parallel before a run."""
+"""Compiled kernels for a fixed processor: kept on disk by content, compiled in parallel before a run."""

@@ -1,8 +1,7 @@
 """Compilation of kernels for a fixed processor.
 
-Numba's extras for functions that may be called from anywhere are left out.
-
-Modules with kernels import `numba` from here, as it is configured before the first kernel is made.
+Numba's extras for functions that may be called from anywhere are left out. Modules with kernels import
+`numba` from here, as it is configured before the first kernel is made.
 
 A kernel that is compiled because another one calls it is code for that one only: it gets no entry from Python
 or C, no machine code of its own and no file. If Python calls it later, it is compiled again in full.
@@ -16,7 +15,7 @@ import logging
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from functools import cache
 from importlib import import_module
@@ -49,17 +48,22 @@ _TABLE = Path(__file__).with_name("table.json")
 _KNOWN = (0, 68)  # latest version of numba whose private interfaces are known
 
 
+def target_for(features: Mapping[str, bool]) -> str:
+    """Return the best target for a processor with some features, in LLVM's names."""
+    fit = (name for name, needs in _TARGETS.items() if all(map(features.get, needs)))
+    return next(fit, "generic")
+
+
 def _target() -> tuple[str, str]:
     """Return the target processor and its extra features.
 
     `VLP16EMU_TARGET` selects another one, for tests; `host` is the present processor.
     """
     chosen = os.environ.get("VLP16EMU_TARGET")
-    has = binding.get_host_cpu_features()
+    features = binding.get_host_cpu_features()
     if chosen == "host":
-        return binding.get_host_cpu_name(), has.flatten()
-    best = next((name for name, needs in _TARGETS.items() if all(map(has.get, needs))), "generic")
-    return chosen or best, ""
+        return binding.get_host_cpu_name(), features.flatten()
+    return chosen or target_for(features), ""
 
 
 def _prepare() -> None:
@@ -76,7 +80,7 @@ def _prepare() -> None:
 
 @cache
 def is_plain() -> bool:
-    """Return True if numba compiles and keeps kernels in its own way, which takes longer and changes no byte.
+    """Return True if numba compiles and keeps kernels in its own way: longer, with the same bytes.
 
     So it is with versions of numba whose private interfaces are not known, unless a kernel that is compiled
     through them works; or if `VLP16EMU_NUMBA` is `plain`.
@@ -137,9 +141,8 @@ def _njit(function: Kernel, **options: bool) -> Kernel:
     return compiled
 
 
-_PRIVATE = frozenset(
-    {"_nrt", "no_cfunc_wrapper", "no_cpython_wrapper"}
-)  # options that numba does not document
+_PRIVATE = frozenset({"_nrt", "no_cfunc_wrapper", "no_cpython_wrapper"})
+"""Options that numba does not document."""
 _ENDINGS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 _POLL_S = 1.0  # interval at which children are looked after
 
@@ -172,12 +175,12 @@ def compile_kernels(group: str | None = None) -> Iterator[tuple[int, int]]:
         files.setdefault(row["kernel"].partition(":")[0], []).append(row)
     # A child that a signal meets before `_ignore_signals` would end as this process does.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDINGS)
-    others = multiprocessing.active_children()
+    children_before = multiprocessing.active_children()
     try:
         pool = multiprocessing.get_context("fork").Pool(min(usable_cores(), len(files)), _ignore_signals)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-    children = [child for child in multiprocessing.active_children() if child not in others]
+    children = [child for child in multiprocessing.active_children() if child not in children_before]
     with pool:
         done = 0
         counts = pool.imap_unordered(_compile, files.values())

@@ -1,9 +1,8 @@
-"""All that depends on private interfaces of numba.
+"""All that depends on private interfaces of numba: a cache of our own, and inner kernels without code.
 
-Dispatchers have our cache, and inner kernels have no code of their own.
-
-A kernel that is compiled because another one calls it is code for that one only: it gets no entry from Python
-or C, no machine code of its own and no file. If Python calls it later, it is compiled again in full.
+A kernel that is compiled because
+another one calls it is code for that one only: it gets no entry from Python or C, no machine code of its own
+and no file. If Python calls it later, it is compiled again in full.
 """
 
 import sys
@@ -86,9 +85,8 @@ def load_kernel(
 ) -> object:
     """Make a kernel from its stored parts, for calls from Python.
 
-    Its code for linking, half of the file, is not stored.
-
-    Unlike `CompileResult._rebuild`, it loads nothing that only compilation needs.
+    Its code for linking, half of the file, is not stored. Unlike `CompileResult._rebuild`, it loads nothing
+    that only compilation needs.
     """
     _declare_runtime()
     codegen = context.codegen()

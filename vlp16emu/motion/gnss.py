@@ -28,10 +28,8 @@ _LOSS = 2
 _COVER_WIDTH = 0.05  # width of the logistic curve of failed fixes over the cover; assumption
 _LOSS_S = 10.0
 """Correlation time of failing fixes: about 12 m of walking, the spacing of large crowns; assumption."""
-_FARTHEST_Z = 8.0
-_NORMAL_PEAK = 0.3989422804014327
-"""Limit beyond which the normal distribution is 0 or 1 within 1e-15, and its greatest density, 1 / sqrt(2
-pi)."""
+_FARTHEST_Z = 8.0  # limit beyond which the normal distribution is 0 or 1 within 1e-15
+_NORMAL_PEAK = 0.3989422804014327  # greatest density of the normal distribution, 1 / sqrt(2 pi)
 _HELD_S = 10  # time for which a receiver repeats its last fix
 _FASTEST_M_S = 999 * 1852 / 3600
 """999 knots, the greatest reported speed (Garmin GPS 16x, 190-00228-08 Rev. C, section 1.5.4.4)."""
@@ -94,6 +92,7 @@ class Receiver:
 
 
 def _measure(motion: Motion, gps: Gps, seed: int, sky: Sky | None, t_ns: int) -> GnssReading:
+    """Return the measurement at the whole UTC second `t_ns`."""
     truth = motion.kinematics_at(np.array([t_ns]))
     antenna_m = truth.world_p_body_m[0].copy()
     velocity_m_s = truth.world_v_body_m_s[0]
@@ -106,7 +105,7 @@ def _measure(motion: Motion, gps: Gps, seed: int, sky: Sky | None, t_ns: int) ->
     slow = np.array([wander(seed, lane, second, gps.wander_s) for lane in (_EAST, _NORTH)])
     # Fixes fail with a probability that is logistic in the cover, in periods of about 10 s.
     odds = (cover - gps.canopy_half_cover) / _COVER_WIDTH
-    lost = _exceeded(wander(seed, _LOSS, second, _LOSS_S)) if sky else 1.0
+    lost = _upper_tail(wander(seed, _LOSS, second, _LOSS_S)) if sky else 1.0
     valid = sky is None or lost >= 0.5 + 0.5 * tanh(0.5 * odds)
     measured_m = antenna_m.copy()  # heights are not measured: sentences have no altitude
     measured_m[:2] += grown * (gps.position_noise_m * white_m + gps.wander_m * slow)
@@ -114,8 +113,8 @@ def _measure(motion: Motion, gps: Gps, seed: int, sky: Sky | None, t_ns: int) ->
     return GnssReading(t_ns, antenna_m, velocity_m_s, measured_m, measured_m_s, cover, valid)
 
 
-def _exceeded(z: float) -> float:
-    """Probability that a standard normal number exceeds z, within 1e-15, by a power series.
+def _upper_tail(z: float) -> float:
+    """Return the probability that a standard normal number exceeds z, within 1e-15, by a power series.
 
     Source: Marsaglia, "Evaluating the normal distribution", J. Statistical Software 11(4), 2004.
     """
@@ -132,7 +131,7 @@ def _exceeded(z: float) -> float:
 
 @array_kernel
 def wander(seed: int, lane: int, second: int, correlation_s: float) -> float:
-    """First-order Gauss-Markov process of variance 1, evaluated at one whole second.
+    """Return the value of a first-order Gauss-Markov process of variance 1 at a whole second.
 
     Over seeds it is Gaussian at each second with the autocovariance exp(-|lag| / `correlation_s`). It is a
     sum of waves of equal power, with one frequency drawn from each of 32 parts of equal mass of
@@ -157,21 +156,21 @@ def wander(seed: int, lane: int, second: int, correlation_s: float) -> float:
 
 
 def to_local(geodetic: F8, gps: Gps) -> F8:
-    """East, north and up in m (n, 3) of points (n, 3): latitude and longitude in degrees, height in m.
+    """Return east, north and up (n, 3) in m of points (n, 3): latitude, longitude in degrees, height in m.
 
     The world is a plane, and the earth's surface is 0.8 m below it at 3.2 km.
     """
     origin = np.array([[gps.latitude_deg, gps.longitude_deg, gps.height_m]])
-    return matvec(_axes(gps), _to_earth(geodetic) - _to_earth(origin))
+    return matvec(_enu_R_ecef(gps), _to_earth(geodetic) - _to_earth(origin))
 
 
 def to_geodetic(local_m: F8, gps: Gps) -> F8:
-    """Latitude and longitude in degrees and height in metres (n, 3) of world points (n, 3); see `to_local`.
+    """Return latitude, longitude in degrees and height in m (n, 3) of world points (n, 3); see `to_local`.
 
     Source: Bowring, "Transformation from spatial to geographical coordinates", Survey Review 23(181), 1976.
     """
     origin = np.array([[gps.latitude_deg, gps.longitude_deg, gps.height_m]])
-    x_m, y_m, z_m = (matvec(_axes(gps).T, local_m) + _to_earth(origin)).T
+    x_m, y_m, z_m = (matvec(_enu_R_ecef(gps).T, local_m) + _to_earth(origin)).T
     away_m = hypot(x_m, y_m)
     polar = 1.0 - _FLATTENING
     sine, cosine = z_m, away_m * polar  # of the reduced latitude, later of the latitude, unnormalized
@@ -198,13 +197,15 @@ def _to_earth(geodetic: F8) -> F8:
     return np.column_stack([away_m * cos(longitude), away_m * sin(longitude), up_m])
 
 
-def _axes(gps: Gps) -> F8:
-    """Rotation (3, 3) from the earth's axes to east, north and up."""
+def _enu_R_ecef(gps: Gps) -> F8:
+    """Return the rotation (3, 3) from the earth's axes to east, north and up."""
     latitude_rad, longitude_rad = np.radians(gps.latitude_deg), np.radians(gps.longitude_deg)
-    up = sin(latitude_rad)
-    level = cos(latitude_rad)
-    aside = sin(longitude_rad)
-    ahead = cos(longitude_rad)
+    sin_lat, cos_lat = sin(latitude_rad), cos(latitude_rad)
+    sin_lon, cos_lon = sin(longitude_rad), cos(longitude_rad)
     return np.array(
-        [[-aside, ahead, 0.0], [-up * ahead, -up * aside, level], [level * ahead, level * aside, up]]
+        [
+            [-sin_lon, cos_lon, 0.0],
+            [-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat],
+            [cos_lat * cos_lon, cos_lat * sin_lon, sin_lat],
+        ]
     )

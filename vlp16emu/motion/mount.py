@@ -14,7 +14,7 @@ from vlp16emu.types import F8, I8, Poses
 from vlp16emu.units import S_NS
 
 
-def mounted(carrier: Motion, mount: Mount, start_ns: int) -> Motion:
+def device_motion(carrier: Motion, mount: Mount, start_ns: int) -> Motion:
     """Return the motion of a device on its carrier; the carrier's own motion for a trivial mount."""
     return carrier if mount.trivial else MountedMotion(carrier, mount, start_ns)
 
@@ -52,12 +52,12 @@ class MountedMotion:
         self.moves = carrier.moves or mount.spin_hz != 0.0
 
     def poses_at(self, t_ns: I8) -> Poses:
-        """Poses carrier the device at UTC instants (n,); a single pose if nothing moves."""
+        """Return poses of the device at UTC instants (n,); a single pose if nothing moves."""
         carrier = self._carrier.poses_at(t_ns)
         return self._mount_on(carrier, t_ns if self.moves else carrier.t_ns)[0]
 
     def kinematics_at(self, t_ns: I8) -> Kinematics:
-        """Poses of the device at UTC instants (n,) with the derivatives of the same function."""
+        """Return poses of the device at UTC instants (n,) with the derivatives of the same function."""
         body = self._carrier.kinematics_at(t_ns)
         poses, turns = self._mount_on(body, t_ns)
         w = body.body_w_rad_s
@@ -79,7 +79,7 @@ class MountedMotion:
         )
 
     def _mount_on(self, body: Poses, t_ns: I8) -> tuple[Poses, F8]:
-        """Poses of the device on a carrier with poses `body`, and rotations (n, 3, 3); (1, 3, 3) if fixed."""
+        """Return poses of the device on a carrier, and its rotations (n, 3, 3) on it; (1, 3, 3) if fixed."""
         turns = self._tilts[:1]
         poses = Poses(t_ns, np.empty((len(t_ns), 3, 3)), np.empty((len(t_ns), 3)))
         if self._spin_hz != 0.0:
@@ -99,7 +99,7 @@ class MountedMotion:
 
 @array_kernel
 def _spin(whole_s: I8, rest_ns: I8, spin_hz: float, tilts: F8, out: F8) -> None:
-    """Fill the tilt rotated about the axis, by Rodrigues' formula."""
+    """Fill rotations (n, 3, 3): the tilt, rotated about the axis by Rodrigues' formula."""
     for i in range(len(out)):
         # Seconds and the rest separately: after days their product would lose the last digits of the angle.
         revolutions = spin_hz * whole_s[i] % 1.0 + spin_hz * (rest_ns[i] * 1.0e-9)

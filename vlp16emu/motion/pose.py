@@ -33,10 +33,10 @@ class Motion(Protocol):
         """True if poses change with time."""
 
     def poses_at(self, t_ns: I8) -> Poses:
-        """Poses at UTC instants (n,); a single pose if nothing moves."""
+        """Return poses at UTC instants (n,); a single pose if nothing moves."""
 
     def kinematics_at(self, t_ns: I8) -> Kinematics:
-        """Poses at UTC instants (n,) with the derivatives of the same function."""
+        """Return poses at UTC instants (n,) with the derivatives of the same function."""
 
 
 @inline_kernel
@@ -94,6 +94,6 @@ class StaticMotion:
     def kinematics_at(self, t_ns: I8) -> Kinematics:
         """Repeat the one pose at instants (n,), without any motion."""
         n = len(t_ns)
-        still = np.zeros((len(t_ns), 3))
+        still = np.zeros((n, 3))
         turns = np.repeat(self._poses.world_R_body, n, axis=0)
         return Kinematics(t_ns, turns, np.repeat(self._poses.world_p_body_m, n, axis=0), *(still,) * 4)

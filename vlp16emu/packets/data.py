@@ -24,10 +24,8 @@ _SECOND_STRONGEST = 2
 def pack_data(returns: Returns, mode: ReturnMode, model: SensorModel, unit: int = 0) -> list[Packet]:
     """Pack whole packets of a unit of the rig, k / 24 or k / 12 of them.
 
-    Other parameters and errors are those of `data_payloads`.
-
-    `due_ns` is the end of a packet's last firing sequence: 1327.104 us after its first pulse, or 663.552 us
-    in dual return, if no sequence is left out.
+    Other parameters and errors are those of `data_payloads`. `due_ns` is the end of a packet's last firing
+    sequence: 1327.104 us after its first pulse, or 663.552 us in dual return, if no sequence is left out.
     """
     payloads = data_payloads(returns, mode, model)
     sequences = SEQUENCES_PER_PACKET[mode]
@@ -76,9 +74,9 @@ def data_payloads(returns: Returns, mode: ReturnMode, model: SensorModel) -> U1:
         distance_m = np.take_along_axis(returns.distance_m, place, axis=-1)
         _write(odd["records"], distance_m, np.take_along_axis(returns.reflectivity, place, axis=-1))
     else:
-        which = _LAST if mode is ReturnMode.LAST else _STRONGEST
+        column = _LAST if mode is ReturnMode.LAST else _STRONGEST
         blocks["azimuth_cdeg"] = codes
-        _write(blocks["records"], returns.distance_m[..., which], returns.reflectivity[..., which])
+        _write(blocks["records"], returns.distance_m[..., column], returns.reflectivity[..., column])
     packets["timestamp_us"] = timestamp_us(firings.clock_ns[:: SEQUENCES_PER_PACKET[mode]])
     packets["return_mode"] = layout.RETURN_MODE_BYTE[mode]
     packets["factory"] = layout.FACTORY_BYTE[model]
@@ -86,12 +84,11 @@ def data_payloads(returns: Returns, mode: ReturnMode, model: SensorModel) -> U1:
 
 
 def timestamp_us(clock_ns: _Time) -> _Time:
-    """Microseconds past the hour of the sensor's clock, any shape.
+    """Return microseconds past the hour of the sensor's clock, any shape, as in both kinds of packet.
 
-    As in both kinds of packet, they are floored and below 3.6e9.
-
-    Real units floor a time that is exact in nanoseconds: their steps are 1327 and 1328 us with a mean
-    of 1327.10. Source: 63-9243 Rev D, section 9.3.1 and appendix G (the counter).
+    They are floored, and below 3.6e9. Real units floor a time that is exact in
+    nanoseconds: their steps are 1327 and 1328 us with a mean of 1327.10. Source: 63-9243 Rev D, section 9.3.1
+    and appendix G (the counter).
     """
     return clock_ns % HOUR_NS // US_NS
 

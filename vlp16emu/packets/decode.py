@@ -197,10 +197,8 @@ def faults_in(
 def scan_starts(azimuth_deg: F8, t_ns: I8 | None = None) -> I8:
     """Find the starts of scans (m,) in azimuths (n,) of points or blocks.
 
-    They are the first, each wrap, and those after a jump of time.
-
-    With times (n,) a decrease of the azimuth is a wrap only if the rotor can complete the revolution in the
-    time between.
+    A scan starts at the first one, at each wrap, and after a jump of time. With times (n,) a decrease of the
+    azimuth is a wrap only if the rotor can complete the revolution in the time between.
     """
     step_deg = np.diff(azimuth_deg)
     if t_ns is None:

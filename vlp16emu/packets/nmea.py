@@ -18,9 +18,8 @@ _MINUTE_DECIMALS = 7  # decimals in echoes of real units; 0.2 mm on the ground
 def rmc(fix: GnssFix) -> bytes:
     """Write the sentence of one whole second (63-9243 Rev D, section 7.4).
 
-    It has 13 fields of NMEA 0183 v2.3, checksum, CR and LF.
-
-    If `fix.valid` is false, the status is V and the mode letter N, with the last known numbers.
+    It has 13 fields of NMEA 0183 v2.3, checksum, CR and LF. If `fix.valid` is false, the status is V and the
+    mode letter N, with the last known numbers.
     """
     import pynmea2  # here: a sensor without a receiver does not need it
 
@@ -84,8 +83,8 @@ def _degrees_minutes(angle_deg: float, width: int) -> str:
     # The angle is rounded as a whole: rounding the minutes alone could give 60.
     steps = round(abs(angle_deg) * 60 * 10**_MINUTE_DECIMALS)
     degrees, minutes = divmod(steps, 60 * 10**_MINUTE_DECIMALS)
-    whole, fraction = divmod(minutes, 10**_MINUTE_DECIMALS)
-    return f"{degrees:0{width}d}{whole:02d}.{fraction:0{_MINUTE_DECIMALS}d}"
+    whole_minutes, fraction = divmod(minutes, 10**_MINUTE_DECIMALS)
+    return f"{degrees:0{width}d}{whole_minutes:02d}.{fraction:0{_MINUTE_DECIMALS}d}"
 
 
 def utc_ns(date: str, time: str) -> int:

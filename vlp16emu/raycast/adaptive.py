@@ -25,9 +25,8 @@ scenes/reference_forest and birch_walk reach targets from 0.02 to 0.05 m or bett
 _MOST = 0.65
 """Upper limit of an estimated error, in resolutions: half of one for another echo, plus the rest for eight
 rays of one."""
-_EVENNESS = (
-    0.27  # variance of a share from one or two rounds of sub-rays over that from random points; see `beam`
-)
+_EVENNESS = 0.27
+"""Variance of a share from one or two rounds of sub-rays over that from random points; see `beam`."""
 _DOUBT = 0.75
 """Probability that sub-rays decide whether an echo is seen, over its maximum, from which another round is
 cast. Chosen on scenes/reference_forest: 6 % more rays remove a third of the lost or invented echoes."""
@@ -39,7 +38,7 @@ doubt."""
 class RayBudget(NamedTuple):
     """Number of sub-rays that the pulses of a beam need."""
 
-    most: int  # most sub-rays of a pulse
+    max_rays: int  # most sub-rays of a pulse
     adaptive: bool  # True if `enough` decides after each round
     worth_m: float  # error reduction required of each ray; see `worth_of_ray_m`
     resolution_m: float
@@ -101,9 +100,9 @@ def _is_doubtful(order: F8, met: int, n: int, budget: RayBudget) -> bool:
     for a in range(first, last + 1):
         squares += order[1, a] * order[1, a]
     variance = _EVENNESS * squares / (n * n)
-    both = variance + budget.amplitude_noise * budget.amplitude_noise
+    total = variance + budget.amplitude_noise * budget.amplitude_noise
     off = strongest / n - budget.threshold
-    return math.sqrt(variance / both) * exp(-(off * off) / (2 * both)) > _DOUBT
+    return math.sqrt(variance / total) * exp(-(off * off) / (2 * total)) > _DOUBT
 
 
 @kernel

@@ -52,7 +52,7 @@ class Footprint:
     """Amplitude at which half of the echoes are seen, in m-2; 0 if every echo is seen."""
     amplitude_noise: float = 0.0  # of the receiver, one sigma
 
-    def changed(self, **settings: object) -> "Footprint":
+    def with_settings(self, **settings: object) -> "Footprint":
         """Return this footprint with other settings of its section."""
         return replace(self, section=self.section.model_copy(update=settings))
 
@@ -67,7 +67,7 @@ class Footprint:
         return self.section.model in ("fixed", "adaptive", "angle")
 
     @property
-    def together(self) -> int:
+    def revolutions_at_once(self) -> int:
         """Best number of revolutions to cast at once: fewer if that would take long, or much memory."""
         usual = {"fixed": self.rays, "adaptive": ROUND}.get(self.section.model, 1)
         return max(1, min(_TOGETHER, _USUAL_RAYS // usual, _MOST_RAYS // self.rays))
@@ -76,7 +76,7 @@ class Footprint:
     def budget(self) -> RayBudget:
         """Budget of sub-rays for its pulses."""
         return RayBudget(
-            most=1 if self.section.model == "angle" else self.rays,
+            max_rays=1 if self.section.model == "angle" else self.rays,
             adaptive=self.section.model == "adaptive",
             worth_m=worth_of_ray_m(self.section.target_m),
             resolution_m=self.resolution_m,
@@ -131,14 +131,16 @@ FARTHEST = float(_REACH[-1])  # greatest distance of a sub-ray from the centre, 
 
 
 @kernel
-def turn(seed: int, firing: int, laser: int) -> tuple[np.uint32, np.uint32]:
+def draw_pattern(seed: int, firing: int, laser: int) -> tuple[np.uint32, np.uint32]:
     """Draw the two random numbers of a pulse's sub-ray pattern, in steps of 2**-32."""
     u, v = uniform_pair(seed, _TURN, firing, laser)
     return np.uint32(u * 2.0**32), np.uint32(v * 2.0**32)
 
 
 @kernel
-def lay(rays: F4, axes: F4, sigmas: F4, u: np.uint32, v: np.uint32, first: int, support: bool) -> None:
+def fill_sub_rays(
+    rays: F4, axes: F4, sigmas: F4, u: np.uint32, v: np.uint32, first: int, support: bool
+) -> None:
     """Fill eight sub-rays of a pulse, from number `first` on.
 
     Rows of eight: origins in rows 0 to 2, unit directions in rows 4 to 6.
@@ -148,7 +150,7 @@ def lay(rays: F4, axes: F4, sigmas: F4, u: np.uint32, v: np.uint32, first: int, 
     rays : (56 or more,) rows of eight, as in `RayPacket`
     axes : (4, 3) origin, direction, horizontal and vertical axis of the pulse, by `pulse_axes`
     sigmas : (4,) as in `Footprint`
-    u, v : random numbers of the pulse, from `turn`
+    u, v : random numbers of the pulse, from `draw_pattern`
     support : whether the first 64 are support points
     """
     if support and first < len(_SUPPORT):

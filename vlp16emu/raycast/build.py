@@ -81,12 +81,12 @@ class EmbreeMesh:
         scene, _ = _new_scene(self)
         # Embree reads these arrays until the scene is committed: only compact scenes refer to them later,
         # others hold corners of their own (Embree 4, `rtcSetSharedGeometryBuffer`).
-        read = list[NDArray[np.generic]]()
+        in_use = list[NDArray[np.generic]]()
         for number in np.flatnonzero(stop > begin).tolist():
             vertices_m, triangles = self.faces[number]
-            wider_m = widened(vertices_m, triangles[begin[number] : stop[number]])
+            wider_m = widen(vertices_m, triangles[begin[number] : stop[number]])
             corners = _corner_numbers(len(wider_m) - 1)
-            read += [wider_m, corners]
+            in_use += [wider_m, corners]
             geometry = lib.rtcNewGeometry(device, rtc.GEOMETRY_TRIANGLE)
             for kind, layout, data, rows in (
                 (rtc.BUFFER_VERTEX, rtc.FORMAT_FLOAT3, wider_m, len(wider_m) - 1),
@@ -112,8 +112,8 @@ def _corner_numbers(n: int) -> U4:
 
 
 @array_kernel
-def widened(vertices_m: F4, triangles: U4) -> F4:
-    """Widen triangles (t, 3) in their planes, so that their edges are `_WIDER_M` farther out.
+def widen(vertices_m: F4, triangles: U4) -> F4:
+    """Widen triangles (t, 3) in their planes: move their edges outwards by `_WIDER_M`.
 
     Returns
     -------
@@ -189,7 +189,7 @@ def _new_scene(owner: object) -> tuple[int, Callable[[], object]]:
     return scene, release
 
 
-class Placed:
+class Instances:
     """Pieces of the placements of a window, each a numbered instance.
 
     Parameters
@@ -263,9 +263,9 @@ def _buffers(meshes: Sequence[EmbreeMesh], counts: I8) -> tuple[U8, I8]:
             tables.append(mesh.buffers.reshape(-1, 2))
             stop += len(tables[-1])
     begin = np.array([first[id(mesh)] for mesh in meshes], np.int64)
-    each = np.array([mesh.buffers.shape[1] for mesh in meshes], np.int64)
+    meshes_each = np.array([mesh.buffers.shape[1] for mesh in meshes], np.int64)
     piece = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-    return np.concatenate(tables), np.repeat(begin, counts) + piece * np.repeat(each, counts)
+    return np.concatenate(tables), np.repeat(begin, counts) + piece * np.repeat(meshes_each, counts)
 
 
 _MOST_KNOTS = 129  # RTC_MAX_TIME_STEP_COUNT (Embree 4, rtcore_common.h)

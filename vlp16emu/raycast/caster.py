@@ -1,5 +1,6 @@
 """Casters, the choice of a caster with or without a far medium, and the sky cover by casting."""
 
+import logging
 import math
 from collections.abc import Callable
 from concurrent.futures import Executor
@@ -13,6 +14,7 @@ from vlp16emu.elementary import cos, sin
 from vlp16emu.raycast.beam import LINE, Footprint
 from vlp16emu.types import F8, Firings, Hits, Window, World
 
+_log = logging.getLogger(__name__)  # at DEBUG it names each look at the sky
 _RINGS = 16
 _SECTORS = 16  # rings of equal solid angle, and rays on each: 256 rays give a share within 0.03
 
@@ -70,6 +72,7 @@ def sky_cover(geometry: Geometry, t_ns: int, position_m: F8, lowest_deg: float, 
     lowest_deg : elevation below which the sky does not count
     far_m : range beyond which surfaces do not count
     """
+    _log.debug("casts the sky at %d", t_ns)
     direction = _directions(sin(math.radians(lowest_deg)))
     rays = Firings.rays(t_ns, position_m, direction)
     hits = geometry.as_far.cast(rays, np.zeros(direction.shape[1]), far_m)

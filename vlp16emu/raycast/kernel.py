@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.kernels.compiler import array_kernel, inline_kernel, kernel
 from vlp16emu.raycast.adaptive import RayBudget, enough
-from vlp16emu.raycast.beam import ROUND, lay, pulse_axes, turn
+from vlp16emu.raycast.beam import ROUND, draw_pattern, fill_sub_rays, pulse_axes
 from vlp16emu.raycast.packet import (
     DIR,
     NONE,
@@ -77,10 +77,10 @@ class Batch(NamedTuple):
     scratch: F8  # (2, m) for sorting
 
 
-def batch_of(pulses: int, most: int) -> Batch:
-    """Make buffers for pulses of up to `most` sub-rays each."""
-    most = -(-most // ROUND) * ROUND
-    n = pulses * most
+def batch_of(pulses: int, max_rays: int) -> Batch:
+    """Make buffers for pulses of up to `max_rays` sub-rays each."""
+    max_rays = -(-max_rays // ROUND) * ROUND
+    n = pulses * max_rays
     axes_row = np.zeros((pulses, 12), np.float32)
     return Batch(
         np.zeros((pulses, ROW), np.float32),
@@ -91,7 +91,7 @@ def batch_of(pulses: int, most: int) -> Batch:
         np.arange(pulses),
         np.zeros(pulses, np.int64),
         RayHits(np.empty(n, np.float32), np.empty(n, np.uint32), np.empty(n, np.float32)),
-        np.empty((2, most)),
+        np.empty((2, max_rays)),
     )
 
 
@@ -109,8 +109,8 @@ def cast_lines(cast: Cast, range_m: F4, surface: U4, cos_incidence: F4) -> None:
     """Cast one ray per pulse and fill arrays (k, L); packets hold eight consecutive firings of a laser."""
     set_filter(cast.packet)
     for first in cast.light.order:
-        cast_middles(cast, None, first)
-        write_middles(cast, first, range_m, surface, cos_incidence)
+        cast_centre_rays(cast, None, first)
+        write_centre_rays(cast, first, range_m, surface, cos_incidence)
 
 
 @array_kernel
@@ -130,14 +130,14 @@ def cast_pulses(cast: Cast, budget: RayBudget, count: U2, first_round: U4) -> U4
     set_filter(cast.packet)
     groups = empty_groups(count)
     for first in cast.light.order:
-        todo = all_pulses(cast.batch)
+        todo = queue_all(cast.batch)
         have = ZERO
         while todo:
-            rays = min(ROUND, budget.most - have)
+            rays = min(ROUND, budget.max_rays - have)
             cast_near(cast, None, budget, first, todo, have, rays)
             todo = settle(cast, budget, first_round, first, todo, have, rays)
             have = have + rays
-        groups[first // PACKET] = further(cast.batch, min(ROUND, budget.most), first, count)
+        groups[first // PACKET] = further_hits(cast.batch, min(ROUND, budget.max_rays), first, count)
     return concatenate(groups)
 
 
@@ -148,8 +148,8 @@ def empty_groups(count: U2) -> list[U4]:
 
 
 @kernel
-def all_pulses(batch: Batch) -> int:
-    """List all pulses of eight sequences as to be cast; return their number."""
+def queue_all(batch: Batch) -> int:
+    """Queue all pulses of eight sequences; return their number."""
     pulses = batch.todo.shape[0]
     for q in range(pulses):
         batch.todo[q] = q
@@ -162,12 +162,12 @@ def concatenate(groups: list[U4]) -> U4:
     n = ZERO
     for group in groups:
         n += group.shape[1]
-    joined = np.empty((3, n), np.uint32)
+    hits = np.empty((3, n), np.uint32)
     n = ZERO
     for group in groups:
-        joined[:, n : n + group.shape[1]] = group
+        hits[:, n : n + group.shape[1]] = group
         n += group.shape[1]
-    return joined
+    return hits
 
 
 @kernel
@@ -175,28 +175,28 @@ def join_rounds(count: U2, first_round: U4, further: U4, hits: U4) -> None:
     """Fill hits (3, n) from first and further rounds, as in `cast_pulses`, in order of pulses."""
     pulses = count.size
     lasers = count.shape[1]
-    each = first_round.shape[1] // pulses
+    per_pulse = first_round.shape[1] // pulses
     for row in range(3):
         of_first = first_round[row]
-        rest = further[row]
+        of_further = further[row]
         out = hits[row]
         begin = at = used = ZERO
         for pulse in range(pulses):
-            more = count[pulse // lasers, pulse % lasers] - each
+            more = count[pulse // lasers, pulse % lasers] - per_pulse
             if more or pulse == pulses - 1:
-                stop = each * (pulse + 1)
+                stop = per_pulse * (pulse + 1)
                 for a in range(stop - begin):
                     out[at + a] = of_first[begin + a]
                 at = at + stop - begin
                 begin = stop
                 for a in range(more):
-                    out[at + a] = rest[used + a]
+                    out[at + a] = of_further[used + a]
                 at = at + more
                 used = used + more
 
 
 @kernel
-def write_middles(cast: Cast, first: int, range_m: F4, surface: U4, cos_incidence: F4) -> None:
+def write_centre_rays(cast: Cast, first: int, range_m: F4, surface: U4, cos_incidence: F4) -> None:
     """Write the hits of the centre rays of eight sequences into arrays (k, L)."""
     batch = cast.batch
     for q in range(batch.missed.shape[0]):
@@ -209,7 +209,7 @@ def write_middles(cast: Cast, first: int, range_m: F4, surface: U4, cos_incidenc
 
 
 @kernel
-def cast_middles(cast: Cast, beyond: Target | None, first: int) -> None:
+def cast_centre_rays(cast: Cast, beyond: Target | None, first: int) -> None:
     """Cast the centre rays of the pulses of eight sequences against faces, one packet per laser.
 
     `beyond` are the faces at any range behind the near ones, for casts that go on through a far medium; with
@@ -251,8 +251,8 @@ def cast_near(
         axes = batch.axes[q]
         if not have:
             pulse_axes(light.origin_m, light.direction, light.beam_axis, near.window_origin_m, i, j, axes)
-        u, v = turn(light.seed, light.first + i, j)
-        lay(packet.rays, axes, light.sigmas, u, v, have, budget.adaptive)
+        u, v = draw_pattern(light.seed, light.first + i, j)
+        fill_sub_rays(packet.rays, axes, light.sigmas, u, v, have, budget.adaptive)
         for r in range(PACKET):
             packet.rays[TIME + r] = light.time[i, j]
             valid[r] = -1 if r < count else 0
@@ -319,7 +319,7 @@ def _store_misses(cast: Cast, beyond: Target, q: int, step: int, count: int) -> 
 def settle(
     cast: Cast, budget: RayBudget, first_round: U4, first: int, todo: int, have: int, count: int
 ) -> int:
-    """Take the hits of a round; list the pulses that need another round, and return their number.
+    """Keep the hits of a round, queue the pulses that need another round, and return their number.
 
     Parameters
     ----------
@@ -355,7 +355,7 @@ def settle(
                 first_cosine[to + lane] = cosine[at + lane]
                 first_round[1, to + lane] = surface[at + lane]
         batch.have[q] = total
-        needs_more = total < budget.most
+        needs_more = total < budget.max_rays
         if needs_more and budget.adaptive:
             stop = begin + total
             ranges = range_m[begin:stop]
@@ -369,23 +369,23 @@ def settle(
 
 
 @array_kernel
-def further(batch: Batch, each: int, first: int, count: U2) -> U4:
-    """Count the hits of eight sequences; return those after the first `each`, as `cast_pulses` does."""
+def further_hits(batch: Batch, per_pulse: int, first: int, count: U2) -> U4:
+    """Count the hits of eight sequences; return those after the first `per_pulse`, as `cast_pulses` does."""
     room = batch.scratch.shape[1]
     n = ZERO
     for q in range(PACKET * count.shape[1]):
         count[first + q % PACKET, q // PACKET] = batch.have[q]
-        n += batch.have[q] - each
-    further = np.empty((3, n), np.uint32)
+        n += batch.have[q] - per_pulse
+    hits = np.empty((3, n), np.uint32)
     n = ZERO
-    range_m = further[0].view(np.float32)
-    cosine = further[2].view(np.float32)
+    range_m = hits[0].view(np.float32)
+    cosine = hits[2].view(np.float32)
     for i in range(PACKET):
         for j in range(count.shape[1]):
             begin = (PACKET * j + i) * room
-            for s in range(each, batch.have[PACKET * j + i]):
+            for s in range(per_pulse, batch.have[PACKET * j + i]):
                 range_m[n] = batch.hits.range_m[begin + s]
-                further[1, n] = batch.hits.surface[begin + s]
+                hits[1, n] = batch.hits.surface[begin + s]
                 cosine[n] = batch.hits.cos_incidence[begin + s]
                 n += 1
-    return further
+    return hits

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from vlp16emu.doors import Part
 from vlp16emu.raycast import embree as rtc
 from vlp16emu.raycast.beam import FARTHEST, LINE, ROUND, Footprint, beam_axis_of
-from vlp16emu.raycast.build import EmbreeMesh, Placed, inverses, relative_to_window, shape_of
+from vlp16emu.raycast.build import EmbreeMesh, Instances, inverses, relative_to_window, shape_of
 from vlp16emu.raycast.kernel import Cast, PulseBatch, batch_of, cast_lines, cast_pulses, join_rounds
 from vlp16emu.raycast.packet import PACKET, Target, ray_packet
 from vlp16emu.store import recall
@@ -41,15 +41,15 @@ class EmbreeGeometry:
     lines: ClassVar[Callable[..., None]] = staticmethod(cast_lines)  # kernel for beams without width
     pulses: ClassVar[Callable[..., U4]] = staticmethod(cast_pulses)  # kernel for sub-rays
 
-    def __init__(self, near: Placed, kept: NDArray[np.bool_] | None = None) -> None:
+    def __init__(self, near: Instances, kept: NDArray[np.bool_] | None = None) -> None:
         self.meshes = near.meshes
         self.surfaces = near.window.surfaces
-        self._placed = near  # keeps its scenes alive
+        self._instances = near  # keeps its scenes alive
         self._near = target_of(near, kept)
 
     @property
     def as_far(self) -> "EmbreeGeometry":
-        """The same window, as nothing in it is far."""
+        """The same window: nothing in it is far."""
         return self
 
     def near_faces(self, rise: float, far_m: float) -> tuple[Target, float]:  # noqa: ARG002 - one for all
@@ -57,7 +57,7 @@ class EmbreeGeometry:
         return self._near, far_m
 
     def passage(self) -> tuple[object, ...]:
-        """Return what the kernels take for what is behind the near faces: nothing."""
+        """Return further arguments of the kernels, for geometry behind the near faces: none."""
         return ()
 
     def cast(self, firings: Firings, near_m: F8, far_m: float, beam: Footprint = LINE) -> Hits:
@@ -83,7 +83,7 @@ class EmbreeGeometry:
             firings.origin_m,
             firings.direction,
             beam_axis_of(firings, beam) if beam.has_width else np.empty((0, 0, 0)),
-            self._placed.motion.times(firings.t_ns),
+            self._instances.motion.times(firings.t_ns),
             np.ascontiguousarray(near_m),
             float(reach_m),
             float(far_m),
@@ -92,12 +92,12 @@ class EmbreeGeometry:
             beam.seed,
             firings.index,
         )
-        most = beam.budget.most if beam.has_width else 1
-        cast = Cast(near, pulses, ray_packet(), batch_of(PACKET * shape[1], most))
+        max_rays = beam.budget.max_rays if beam.has_width else 1
+        cast = Cast(near, pulses, ray_packet(), batch_of(PACKET * shape[1], max_rays))
         if beam.has_width:
             count = np.empty(shape, np.uint16)
             # Numpy's arrays are in huge pages; arrays made in kernels have a page fault every 4 kB.
-            met_bits = first_round = np.empty((3, count.size * min(ROUND, most)), np.uint32)
+            met_bits = first_round = np.empty((3, count.size * min(ROUND, max_rays)), np.uint32)
             further = self.pulses(cast, *self.passage(), beam.budget, count, first_round)
             if further.size:
                 met_bits = np.empty((3, first_round.shape[1] + further.shape[1]), np.uint32)
@@ -110,20 +110,20 @@ class EmbreeGeometry:
         return Hits.one_ray_each(*met)
 
 
-def target_of(placed: Placed, kept: NDArray[np.bool_] | None = None) -> Target:
+def target_of(instances: Instances, kept: NDArray[np.bool_] | None = None) -> Target:
     """Build the scene of selected pieces (n,), or of all."""
-    window = placed.window
-    placement = placed.placement
-    motion = placed.motion
-    scene = placed.scene(np.ones(len(placement), np.bool_) if kept is None else kept)
+    window = instances.window
+    placement = instances.placement
+    motion = instances.motion
+    scene = instances.scene(np.ones(len(placement), np.bool_) if kept is None else kept)
     return Target(
         scene,
         scene,
         window.origin_m,
         window.first_surface[placement],
         inverses(relative_to_window(window))[placement],
-        placed.row,
-        placed.buffers,
+        instances.row,
+        instances.buffers,
         np.ascontiguousarray(motion.shear[:, placement]),
         motion.foot_m[placement] if motion.span_ns else motion.foot_m,
         np.ascontiguousarray(window.surfaces["reflectance"]),
@@ -163,7 +163,7 @@ class EmbreeCaster:
             rtc.give_memory_back()
 
     def _geometry_of(self, window: Window) -> EmbreeGeometry:
-        return EmbreeGeometry(self._placed(window, self._start_shapes(window)))
+        return EmbreeGeometry(self._instances(window, self._start_shapes(window)))
 
     def _start_shapes(self, window: Window) -> list[EmbreeMesh | Future[EmbreeMesh]]:
         """Return the shapes of a window in order, or futures of new shapes."""
@@ -172,15 +172,15 @@ class EmbreeCaster:
         ]
 
     def _await_shapes(
-        self, window: Window, begun: Sequence[EmbreeMesh | Future[EmbreeMesh]]
+        self, window: Window, started: Sequence[EmbreeMesh | Future[EmbreeMesh]]
     ) -> list[EmbreeMesh]:
-        meshes = [each.result() if isinstance(each, Future) else each for each in begun]
+        meshes = [mesh.result() if isinstance(mesh, Future) else mesh for mesh in started]
         self._solids.update(zip(window.shapes, meshes, strict=True))
         return meshes
 
-    def _placed(self, window: Window, begun: Sequence[EmbreeMesh | Future[EmbreeMesh]]) -> Placed:
-        meshes = self._await_shapes(window, begun)
-        return Placed(window, [meshes[which] for which in window.shape.tolist()], self._workers)
+    def _instances(self, window: Window, started: Sequence[EmbreeMesh | Future[EmbreeMesh]]) -> Instances:
+        meshes = self._await_shapes(window, started)
+        return Instances(window, [meshes[shape] for shape in window.shape.tolist()], self._workers)
 
     def _build_shape(self, key: ShapeKey) -> EmbreeMesh:
         name = self._world.shape_name(key)

@@ -2,7 +2,7 @@
 
 Embree finds candidates, and `_decide` selects the hit and its range. Embree's rounding depends on the
 instruction set: with another one the same ray hits a leaf at its edge or misses it, or hits the other of two
-intersecting faces. So Embree has slightly wider triangles (`build.widened`), candidates are kept up to
+intersecting faces. So Embree has slightly wider triangles (`build.widen`), candidates are kept up to
 `_SLACK_M` behind the nearest, and each is decided in float64, by sums, products and one division, from the
 original corners. Of two at the same range the one with the lower number is hit. So neither Embree's
 arithmetic nor the order of candidates matters.
@@ -156,10 +156,10 @@ def _ray_in_shape(desk: U8, world_rays: F8, r: np.int64, instance: np.int64) -> 
         shear = _as_float32(desk[8])
         n = np.int64(desk[10])
         knot, share = knot_at(knots, world_rays[TIME + r])
-        here = 2 * (knot * n + instance)
+        before = 2 * (knot * n + instance)
         after = 2 * ((knot + 1) * n + instance)
-        lean_x = shear[here] + share * (shear[after] - shear[here])
-        lean_y = shear[here + 1] + share * (shear[after + 1] - shear[here + 1])
+        lean_x = shear[before] + share * (shear[after] - shear[before])
+        lean_y = shear[before + 1] + share * (shear[after + 1] - shear[before + 1])
         over_m = z - _as_float64(desk[7])[instance]
         x = x - lean_x * over_m
         y = y - lean_y * over_m
@@ -181,7 +181,9 @@ def _ray_in_shape(desk: U8, world_rays: F8, r: np.int64, instance: np.int64) -> 
 
 
 @inline_kernel
-def _cut(corners: _Corners, normal: _Vector, ray: tuple[_Vector, _Vector]) -> tuple[float, float, bool]:
+def _meet_triangle(
+    corners: _Corners, normal: _Vector, ray: tuple[_Vector, _Vector]
+) -> tuple[float, float, bool]:
     """Intersect a ray with a triangle; return range, normal times direction, and True for a hit.
 
     The three determinants of the direction and two corners then have the same sign. For two triangles with a
@@ -224,7 +226,7 @@ def _decide(arguments: int) -> None:
             last_face = face
             corners = _corners(desk, np.int64(instance), face)
             normal = _cross(_minus(corners[1], corners[0]), _minus(corners[2], corners[0]))
-        range_m, facing, is_inside = _cut(
+        range_m, facing, is_inside = _meet_triangle(
             corners, normal, _ray_in_shape(desk, world_rays, r, np.int64(instance))
         )
         limit_m = state[_LIMIT + r]
@@ -347,8 +349,10 @@ def hit_of(target: Target, packet: RayPacket, r: int) -> tuple[np.float32, np.ui
     z = T[instance, 0, 2] * nx + T[instance, 1, 2] * ny + T[instance, 2, 2] * nz
     if target.shear.shape[0]:
         knot, share = knot_at(target.shear.shape[0], packet.world_rays[TIME + r])
-        here = target.shear[knot, instance]
+        before = target.shear[knot, instance]
         after = target.shear[knot + 1, instance]
-        z -= (here[0] + share * (after[0] - here[0])) * x + (here[1] + share * (after[1] - here[1])) * y
+        lean_x = before[0] + share * (after[0] - before[0])
+        lean_y = before[1] + share * (after[1] - before[1])
+        z -= lean_x * x + lean_y * y
     cosine = abs(state[_FACING + r]) / math.sqrt(x * x + y * y + z * z)
     return np.float32(state[_LIMIT + r]), surface, np.float32(min(cosine, 1.0))

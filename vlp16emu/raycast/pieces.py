@@ -65,14 +65,14 @@ def _bodies(faces: Sequence[Faces]) -> list[list[int]]:
         if not len(triangles):
             continue
         axes_m = np.ascontiguousarray(vertices_m.T)  # numpy is ten times as fast along rows
-        own = np.array([axes_m.min(axis=1), axes_m.max(axis=1)])
-        both = np.array([np.minimum(around[0], own[0]), np.maximum(around[1], own[1])])
-        if bodies and _side_m2(both) <= _side_m2(around) + _side_m2(own):
+        box = np.array([axes_m.min(axis=1), axes_m.max(axis=1)])
+        common = np.array([np.minimum(around[0], box[0]), np.maximum(around[1], box[1])])
+        if bodies and _side_m2(common) <= _side_m2(around) + _side_m2(box):
             bodies[-1].append(mesh)
-            around = both
+            around = common
         else:
             bodies.append([mesh])
-            around = own
+            around = box
     return bodies
 
 

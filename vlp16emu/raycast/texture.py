@@ -1,4 +1,4 @@
-"""Texture, relief and gloss: patches on bark, ground and walls, uneven walls, shine at normal incidence."""
+"""Texture, relief and gloss of surfaces: patches, unevenness, and shine at normal incidence."""
 
 import math
 

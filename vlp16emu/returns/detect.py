@@ -23,13 +23,13 @@ from vlp16emu.returns.echoes import (
     gather,
     highest_peak,
 )
-from vlp16emu.returns.lost import lose, raised
+from vlp16emu.returns.lost import lose, raised_code
 from vlp16emu.returns.noise import (
     NO_RETURN_KNOTS,
     REFLECTIVITY_TAIL,
-    heavier,
     range_sigma_m,
     reflectivity_byte,
+    with_heavy_tails,
 )
 from vlp16emu.returns.settings import DetectorConstants
 from vlp16emu.returns.weather import clutter_echo
@@ -91,10 +91,10 @@ def detect(
     distance_m = np.zeros(shape, np.float32)
     reflectivity = np.zeros(shape, np.uint8)
     exact_m = np.zeros(shape if truth else (0, 0, 3), np.float32)
-    most = int(hits.count.max(initial=1)) + 1  # the air's own echo is one more
-    peaks = np.empty((COLUMNS, _PEAKS_PER_NODE * most))
+    most_nodes = int(hits.count.max(initial=1)) + 1  # the air's own echo is one more
+    peaks = np.empty((COLUMNS, _PEAKS_PER_NODE * most_nodes))
     noise = np.zeros((5, lasers))
-    room = np.empty((COLUMNS, most)), peaks, np.empty(3, np.int64), noise
+    room = np.empty((COLUMNS, most_nodes)), peaks, np.empty(3, np.int64), noise
     reflectance = np.ascontiguousarray(surfaces["reflectance"])
     rays = SubRays(hits.count, hits.range_m, hits.surface, hits.cos_incidence, reflectance)
     errors = _Errors(
@@ -110,10 +110,10 @@ def detect(
     block = block or max(shape[0], 1)
     _detect(constants, first, block, errors, rays, room, distance_m, reflectivity, exact_m)
     if detector.parity is not None:
-        _count_unevenly(detector.parity, distance_m)
+        _apply_parity(detector.parity, distance_m)
     if detector.no_return is not None:
         place = firings.azimuth_deg[:, 0] % 360.0 * (NO_RETURN_KNOTS / 360.0)
-        _mark_silent(
+        _fill_no_returns(
             constants, detector.no_return, detector.multiples, place, first, block, distance_m, reflectivity
         )
     if not truth:
@@ -184,13 +184,7 @@ def _detect(
         if i % block == 0:
             before[0] = -1.0
             before[1:] = 0.0
-        if (
-            constants.range_noise_m
-            + constants.reflectivity_noise
-            + constants.reflectivity_noise_share
-            + rates.any
-            > 0.0
-        ):
+        if _draws_noise(constants):
             normal_pairs(constants.seed, _RANGE_NOISE, n, noise[0], noise[1])
         for j in range(lasers):
             start, stop = stop, stop + int(rays.counts[i, j])
@@ -225,7 +219,7 @@ def _detect(
 
 
 @kernel
-def _mark_silent(
+def _fill_no_returns(
     constants: DetectorConstants,
     no_return: F8,
     knots: F8,
@@ -235,16 +229,16 @@ def _mark_silent(
     distance_m: F4,
     reflectivity: U1,
 ) -> None:
-    """Fill in the reflectivity of pulses without any return: a constant of the laser, or a multiple of it.
+    """Fill in the reflectivity of pulses without a return: a constant of the laser, or a multiple of it.
 
-    Near a return in the same block it may be raised; elsewhere it is interpolated between knots (m, L) at
-    `place` (k,) in knots.
+    Near a return in the same block it may be raised. Elsewhere the multiple is interpolated between knots
+    (m, L) at `place` (k,), in knots.
     """
     rates = constants.lost
     key = constants.seed
     for i in range(distance_m.shape[0]):
         knot = min(int(place[i]), NO_RETURN_KNOTS - 1)
-        rest = place[i] % 1.0
+        fraction = place[i] % 1.0
         for j in range(distance_m.shape[1]):
             silent = True
             for column in range(3):
@@ -254,16 +248,16 @@ def _mark_silent(
                 higher = -1.0
                 if rates.raise_code > 0.0:
                     rows = i, i // block * block, min((i // block + 1) * block, distance_m.shape[0])
-                    higher = raised(rates, (key, first, j), rows, no_return[j], distance_m, reflectivity)
+                    higher = raised_code(rates, (key, first, j), rows, no_return[j], distance_m, reflectivity)
                 if higher < 0.0 and knots.shape[0] > 0:
-                    wandered = knots[knot, j] + rest * (knots[knot + 1, j] - knots[knot, j])
+                    wandered = knots[knot, j] + fraction * (knots[knot + 1, j] - knots[knot, j])
                     code = min(code * max(1.0, np.floor(wandered)), _MOST_NO_RETURN)
                 reflectivity[i, j, :_SECOND] = np.uint8(higher if higher > 0.0 else code)
 
 
 @kernel
-def _count_unevenly(parity: F8, distance_m: F4) -> None:
-    """Move distances at the edge of an odd code into or out of it, by each laser's excess."""
+def _apply_parity(parity: F8, distance_m: F4) -> None:
+    """Move distances at the edges of odd codes, so that each laser has its share of them."""
     for i in range(distance_m.shape[0]):
         for j in range(distance_m.shape[1]):
             for column in range(3):
@@ -276,26 +270,31 @@ def _count_unevenly(parity: F8, distance_m: F4) -> None:
 
 
 @inline_kernel
+def _draws_noise(constants: DetectorConstants) -> bool:
+    """Return True if the errors of a pulse, or its loss, need random numbers."""
+    reflectivity_noise = constants.reflectivity_noise + constants.reflectivity_noise_share
+    return constants.range_noise_m + reflectivity_noise + constants.lost.any > 0.0
+
+
+@inline_kernel
 def _only_echo(
     constants: DetectorConstants, n: int, laser: int, nodes: F8, lit: int, peaks: F8
 ) -> tuple[float, float]:
-    """Return range and amplitude of the only echo needed.
+    """Return range and amplitude of a single node, or of the highest peak in strongest return mode.
 
-    It is the single node, or the highest peak in strongest return mode.
-
-    Amplitude is 0 if there may be more echoes, or if the highest peak is not found this way; -1 if no echo is
-    detected.
+    The amplitude is 0 if there may be more echoes, or if the highest peak is not found this way; -1 if no
+    echo is detected.
     """
     if lit == 0:
         return 0.0, -1.0
     if lit == 1:
         return nodes[RANGE, 0], nodes[AMPLITUDE, 0]
-    first, last, most, others = brightest_group(nodes, lit, constants.sigma_m)
-    if _none_is_seen(constants, n, laser, most, lit):
+    first, last, brightest, second = brightest_group(nodes, lit, constants.sigma_m)
+    if _none_is_seen(constants, n, laser, brightest, lit):
         return 0.0, -1.0
-    if constants.strongest_only and most > constants.threshold:
+    if constants.strongest_only and brightest > constants.threshold:
         range_m, amplitude = highest_peak(nodes, first, last, constants.sigma_m, peaks)
-        if amplitude > others:
+        if amplitude > second:
             return range_m, amplitude
     return 0.0, 0.0
 
@@ -317,10 +316,8 @@ def _is_seen(constants: DetectorConstants, n: int, lane: int, range_m: float, am
 def _falls_short(constants: DetectorConstants, a: float, excess: float) -> bool:
     """Return True if noise from the uniform number a stays below the threshold for any second number.
 
-    It needs no logarithm.
-
     The radius of a normal pair is below t if 1 - a > exp(-t**2 / 2); the test uses an upper bound of this
-    exponential.
+    exponential, so it needs no logarithm.
     """
     t = excess / constants.amplitude_noise
     x = 0.5 * t * t
@@ -328,12 +325,12 @@ def _falls_short(constants: DetectorConstants, a: float, excess: float) -> bool:
 
 
 @inline_kernel
-def _none_is_seen(constants: DetectorConstants, n: int, laser: int, most: float, count: int) -> bool:
-    """Return True if none of up to `count` echoes with amplitudes up to `most` is detected.
+def _none_is_seen(constants: DetectorConstants, n: int, laser: int, brightest: float, count: int) -> bool:
+    """Return True if none of up to `count` echoes with amplitudes up to `brightest` is detected.
 
-    This is so for most faint pulses.
+    Most faint pulses end here.
     """
-    excess = most - constants.threshold
+    excess = brightest - constants.threshold
     if excess >= 0.0:
         return False
     if excess > -_CERTAIN_SIGMAS * constants.amplitude_noise:
@@ -359,7 +356,7 @@ def _measure(
     measured_m = range_m + error_m + constants.range_walk_m * (shown - _UNSHIFTED_CODE)
     sigma = constants.reflectivity_noise + constants.reflectivity_noise_share * shown
     if constants.heavy_tails:
-        other_noise = heavier(other_noise, REFLECTIVITY_TAIL)
+        other_noise = with_heavy_tails(other_noise, REFLECTIVITY_TAIL)
     counts = sigma * other_noise
     if constants.range_noise_m > 0.0:
         measured_m += range_noise * share * range_sigma_m(constants, reflectance, amplitude)
@@ -399,7 +396,7 @@ def _choose(constants: DetectorConstants, n: int, laser: int, peaks: F8, found: 
 
 @kernel
 def _leave_out(peaks: F8, chosen: I8, lost: int) -> None:
-    """Update the choice after a chosen peak is lost."""
+    """Remove a lost peak from the chosen ones, and let others take its columns."""
     for column in range(3):
         if chosen[column] == lost:
             chosen[column] = -1
@@ -435,17 +432,13 @@ def _write(
             continue
         at_m = peaks[RANGE, peak]
         light = peaks[AMPLITUDE, peak]
-        error_m = laser_errors[0] + constants.range_walk_m * (
-            min(100.0 * light * at_m * at_m, 100.0) - _UNSHIFTED_CODE
-        )
-        sigma_m = (
-            share * range_sigma_m(constants, light * at_m * at_m, light)
-            if constants.range_noise_m > 0.0
-            else 0.0
-        )
-        if (
-            at_m + error_m + 2.0 * _CERTAIN_SIGMAS * sigma_m > constants.max_range_m
-        ):  # noise may put it beyond
+        shown = min(100.0 * light * at_m * at_m, 100.0)
+        error_m = laser_errors[0] + constants.range_walk_m * (shown - _UNSHIFTED_CODE)
+        sigma_m = 0.0
+        if constants.range_noise_m > 0.0:
+            sigma_m = share * range_sigma_m(constants, light * at_m * at_m, light)
+        # Noise may put it beyond the greatest range.
+        if at_m + error_m + 2.0 * _CERTAIN_SIGMAS * sigma_m > constants.max_range_m:
             drawn, _ = normal_pair(constants.seed, _RANGE_NOISE, n, j | column << _LANE_BITS)
             if at_m + error_m + drawn * sigma_m > constants.max_range_m:
                 _leave_out(peaks, chosen, peak)

@@ -41,12 +41,10 @@ class UnitDetector:
     range_beat_m: F8  # (5,) error of the range by (24 sequence + laser) mod 5
     parity: F8 | None  # (L,) share of odd distance codes minus one half; None if it is one half
     codes: U1  # (L, 100 * CODE_PARTS + 1) code that is sent for each reflectivity, from `sent_codes`
-    no_return: (
-        F8 | None
-    )  # (L,) reflectivity of records without a return, truncated to integers when sent; None for 0
-    multiples: (
-        F8  # (m, L) multiples of `no_return` by azimuth, from `no_return_multiples`; empty for no change
-    )
+    no_return: F8 | None
+    """(L,) reflectivity of records without a return, truncated to integers when sent; None for 0."""
+    multiples: F8
+    """(m, L) multiples of `no_return` by azimuth, from `no_return_multiples`; empty for no change."""
     noise: Noise
     power_up_ns: int  # UTC of power-up, at which warm-up begins
     mode: ReturnMode
@@ -77,9 +75,8 @@ class UnitDetector:
         lasers = len(elevation_deg)
         sigma_m = _HALF_LIGHT_M_PER_NS * detector.pulse_ns / _FWHM_SIGMAS
         least, amplitude_noise = threshold_of(detector)
-        factors = exp(
-            noise.unit_spread * normal(seed, Purpose.UNIT_NOISE, 0, 2)
-        ).tolist()  # log-normal: no error below 0
+        # Log-normal, so that no error is below 0.
+        factors = exp(noise.unit_spread * normal(seed, Purpose.UNIT_NOISE, 0, 2)).tolist()
         least_walk, most_walk = span("range.walk_mm")
         walk_mm = least_walk + (most_walk - least_walk) * float(uniform(seed, Purpose.UNIT_NOISE, 2, 1)[0])
         air_per_m = extinction_per_m(weather.visibility_m, weather.rain_mm_h)
@@ -172,9 +169,10 @@ class UnitDetector:
 
 
 def _parity(seed: int, lasers: int, spread: float) -> F8:
-    """Draw the excess of odd codes of each laser, (lasers,); real lasers have 20 to 82 % odd codes.
+    """Draw the share of odd codes of each laser minus one half, (lasers,).
 
-    Over all lasers, four real units have 48.5, 50.1, 50.4 and 51.5 %: closer to one half than by chance.
+    Real lasers have 20 to 82 % odd codes. Over all lasers, four real units have 48.5, 50.1, 50.4 and 51.5 %:
+    closer to one half than by chance.
     """
     drawn = spread * normal(seed, Purpose.DISTANCE_PARITY, 0, lasers)
     return np.clip(drawn - _BALANCED * drawn.mean(), -_MOST_PARITY, _MOST_PARITY)

@@ -140,17 +140,17 @@ def brightest_group(nodes: F8, count: int, sigma_m: float) -> tuple[int, int, fl
     """
     _sort(nodes, count)
     start = first = last = ZERO
-    total = most = second = 0.0
+    total = brightest = second = 0.0
     for node in range(count):
         total += nodes[AMPLITUDE, node]
         if node == count - 1 or nodes[RANGE, node + 1] - nodes[RANGE, node] > _OVERLAP_SIGMAS * sigma_m:
-            if total > most:
-                first, last, most, second = start, node + 1, total, most
+            if total > brightest:
+                first, last, brightest, second = start, node + 1, total, brightest
             else:
                 second = max(second, total)
             start = node + 1
             total = 0.0
-    return first, last, most, second
+    return first, last, brightest, second
 
 
 @inline_kernel
@@ -166,7 +166,7 @@ def highest_peak(nodes: F8, start: int, stop: int, sigma_m: float, peaks: F8) ->
 
 @inline_kernel
 def _add_peak(peaks: F8, found: int, range_m: float, amplitude: float) -> int:
-    """Add a peak, unless it is the previous one, reached from its other side; return the number of peaks."""
+    """Add a peak, unless it is the previous one again; return the number of peaks."""
     if found > 0 and range_m - peaks[RANGE, found - 1] < _LAST_STEP_M:
         return found
     peaks[RANGE, found] = range_m
@@ -197,9 +197,11 @@ def _quick_exp(x: float) -> float:
     shifted = x * 1.4426950408889634 + 6755399441055744.0  # its last bits hold the power of 2
     r = x - (shifted - 6755399441055744.0) * _LN2
     z = r * r
-    rest = 0.500000006765061 + r * 0.16666665869323083 + z * (0.041666295063920514 + r * 0.00833349702096706)
-    rest += z * z * (0.0013944650820433332 + r * 0.00019790350590949283)
-    bits = np.float64(1.0 + (r + z * rest)).view(np.int64) + (
+    series = (
+        0.500000006765061 + r * 0.16666665869323083 + z * (0.041666295063920514 + r * 0.00833349702096706)
+    )
+    series += z * z * (0.0013944650820433332 + r * 0.00019790350590949283)
+    bits = np.float64(1.0 + (r + z * series)).view(np.int64) + (
         np.float64(shifted).view(np.int64) << np.int64(52)
     )
     return np.int64(bits).view(np.float64)
@@ -261,13 +263,13 @@ def _peaks_of_group(nodes: F8, start: int, stop: int, sigma_m: float, peaks: F8,
         b_m = nodes[RANGE, node]
         b = (nodes[_MEAN, node], nodes[_VARIANCE, node], nodes[_HEIGHT, node])
         reach_m = min(b_m - a_m, sigma_m)
-        one = rises and b[0] <= 0.0 and b_m - a_m <= 2.0 * sigma_m
+        has_one_peak = rises and b[0] <= 0.0 and b_m - a_m <= 2.0 * sigma_m
         if rises:
-            end_m = b_m if one else a_m + reach_m
-            top_m, height = _climb(nodes, start, stop, sigma_m, a_m, end_m, one, a)
+            end_m = b_m if has_one_peak else a_m + reach_m
+            top_m, height = _climb(nodes, start, stop, sigma_m, a_m, end_m, has_one_peak, a)
             if height > 0.0:
                 found = _add_peak(peaks, found, top_m, height)
-        if b[0] <= 0.0 and not one and b_m > a_m:
+        if b[0] <= 0.0 and not has_one_peak and b_m > a_m:
             top_m, height = _climb(nodes, start, stop, sigma_m, b_m, b_m - reach_m, b_m < a_m, b)
             if height > 0.0:
                 found = _add_peak(peaks, found, top_m, height)
@@ -283,10 +285,9 @@ def _climb(
 ) -> tuple[float, float]:
     """Return range and height of the peak between x_m, where the waveform rises towards end_m, and end_m.
 
-    Without a peak the height is 0.
-
-    It applies Newton's method to the mean, with bisection as fallback. `closed` is True if the waveform is
-    known to fall at end_m; else this is evaluated when Newton's method fails. `light` is the waveform at x_m.
+    Without a peak the height is 0. Newton's method is applied to the mean, with bisection as fallback.
+    `closed` is True if the waveform is known to fall at end_m; else this is evaluated when Newton's method
+    fails. `light` is the waveform at x_m.
     """
     (mean_m, var_m2, height) = light
     low_m = min(x_m, end_m)
@@ -321,10 +322,8 @@ def find_source_surfaces(
 ) -> None:
     """Fill the surface (k, L, 3) of the sub-ray that gives most of the light, and its share.
 
-    Light is that at each distance before errors.
-
-    The share (k, L, 3) is the fraction of the pulse's sub-rays that hit it at any range. Clutter and distance
-    0 have no surface.
+    The light is that at each distance before errors. The share (k, L, 3) is the fraction of the pulse's
+    sub-rays that hit it at any range. Clutter and distance 0 have no surface.
     """
     count, range_m, met, cos_incidence, reflectance = rays
     stop = 0
@@ -338,19 +337,19 @@ def find_source_surfaces(
             for column in range(3):
                 at_m = np.float64(distance_m[i, j, column])
                 surface[i, j, column] = NO_SURFACE
-                most = air * _pulse(constants, air_m - at_m)
+                brightest = air * _pulse(constants, air_m - at_m)
                 for ray in range(start if at_m > 0.0 else stop, stop):
                     ray_m = np.float64(range_m[ray])
                     if abs(ray_m - at_m) < _REACH_SIGMAS * constants.sigma_m:
                         energy = np.float64(reflectance[met[ray]]) * cos_incidence[ray] / (stop - start)
                         light = amplitude_of(constants, energy, ray_m) * _pulse(constants, ray_m - at_m)
-                        if light > most:
-                            most = light
+                        if light > brightest:
+                            brightest = light
                             surface[i, j, column] = met[ray]
-                same = 0
+                on_surface = 0
                 for ray in range(start if surface[i, j, column] != NO_SURFACE else stop, stop):
-                    same += met[ray] == surface[i, j, column]
-                share[i, j, column] = same / (stop - start)
+                    on_surface += met[ray] == surface[i, j, column]
+                share[i, j, column] = on_surface / (stop - start)
 
 
 @array_kernel

@@ -1,4 +1,4 @@
-"""Records that a real unit loses, and what it sends instead of a range.
+"""Records that a real unit loses, and the codes that it sends instead of a range.
 
 The receiver sets the laser power from previous pulses, so a record is lost at a step of brightness. A pulse
 that hits two surfaces gives the strongest or the last return as the manual says, and rarely nothing; a dark
@@ -70,26 +70,25 @@ def loss_rates(seed: int, share: float, *, raised: bool) -> LossRates:
 
 
 @inline_kernel
-def two_surfaces(rays: SubRays, sheet: U4, start: int, stop: int) -> float:
+def second_surface_share(rays: SubRays, sheet: U4, start: int, stop: int) -> float:
     """Return the share of the light of sub-rays that is a range step away from the brightest one.
 
-    Sub-rays are start .. stop - 1.
-
-    A sheet without gaps, such as the ground (`sheet`, by surface; 0 for none), has no step at any slope.
+    Sub-rays are start .. stop - 1. A sheet without gaps, such as the ground (`sheet`, by surface; 0 for
+    none), has no step at any slope.
     """
     _, range_m, met, cosine, reflectance = rays
-    most = at_m = total = other = 0.0
+    brightest = at_m = total = beyond_step = 0.0
     surface = met[start]
     for ray in range(np.uint64(start), np.uint64(stop)):  # signed indices might count from the end
         if range_m[ray] < np.inf:
             light = (
                 np.float64(reflectance[met[ray]]) * cosine[ray] / (np.float64(range_m[ray]) * range_m[ray])
             )
-            if light > most:
-                most = light
+            if light > brightest:
+                brightest = light
                 at_m = np.float64(range_m[ray])
                 surface = met[ray]
-    if most == 0.0:  # an echo of the air alone has no surface
+    if brightest == 0.0:  # an echo of the air alone has no surface
         return 0.0
     sheet_met = sheet[surface]
     for ray in range(np.uint64(start), np.uint64(stop)):
@@ -99,8 +98,8 @@ def two_surfaces(rays: SubRays, sheet: U4, start: int, stop: int) -> float:
             )
             total += light
             if abs(range_m[ray] - at_m) > _RANGE_STEP_M and (sheet_met == 0 or sheet[met[ray]] != sheet_met):
-                other += light
-    return other / total if total > 0.0 else 0.0
+                beyond_step += light
+    return beyond_step / total if total > 0.0 else 0.0
 
 
 @inline_kernel
@@ -125,7 +124,7 @@ def lose(
     Parameters
     ----------
     noise : normal numbers of the pulse, whose last digits decide
-    pulse : its sub-rays, as in `two_surfaces`
+    pulse : its sub-rays, as in `second_surface_share`
     before : (3, L) state of each laser: mean code, -1 for none, last range, and mean change of range
     no_return : code of a record without range
     """
@@ -135,9 +134,8 @@ def lose(
     code = min(np.float64(reflectivity[0]), 100.0)
     level = before[0, laser]
     range_m = np.float64(distance_m[0])
-    calm = _ROUGH_M / (
-        _ROUGH_M + before[2, laser]
-    )  # where ranges jump, as in trees, steps lose fewer records
+    # Where ranges jump, as in trees, steps lose fewer records.
+    calm = _ROUGH_M / (_ROUGH_M + before[2, laser])
     change_m = min(abs(range_m - before[1, laser]), _MOST_ROUGH_M)
     before[2, laser] += _POWER_GAIN * (change_m - before[2, laser])
     before[1, laser] = range_m
@@ -158,11 +156,11 @@ def lose(
     black = max(0.0, 1.0 - code / _BLACK_CODE)
     near = min(1.0, _NEAR_M / range_m)
     sure = jump + rates.any + rates.dark * black * near * near
-    lost = _fraction(noise[0] * _DIGITS)  # no further number is draw
+    lost = _fraction(noise[0] * _DIGITS)  # no further number is drawn
     if lost >= sure:
         if lost >= sure + calm * rates.step or pulse[3] - pulse[2] < 2:
             return
-        share = two_surfaces(*pulse)
+        share = second_surface_share(*pulse)
         if lost >= sure + calm * rates.step * 4.0 * share * (1.0 - share):
             return
     choice = _fraction(noise[1] * _DIGITS)
@@ -175,8 +173,8 @@ def lose(
         return
     shown_code = 0.0
     if lost < jump and is_up:  # too bright: the height of the peak is measured, its range is not
-        most = _FULL if reflectivity[0] > _DIFFUSE and lost < _GLARE * jump else _DIFFUSE
-        shown_code = _multiple(np.float64(reflectivity[0]) * (0.7 + 1.6 * choice), no_return, most)
+        limit = _FULL if reflectivity[0] > _DIFFUSE and lost < _GLARE * jump else _DIFFUSE
+        shown_code = _multiple(np.float64(reflectivity[0]) * (0.7 + 1.6 * choice), no_return, limit)
     for column in range(3):
         distance_m[column] = 0.0
         reflectivity[column] = np.uint8(shown_code if column < 2 else 0.0)
@@ -185,13 +183,13 @@ def lose(
 
 
 @inline_kernel
-def _multiple(code: float, no_return: float, most: float) -> float:
-    """Return the integer multiple of the laser's no-return code that is nearest to `code`, at most `most`."""
-    return min(np.floor(np.rint(code / no_return) * no_return) if no_return > 0.0 else code, most)
+def _multiple(code: float, no_return: float, limit: float) -> float:
+    """Return the multiple of the laser's no-return code nearest to `code`, at most `limit`."""
+    return min(np.floor(np.rint(code / no_return) * no_return) if no_return > 0.0 else code, limit)
 
 
 @inline_kernel
-def raised(
+def raised_code(
     rates: LossRates,
     key: tuple[int, int, int],
     rows: tuple[int, int, int],
@@ -209,7 +207,7 @@ def raised(
     """
     (seed, first, laser) = key
     (row, begin, stop) = rows
-    most = -1.0
+    highest = -1.0
     sides = 0
     glare = 0.0
     for side in range(2):
@@ -221,7 +219,7 @@ def raised(
             column = 0 if distance_m[at, laser, 0] > 0.0 else 1
             if distance_m[at, laser, column] > 0.0:
                 code = np.float64(reflectivity[at, laser, column])
-                most = max(most, 0.0)
+                highest = max(highest, 0.0)
                 y = code / rates.raise_code
                 y *= np.sqrt(y)
                 draw, choice = uniform_pair(seed, _EDGE, first + at, laser | (side + 2) << 12)
@@ -231,7 +229,7 @@ def raised(
                     ratio = (0.4 + 0.95 * choice + 1.6 * power6 * power6) * (1.0 if away == 1 else 0.7)
                     if draw * (_TWICE_CODE + code) < _TWICE_CODE:
                         ratio = 0.0
-                    most = max(most, code * ratio, 2.0 * no_return)
+                    highest = max(highest, code * ratio, 2.0 * no_return)
                 if away == 1:
                     sides = sides + 1
                     glare = _fraction(_ANEW * choice)
@@ -239,4 +237,4 @@ def raised(
             share *= _CONTINUES  # a farther record is raised only if the nearer one is
     if sides == 1 and glare < _GLARE_BESIDE:
         return _multiple(_DIFFUSE + (_FULL - _DIFFUSE) * glare / _GLARE_BESIDE, no_return, _FULL)
-    return _multiple(most, no_return, _DIFFUSE) if most > 0.0 else most
+    return _multiple(highest, no_return, _DIFFUSE) if highest > 0.0 else highest

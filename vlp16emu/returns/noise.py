@@ -32,9 +32,8 @@ def range_bias_m(seed: int, lasers: int, sigma_m: float) -> F8:
 def gain(seed: int, spread: float, elevation_deg: F8) -> F8:
     """Return the factor on the reflectivity of each laser, (lasers,), above 0.
 
-    It is log-normal, in much the same measure on every unit.
-
-    What can be measured is a laser against its neighbours in elevation, `apart`.
+    It is log-normal. Only differences between neighbours in elevation, `apart`, can be measured; they have
+    much the same spread on every unit.
     """
     draws = normal(seed, Purpose.REFLECTIVITY, 0, len(elevation_deg))
     apart = np.diff(draws[np.argsort(elevation_deg, kind="stable")], 2) / 2.0
@@ -91,22 +90,20 @@ def no_return_multiples(seed: int, no_return: F8, wander: float) -> F8:
 
 
 def sent_codes(seed: int, lasers: int, step: float) -> U1:
-    """Return the code that a laser sends for each reflectivity of a diffuse target.
+    """Return the code that each laser sends for the reflectivities of diffuse targets.
 
-    The table is (lasers, 100 * CODE_PARTS + 1), in steps of 1 / CODE_PARTS.
-
-    Bright codes of a real laser are more than 1 apart, with more spacing at brighter codes: a calibration
-    table of each laser from integers of the receiver to codes (laws `code.coarse_from` to `spacing`). All
-    lasers have one more quantization after it, by which codes that are 2 modulo 3 are rarer than their
-    neighbours (`code.narrow`).
+    The table (lasers, 100 * CODE_PARTS + 1) is in steps of 1 / CODE_PARTS of a code. Bright codes of a real
+    laser are more than 1 apart, with more spacing at brighter codes: a calibration table of each laser from
+    integers of the receiver to codes (laws `code.coarse_from` to `spacing`). All lasers have one more
+    quantization after it, by which codes that are 2 modulo 3 are rarer than their neighbours (`code.narrow`).
 
     Parameters
     ----------
     step : mean spacing at code 90; 1 or less sends all codes
     """
     fine = (np.arange(100 * CODE_PARTS + 1) + 0.5) / CODE_PARTS
-    whole = np.floor(fine + 0.5).astype(np.int64)
-    out = np.tile(whole.astype(np.uint8), (lasers, 1))
+    integers = np.floor(fine + 0.5).astype(np.int64)
+    out = np.tile(integers.astype(np.uint8), (lasers, 1))
     coarse = law("code.coarse_from")
     low, high = span("code.narrow")
     narrow = low * power(high / low, float(uniform(seed, Purpose.REFLECTIVITY, 0, 1, 2 + 2 * lasers)[0]))
@@ -128,11 +125,11 @@ def sent_codes(seed: int, lasers: int, step: float) -> U1:
             at += max(slope, 1.0)
         kept = np.array([*sent, 100])
         nearest = kept[np.abs(np.arange(101)[:, None] - kept).argmin(axis=1)]
-        away = fine - whole
-        edge = 0.5 - np.floor(0.5 * narrow * CODE_PARTS + of_code[whole]) / CODE_PARTS
-        moved = whole + np.sign(away).astype(np.int64) * ((whole % 3 == 2) & (np.abs(away) > edge))
+        away = fine - integers
+        edge = 0.5 - np.floor(0.5 * narrow * CODE_PARTS + of_code[integers]) / CODE_PARTS
+        moved = integers + np.sign(away).astype(np.int64) * ((integers % 3 == 2) & (np.abs(away) > edge))
         # Exact integers bypass the table of the laser: real units send a few of the left-out codes.
-        out[laser] = np.where(np.arange(len(fine)) % CODE_PARTS == 0, whole, nearest[moved])
+        out[laser] = np.where(np.arange(len(fine)) % CODE_PARTS == 0, integers, nearest[moved])
     return out
 
 
@@ -146,11 +143,11 @@ def range_beat_m(seed: int, amplitude_m: float, phase_deg: float | None) -> F8:
     phase_deg : phase of a unit with exactly this amplitude; None to draw both
     """
     size, phase, overtone = uniform(seed, Purpose.RANGE_BEAT, 0, 3)
-    least, most = span("range.beat")
+    least, greatest = span("range.beat")
     first_share, width = span("range.overtone")
     share = first_share + width * overtone
     if phase_deg is None:
-        amplitude_m = amplitude_m * (least + (most - least) * size)
+        amplitude_m = amplitude_m * (least + (greatest - least) * size)
     else:
         share = 0.25
         phase = phase_deg / 360.0
@@ -185,19 +182,16 @@ REFLECTIVITY_TAIL = law("code.tail")
 
 
 @inline_kernel
-def heavier(z: float, tail: float) -> float:
+def with_heavy_tails(z: float, tail: float) -> float:
     """Return a number of the same variance with heavy tails, from a normal number.
 
-    The share `tail` of its cube is added.
-
-    The fourth moment of a normal number is 3, and the sixth is 15.
+    The share `tail` of its cube is added. The fourth moment of a normal number is 3, and the sixth is 15.
     """
     return z * (1.0 + tail * z * z) / math.sqrt(1.0 + 6.0 * tail + 15.0 * tail * tail)
 
 
-RETROREFLECTIVE = (
-    100.5  # percent above which a target is retroreflective; values that round to 100 are diffuse
-)
+RETROREFLECTIVE = 100.5
+"""Percent above which a target is retroreflective; values that round to 100 are diffuse."""
 _COUNTS_PER_E_FOLD = (255 - 101) / 6.907755278982137  # logarithm of 1000
 """Counts per factor e of reflectance. 255 means 1000 times the reflectance of a white Lambertian surface. A
 coefficient of retroreflection R (cd/lx/m2) equals a reflectance of pi R: 255 means 318 cd/lx/m2, between
@@ -207,7 +201,7 @@ assumption: it is logarithmic between them."""
 
 @inline_kernel
 def reflectivity_byte(percent: float, gain: float, noise: float, codes: U1) -> np.uint8:
-    """Return the byte of a reflectivity: 0..100 percent for a diffuse target, 101..255 for a retroreflector.
+    """Return the byte of a reflectivity: 0..100 for a diffuse target, 101..255 for a retroreflector.
 
     Source: 63-9243 Rev D, section 6.1. Neither gain nor noise moves a target from one class to the other,
     since they are small calibration errors.

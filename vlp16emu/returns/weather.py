@@ -51,9 +51,10 @@ def extinction_per_m(visibility_m: float | None, rain_mm_h: float) -> float:
 
 
 def air_reflectance(extinction_per_m: float, sigma_m: float) -> float:
-    """Return the reflectance of a wall that reflects as much as the air within a pulse of `sigma_m` in range.
+    """Return the reflectance of a wall that reflects as much as the air within a pulse.
 
-    The lidar equation gives pi times backscatter times the pulse's equivalent length.
+    The pulse has a standard deviation of `sigma_m` in range. The lidar equation gives pi times backscatter
+    times the pulse's equivalent length.
     """
     return math.pi * extinction_per_m / _LIDAR_RATIO_SR * math.sqrt(2.0 * math.pi) * sigma_m
 

@@ -114,7 +114,7 @@ class PacketFeed:
         if from_ns <= self._reached_ns:
             return
         self.close()  # generator of the earlier packets
-        self.skipped += self._count(from_ns) - self._count(self._reached_ns + 1)
+        self.skipped += self._count(from_ns) - self._count(self._reached_ns + 1) + self._unsent_at_reached()
         self._packets = self._from(self._since_s(from_ns))
 
     def _count(self, before_ns: int) -> Counter[PacketKind]:
@@ -125,6 +125,18 @@ class PacketFeed:
         kinds = PacketKind.DATA, PacketKind.POSITION
         sent = {kind: sum(sent_before(scenario, unit, kind, since_ns) for unit in units) for kind in kinds}
         return Counter(sent | (self._beside.count(0, since_ns) if self._beside else {}))
+
+    def _unsent_at_reached(self) -> Counter[PacketKind]:
+        """Count the packets of other units due at the very time of the last packet, by kind."""
+        scenario = self.engine.scenario
+        since_ns = self._reached_ns - scenario.start_ns
+        return Counter(
+            kind
+            for unit in self.engine.parts.units
+            for kind in (PacketKind.DATA, PacketKind.POSITION)
+            if (unit.number, kind) not in self._at_reached
+            and sent_before(scenario, unit, kind, since_ns + 1) > sent_before(scenario, unit, kind, since_ns)
+        )
 
     def _since_s(self, utc_ns: int) -> float:
         return (utc_ns - self.engine.scenario.start_ns) / S_NS

@@ -137,7 +137,7 @@ class Options:
         """
         names = [field.name for field in fields(cls)]  # type: ignore[arg-type]  # derived classes are dataclasses
         if unknown := [name for name in given if name not in names]:
-            raise InputError(unknown[0], "found no such option", f"one of {', '.join(names)}")
+            raise InputError(unknown[0], "unknown option", f"one of {', '.join(names)}")
         return cls(**given)
 
 

@@ -235,7 +235,7 @@ def _check(options: StreamOptions, truth: TruthTo | None) -> None:
         (http, "--http", "--truth-packets or --truth-returns", fine),
     ):
         if given and excluded:
-            raise InputError(other, f"found beside {option}", "one of both")
+            raise InputError(other, f"found beside {option}", "only one of the two")
 
 
 @contextmanager

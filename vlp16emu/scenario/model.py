@@ -32,7 +32,7 @@ from vlp16emu.motion.settings import Gps, MotionSection, Mount
 from vlp16emu.raycast.settings import Beam
 from vlp16emu.returns import Detector, Noise, Weather
 from vlp16emu.sensor.settings import AnySensor, Lidar, Sensor
-from vlp16emu.settings import ExpectationError, LazySection, OneOf, Preset, Section, Seed, merged
+from vlp16emu.settings import ExpectationError, LazySection, OneOf, Preset, Section, Seed, merge_tables
 from vlp16emu.trees import Tree
 from vlp16emu.units import S_NS, US_NS
 from vlp16emu.world.settings import People, WorldSection
@@ -115,7 +115,7 @@ def complete_unit(table: object, first: Sensor, place: int) -> object:
         "data_port": first.data_port + place,
         "position_port": first.position_port + place,
     }
-    return merged(counted | given, table)
+    return merge_tables(counted | given, table)
 
 
 def _from_text(start: object) -> object:

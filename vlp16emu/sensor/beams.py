@@ -16,9 +16,8 @@ from vlp16emu.random import Purpose, normal
 from vlp16emu.types import F8, SensorModel
 
 LASER_NS = 2_304  # time between the pulses of consecutive lasers (63-9243 Rev D, section 8.1)
-SEQUENCE_NS = (
-    55_296  # period of firing sequences: 16 pulses and 18.432 us of recharge (63-9243 Rev D, section 8.1)
-)
+SEQUENCE_NS = 55_296
+"""Period of firing sequences: 16 pulses and 18.432 us of recharge (63-9243 Rev D, section 8.1)."""
 
 LENS_RADIUS_M = 0.0419
 """Distance from the spin axis at which all beams cross the horizontal plane: -correction / tan(elevation)."""

@@ -21,12 +21,10 @@ class ClockSpan:
     """The sensor's clock after an instant."""
 
     from_ns: int  # UTC
-    reading_ns: int | None = (
-        None  # reading of a free-running clock at that instant; None if it is locked to GPS
-    )
-    error_ppm: float = (
-        0.0  # rate error, positive is fast; a locked clock is fast in one second and slow in the next
-    )
+    reading_ns: int | None = None
+    """Reading of a free-running clock at that instant; None if it is locked to GPS."""
+    error_ppm: float = 0.0
+    """Rate error, positive is fast; a locked clock is fast in one second and slow in the next."""
 
     def reading(self, t_ns: I8) -> I8:
         """Return ns past the counter's hour at UTC instants of any shape; before the span, the first."""
@@ -61,7 +59,7 @@ class Clock:
         return np.array([span.from_ns for span in self.spans[1:]], np.int64)
 
     def reading_ns(self, t_ns: I8) -> I8:
-        """Return nanoseconds past the counter's hour at UTC instants span any shape."""
+        """Return nanoseconds past the counter's hour at UTC instants of any shape."""
         if len(self.spans) == 1:
             return self.spans[0].reading(t_ns)
         out = np.empty(t_ns.shape, np.int64)

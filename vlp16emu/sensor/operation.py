@@ -19,14 +19,16 @@ class Operation:
     """Settings and power of a sensor from an instant on."""
 
     settings: SensorSettings
-    is_powered: bool = (
-        True  # without power it sends nothing, and its settings are lost when the power returns
-    )
+    is_powered: bool = True
+    """Without power it sends nothing, and its settings are lost when the power returns."""
     motor_on: bool = True
 
 
 def in_phase_deg(phase_deg: float, rpm: int, utc_ns: int) -> float:
-    """Angle of a phase-locked rotor: speeds are multiples of 60 rpm, so a second has whole revolutions."""
+    """Return the angle of a phase-locked rotor.
+
+    Speeds are multiples of 60 rpm, so a second has whole revolutions.
+    """
     turned_ns = utc_ns % S_NS * (rpm // 60) % S_NS
     return (phase_deg + 360.0 * turned_ns / S_NS) % 360.0
 
@@ -49,13 +51,12 @@ def spins(start_deg: float, operation: Steps[Operation], start_ns: int) -> tuple
     done = [steady_spin(0, before.settings)]
     for t_ns, now in changes:
         is_power_up = now.is_powered and not before.is_powered
-        is_same = _wanted(now) == _wanted(before)
+        is_same = _rotor_settings(now) == _rotor_settings(before)
         before = now
         if not is_power_up and (is_same or not now.is_powered):
             continue
-        while (
-            len(done) > 1 and done[-1].from_ns > t_ns
-        ):  # drop phases of the motion that have not steady_spin
+        # Phases of the motion that have not begun are dropped.
+        while len(done) > 1 and done[-1].from_ns > t_ns:
             done.pop()
         if is_power_up:
             done.append(steady_spin(t_ns, now.settings))
@@ -64,7 +65,7 @@ def spins(start_deg: float, operation: Steps[Operation], start_ns: int) -> tuple
     return tuple(done)
 
 
-def _wanted(operation: Operation) -> tuple[object, ...]:
+def _rotor_settings(operation: Operation) -> tuple[object, ...]:
     return operation.settings.rpm, operation.settings.phase_lock_deg, operation.motor_on
 
 

@@ -21,8 +21,8 @@ _SERIES = ("10", "38")
 _Section = TypeVar("_Section", bound=Lidar)
 
 
-def powered_up(section: _Section, seed: int) -> _Section:
-    """Return the section with the state of its unit at the start.
+def with_start_state(section: _Section, seed: int) -> _Section:
+    """Return the section with the state of its unit at the start of a run.
 
     Keys that are not set are random with `unit`, fixed with `steady`.
     """

@@ -67,7 +67,7 @@ class Spin:
 
 @dataclass(frozen=True, slots=True)
 class Swing:
-    """A sine by which the motor is ahead of or behind its set speed, as a time; it stops with the motor."""
+    """A sinusoidal lead of the motor over its set speed, as a time; it stops with the motor."""
 
     amplitude_ns: float
     period_ns: float
@@ -84,7 +84,7 @@ class Swing:
     ) -> "tuple[Swing, ...]":
         """Sample the swings of one unit at 600 rpm.
 
-        They are one of the mean speed over minutes, two within seconds, and one within a turn.
+        One changes the mean speed over minutes, two change it within seconds, and one within a turn.
 
         Parameters
         ----------
@@ -92,8 +92,8 @@ class Swing:
             sigma
         """
         draws = uniform(seed, Purpose.MOTOR_SPEED, 0, 11)
-        most = law("motor.most_sigmas")
-        sigmas = np.clip(normal(seed, Purpose.MOTOR_SPEED, 0, 1, 1), -most, most)
+        limit = law("motor.most_sigmas")
+        sigmas = np.clip(normal(seed, Purpose.MOTOR_SPEED, 0, 1, 1), -limit, limit)
         sigma = 1.0 if is_exact else float(sigmas[0])
         phase_rad = 0.0 if is_exact else (draws[1] - 0.5) * 0.5
         shortest_s, longest_s = span("motor.drift_s")
@@ -133,7 +133,7 @@ class Wobble:
     period_s: float
 
     def ahead_deg(self, elapsed_ns: I8) -> F8:
-        """Return the angles (n,) by which the rotor is ahead of a constant rotation."""
+        """Return the lead (n,) of the rotor over a constant rotation, as angles."""
         since_s = np.clip(elapsed_ns - self.from_ns, 0, self.lasts_ns) / S_NS
         per_s = 2.0 * math.pi / self.period_s
         return np.asarray(6.0 * self.amplitude_rpm / per_s * (1.0 - cos(per_s * since_s)))
@@ -165,9 +165,8 @@ class Encoder:
     pitch_deg: float = 0.0  # spacing of the lines; 0 for an encoder without lines
     rate_error: float = 0.0  # relative deficit of the lower speed at 600 rpm; in proportion at other speeds
     first_deg: float = 0.0  # reading of the line after which readings have the first of `slow_shares`
-    slow_shares: Sequence[float] = (
-        _SLOW_SHARES  # shares of readings at the lower speed after consecutive lines
-    )
+    slow_shares: Sequence[float] = _SLOW_SHARES
+    """Shares of readings at the lower speed after consecutive lines."""
 
     @classmethod
     def of_unit(cls, section: Lidar, seed: int) -> Self:
@@ -255,7 +254,7 @@ def _speeds(rpm: F8) -> tuple[F8, F8, F8]:
 
 @dataclass(frozen=True)
 class Rotor:
-    """Motor of a head: it turns clockwise, seen from above, at constant speed except for swings and events.
+    """Motor of a head: it turns clockwise, seen from above, at constant speed but for swings and events.
 
     The true angle is a function of time alone.
     """
@@ -289,16 +288,16 @@ class Rotor:
         """
         flat_ns = elapsed_ns.reshape(-1)
         if self.drift and self.locks_ns.spans:
-            flat_ns = swung_ns(self.swings, flat_ns) + self._drift_ns(self.drift, flat_ns)
+            flat_ns = steady_ns(self.swings, flat_ns) + self._drift_ns(self.drift, flat_ns)
         else:
-            flat_ns = swung_ns((self.drift, *self.swings) if self.drift else self.swings, flat_ns)
+            flat_ns = steady_ns((self.drift, *self.swings) if self.drift else self.swings, flat_ns)
         if len(self.spins) == 1:
             out = self.spins[0].at(flat_ns)
         else:
             out = np.empty(len(flat_ns))
-            of = np.searchsorted(self.turns_ns, flat_ns, side="right")
-            for number in np.unique(of).tolist():
-                out[of == number] = self.spins[number].at(flat_ns[of == number])
+            spin_of = np.searchsorted(self.turns_ns, flat_ns, side="right")
+            for number in np.unique(spin_of).tolist():
+                out[spin_of == number] = self.spins[number].at(flat_ns[spin_of == number])
         for wobble in self.wobbles:
             out = (out + wobble.ahead_deg(flat_ns)) % 360.0
         return out.reshape(elapsed_ns.shape)
@@ -308,7 +307,7 @@ class Rotor:
         """Begin and end of each lock, the motor's lead at its begin, and the lead removed until its end."""
         assert self.drift is not None
         bounds_ns = np.array(self.locks_ns.spans)
-        ahead_ns = swung_ns((self.drift,), bounds_ns.reshape(-1)) - bounds_ns.reshape(-1)
+        ahead_ns = steady_ns((self.drift,), bounds_ns.reshape(-1)) - bounds_ns.reshape(-1)
         removed_ns = [0]
         at_begin_ns = list[int]()
         for (begin_ns, end_ns), ahead in zip(
@@ -322,17 +321,14 @@ class Rotor:
         return begins_ns, ends_ns, np.array(at_begin_ns), np.array(removed_ns)
 
     def _drift_ns(self, drift: Swing, elapsed_ns: I8) -> I8:
-        """Return by how much (n,) the error of the mean speed has put the motor ahead.
-
-        A lock pulls it to 0, where it begins again.
-        """
+        """Return the lead (n,) of the motor, in ns, by the error of its mean speed; a lock pulls it to 0."""
         begins_ns, ends_ns, at_begin_ns, removed_ns = self._pulls
         begun = np.searchsorted(begins_ns, elapsed_ns, side="right")
         latest = np.maximum(begun - 1, 0)
         before_ns = at_begin_ns[latest]
         left = 1.0 - PULL * (elapsed_ns - begins_ns[latest]) / np.maximum(np.abs(before_ns), 1)
         pulled_ns = np.rint(before_ns * np.clip(left, 0.0, 1.0)).astype(np.int64)
-        free_ns = swung_ns((drift,), elapsed_ns) - elapsed_ns - removed_ns[begun]
+        free_ns = steady_ns((drift,), elapsed_ns) - elapsed_ns - removed_ns[begun]
         return np.where((begun > 0) & (elapsed_ns < ends_ns[latest]), pulled_ns, free_ns)
 
     def read(self, angle_deg: F8, elapsed_ns: I8, sequence: I8, clock_ns: I8) -> F8:
@@ -345,8 +341,8 @@ class Rotor:
         """
         rpm: F8 | float = self.spins[0].rpm
         if len(self.spins) > 1:
-            of = np.searchsorted(self.turns_ns, elapsed_ns, side="right")
-            begin_ns, begin_rpm, per_s = self._spin_table[of].T
+            spin_of = np.searchsorted(self.turns_ns, elapsed_ns, side="right")
+            begin_ns, begin_rpm, per_s = self._spin_table[spin_of].T
             rpm = begin_rpm + per_s * (elapsed_ns - begin_ns) / S_NS
         return self.encoder.read(angle_deg, sequence, clock_ns, rpm)
 
@@ -369,19 +365,16 @@ class Rotor:
         return spin.rpm_at(elapsed_ns) * rate + sum(wobble.rpm_at(elapsed_ns) for wobble in self.wobbles)
 
 
-def swung_ns(swings: Sequence[Swing], elapsed_ns: I8) -> I8:
-    """Return times at which a motor of constant speed has the angles of one with swings.
-
-    Times are (n,).
-    """
+def steady_ns(swings: Sequence[Swing], elapsed_ns: I8) -> I8:
+    """Return times (n,) at which a motor of constant speed has the angles of a motor with swings."""
     if not swings:
         return elapsed_ns
-    return _swung(elapsed_ns, *np.array([(s.amplitude_ns, s.period_ns, s.phase_rad) for s in swings]).T)
+    return _steady_ns(elapsed_ns, *np.array([(s.amplitude_ns, s.period_ns, s.phase_rad) for s in swings]).T)
 
 
 @kernel
 def _turn(elapsed_ns: I8, span_ns: int, deg_per_ns: float, start_deg: float, out: F8) -> None:
-    """Fill angles (n,).
+    """Fill angles (n,) of a constant speed.
 
     The remainder is exact, as with `%`, because whole turns and their differences are exact.
     """
@@ -392,8 +385,8 @@ def _turn(elapsed_ns: I8, span_ns: int, deg_per_ns: float, start_deg: float, out
 
 
 @array_kernel
-def _swung(elapsed_ns: I8, amplitude_ns: F8, period_ns: F8, phase_rad: F8) -> I8:
-    """Return times (n,) at which a motor of constant speed has the angle of this motor; 0 stays 0."""
+def _steady_ns(elapsed_ns: I8, amplitude_ns: F8, period_ns: F8, phase_rad: F8) -> I8:
+    """Return times (n,) as `steady_ns`; 0 stays 0."""
     out = np.empty_like(elapsed_ns)
     last = np.int64(np.iinfo(np.int64).min)
     at_ns = 0.0
@@ -408,8 +401,8 @@ def _swung(elapsed_ns: I8, amplitude_ns: F8, period_ns: F8, phase_rad: F8) -> I8
                 at_ns += amplitude_ns[s] * (cos_sin(per_knot * knot + phase_rad[s])[1] - zero)
                 further_ns += amplitude_ns[s] * (cos_sin(per_knot * (knot + 1) + phase_rad[s])[1] - zero)
             last = knot
-        rest = (elapsed_ns[i] - (knot << _KNOT_BITS)) * 2.0**-_KNOT_BITS
-        out[i] = elapsed_ns[i] + np.int64(np.rint(at_ns + rest * (further_ns - at_ns)))
+        fraction = (elapsed_ns[i] - (knot << _KNOT_BITS)) * 2.0**-_KNOT_BITS
+        out[i] = elapsed_ns[i] + np.int64(np.rint(at_ns + fraction * (further_ns - at_ns)))
     return out
 
 

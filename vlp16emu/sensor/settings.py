@@ -192,10 +192,10 @@ class SensorSettings:
         phase_deg = section.phase_lock_deg if isinstance(section, Sensor) else None
         return cls(section.rpm, section.return_mode, phase_lock_deg="off" if phase_deg is None else phase_deg)
 
-    def changes_from(self, other: "SensorSettings") -> Tree:
+    def changes_from(self, before: "SensorSettings") -> Tree:
         """Return the settings that differ from others, by name."""
         names = [field.name for field in fields(SensorSettings)]
-        return {name: getattr(self, name) for name in names if getattr(self, name) != getattr(other, name)}
+        return {name: getattr(self, name) for name in names if getattr(self, name) != getattr(before, name)}
 
 
 AnySensor = Annotated[Lidar, OneOf(Lidar, "sensors", "model", "vlp-16")]

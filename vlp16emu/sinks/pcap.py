@@ -132,4 +132,4 @@ def check_ending(path: Path) -> None:
     ending = path.suffix.lower()
     if ending not in _ENDINGS:
         expected = f".pcap, or - for standard output{_WAYS_TO.get(ending, '')}"
-        raise OutputError(str(path), f"found the ending {ending}", expected)
+        raise OutputError(str(path), f"found the ending {ending!r}", expected)

@@ -82,7 +82,7 @@ class HallWorld:
     ) -> tuple[World, None]:
         """Return the hall; parameters and errors as in `Site`."""
         self.check(path_xy_m)
-        return self._section.furnished(self, path_xy_m, reach_m), None
+        return self._section.with_meshes(self, path_xy_m, reach_m), None
 
     def has_ground(self, xy_m: F8, _reach_m: float = 0.0) -> NDArray[np.bool_]:
         """Return a mask of points (n, 2) inside the walls."""
@@ -112,7 +112,7 @@ class HallWorld:
         """Return the whole hall for any track (n, 3)."""
         n = len(self._keys)
         world_T_shape = np.zeros((n, 3, 4))
-        places_m = [one.foot_m if isinstance(one, HallPole) else one.centre_m for one in self._things]
+        places_m = [thing.foot_m if isinstance(thing, HallPole) else thing.centre_m for thing in self._things]
         world_T_shape[:, :, :3] = np.eye(3)
         world_T_shape[:, :, 3] = [(0.0, 0.0, self.size_m[2] / 2), *places_m]
         first = np.concatenate([[0], 2 + np.arange(n - 1)]).astype(np.uint32)

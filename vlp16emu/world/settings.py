@@ -117,10 +117,10 @@ class Site(Protocol):
 
 HALL_SITE = Part[Callable[["Hall", int], Site]]("vlp16emu.world.hall:HallWorld")
 MESH_SECTION = Part[type[Section]]("vlp16emu.extras.meshes.settings:MeshFile")
-FURNISHED = Part[Callable[["World", Sequence[Section], "F8", float], "World"]](
-    "vlp16emu.extras.meshes.furnished:furnished"
+FURNISH = Part[Callable[["World", Sequence[Section], "F8", float], "World"]](
+    "vlp16emu.extras.meshes.furnish:furnish"
 )
-"""Function that puts the user's meshes into a world, as `WorldSection.furnished` does."""
+"""Function that puts the user's meshes into a world, as `WorldSection.with_meshes` does."""
 
 
 class WorldSection(Section):
@@ -138,12 +138,12 @@ class WorldSection(Section):
         """Return the ground, on which path and world are made; raises GeometryError if it cannot be made."""
         raise NotImplementedError(type(self))
 
-    def furnished(self, bare: "World", path_xy_m: "F8", reach_m: float) -> "World":
+    def with_meshes(self, bare: "World", path_xy_m: "F8", reach_m: float) -> "World":
         """Return a world with the user's meshes, as far as they are visible along a path (n, 2).
 
         Raises GeometryError if a mesh cannot be read.
         """
-        return FURNISHED.load()(bare, self.meshes, path_xy_m, reach_m) if self.meshes else bare
+        return FURNISH.load()(bare, self.meshes, path_xy_m, reach_m) if self.meshes else bare
 
 
 class People(Section):

@@ -33,14 +33,14 @@ def closed_body(rings: F8, ends: F8) -> Mesh:
     """
     count, sides, _ = rings.shape
     vertices = np.concatenate([rings.reshape(-1, 3), ends])
-    here = np.arange(sides)
-    after = np.roll(here, -1)
+    corner = np.arange(sides)
+    after = np.roll(corner, -1)
     bottom = np.full(sides, len(vertices) - 2)
     top = np.full(sides, len(vertices) - 1)
     last = (count - 1) * sides
-    triangles = [(after, here, bottom), (last + here, last + after, top)]
+    triangles = [(after, corner, bottom), (last + corner, last + after, top)]
     for low in range(0, last, sides):
         high = low + sides
-        triangles += [(low + here, low + after, high + after), (low + here, high + after, high + here)]
+        triangles += [(low + corner, low + after, high + after), (low + corner, high + after, high + corner)]
     faces = np.concatenate([np.column_stack(triple) for triple in triangles])
     return Mesh(vertices.astype(np.float32), faces.astype(np.uint32))

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import settings
 
 from vlp16emu.extras.bench.device import Device, DeviceInfo, DeviceSettings, DeviceStatus
-from vlp16emu.extras.bench.web import WebServer
+from vlp16emu.extras.bench.web import WebServer, listen
 from vlp16emu.types import PpsState, SensorModel
 from vlp16emu.units import S_NS
 
@@ -99,7 +99,7 @@ def web(make, tmp_path):
     """Serve a sensor whose web interface can be made faulty."""
     engine, device = make(saved=tmp_path / "saved.json")
     bench = SimpleNamespace(engine=engine, device=device, fault=None, file=tmp_path / "saved.json")
-    with WebServer(device, "127.0.0.1", 0, fault=lambda: bench.fault) as server:
+    with WebServer(device, listen("127.0.0.1", 0), fault=lambda: bench.fault) as server:
         bench.server, bench.address = server, server.address
         bench.client = Client(server.address)
         yield bench

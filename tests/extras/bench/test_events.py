@@ -18,11 +18,11 @@ pytestmark = pytest.mark.usefixtures("kept_woods")
 BLOCK_US = 110.592
 
 
-def emulator(*events, threads=2, window_s=5.0, gps=True, **sensor):
-    """A sensor on a tripod in a hall, whose pulses are one ray each."""
+def emulator(*events, scene="static_bench", threads=2, window_s=5.0, gps=True, **sensor):
+    """A sensor on a tripod in a hall, by default one without errors whose pulses are one ray each."""
     settings = {"gps.connected": gps, "gps.pps_window_s": window_s, "events": list(events)}
     settings |= {f"sensor.{key}": value for key, value in sensor.items()}
-    return Emulator("static_bench", settings, threads=threads)
+    return Emulator(scene, settings, threads=threads)
 
 
 def load_unit(*events, **settings):
@@ -31,10 +31,10 @@ def load_unit(*events, **settings):
     return Emulator("static_bench", scene).parts.units[0]
 
 
-def data_of(packets):
+def data_of(packets, scene="static_bench"):
     """Payloads of data packets (n, 1206), and when they leave, s since the first pulse."""
     data = [packet for packet in packets if packet.kind is PacketKind.DATA]
-    due_ns = np.array([packet.due_ns for packet in data]) - load("static_bench").start_ns
+    due_ns = np.array([packet.due_ns for packet in data]) - load(scene).start_ns
     return np.frombuffer(b"".join(packet.payload for packet in data), np.uint8).reshape(-1, 1206), due_ns
 
 
@@ -95,11 +95,11 @@ def test_another_speed_is_reached_by_a_ramp():
     assert 30 < steps.min() < steps.max() < 70
 
 
-def test_return_modes_follow_each_other():
+def test_return_modes_follow_each_other(each_unit):
     """Packets are single, then dual, then single return, each at its rate and in its own mode; no pulse is
     left out."""
-    run = emulator(setting(0.4, return_mode="dual"), setting(0.8, return_mode="last"))
-    payloads, due_ns = data_of(run.packets(0.0, 1.2))
+    modes = setting(0.4, return_mode="dual"), setting(0.8, return_mode="last")
+    payloads, due_ns = data_of(emulator(*modes, scene=each_unit).packets(0.0, 1.2), each_unit)
     for begin_s, mode, per_s in ((0.0, 0x37, 753.5), (0.4, 0x39, 1507.0), (0.8, 0x38, 753.5)):
         here = (due_ns > (begin_s + 0.0015) * S_NS) & (due_ns < (begin_s + 0.4) * S_NS)
         assert set(payloads[here, 1204]) == {mode}
@@ -108,22 +108,24 @@ def test_return_modes_follow_each_other():
     assert set(gaps.tolist()) <= {1_327_104, 663_552}
 
 
-def test_a_field_of_view_fills_packets_from_inside_it():
+def test_a_field_of_view_fills_packets_from_inside_it(each_unit):
     """Azimuths of 90 to 180 degrees alone are sent, in whole packets, a quarter as many, in order of time;
     from 350 to 9 the sector goes through 0."""
-    payloads, due_ns = data_of(emulator(setting(1.0, fov_deg=[90, 179])).packets(1.0, 2.0))
+    quarter = emulator(setting(1.0, fov_deg=[90, 179]), scene=each_unit)
+    payloads, due_ns = data_of(quarter.packets(1.0, 2.0), each_unit)
     azimuth, _ = blocks_of(payloads[due_ns > 1.002 * S_NS])
     assert azimuth.min() >= 9000
     assert azimuth.max() < 18000
     assert abs(len(azimuth) - 753.5 / 4) < 4
     assert ((np.diff(azimuth.reshape(-1)) > 0) | (np.diff(azimuth.reshape(-1)) < -8900)).all()
-    azimuth, _ = blocks_of(data_of(emulator(setting(0.0, fov_deg=[350, 9])).packets(0.0, 0.4))[0])
+    through_0 = emulator(setting(0.0, fov_deg=[350, 9]), scene=each_unit)
+    azimuth, _ = blocks_of(data_of(through_0.packets(0.0, 0.4))[0])
     assert ((azimuth >= 35000) | (azimuth < 1000)).all()
     assert (azimuth >= 35000).any()
     assert (azimuth < 1000).any()
 
 
-def test_a_span_gives_the_packets_of_the_whole_run():
+def test_a_span_gives_the_packets_of_the_whole_run(each_unit):
     """Packets of events do not depend on the span that is asked for, nor on threads."""
     events = (
         setting(0.15, fov_deg=[20, 200]),
@@ -132,22 +134,24 @@ def test_a_span_gives_the_packets_of_the_whole_run():
         {"kind": "power_cycle", "at_s": 1.0, "off_s": 0.2},
         {"kind": "dead_laser", "at_s": 0.1, "laser": 7, "duration_s": 0.5},
     )
-    whole = list(emulator(*events).packets(0.0, 1.5))
+    whole = list(emulator(*events, scene=each_unit).packets(0.0, 1.5))
+    begin_ns = load(each_unit).start_ns
     for start_s, stop_s in ((0.0, 0.4), (0.25, 0.6), (0.55, 1.1), (1.15, 1.5)):
-        begin_ns = emulator().scenario.start_ns
         span = [p for p in whole if begin_ns + start_s * S_NS <= p.due_ns < begin_ns + stop_s * S_NS]
-        assert list(emulator(*events, threads=1).packets(start_s, stop_s)) == span
+        part = emulator(*events, scene=each_unit, threads=1)
+        assert list(part.packets(start_s, stop_s)) == span
 
 
-def test_a_power_cycle_is_silent_and_resets_the_clock():
+def test_a_power_cycle_is_silent_and_resets_the_clock(each_unit):
     """Nothing leaves while the power is off; then the clock counts from 0, unsaved settings are lost, and
     it locks after its window."""
-    run = emulator(setting(0.5, rpm=1200), {"kind": "power_cycle", "at_s": 1.0, "off_s": 0.5}, window_s=1.0)
+    events = setting(0.5, rpm=1200), {"kind": "power_cycle", "at_s": 1.0, "off_s": 0.5}
+    run = emulator(*events, scene=each_unit, window_s=1.0)
     packets = list(run.packets(0.0, 3.0))
     since_ns = np.array([packet.due_ns for packet in packets]) - run.scenario.start_ns
     assert not ((since_ns >= 1.0014 * S_NS) & (since_ns < 1.5 * S_NS)).any()
     assert all(decode_position(packet.payload) for packet in packets if packet.kind is PacketKind.POSITION)
-    payloads, due_ns = data_of(packets)
+    payloads, due_ns = data_of(packets, each_unit)
     stamp_us = stamps_us(payloads)
     first = int(np.searchsorted(due_ns, 1.5 * S_NS))
     assert stamp_us[first] < 2_000
@@ -158,11 +162,11 @@ def test_a_power_cycle_is_silent_and_resets_the_clock():
     assert due_ns[jump] / S_NS == pytest.approx(2.5, abs=0.01)
 
 
-def test_a_stopped_motor_sends_one_azimuth():
+def test_a_stopped_motor_sends_one_azimuth(each_unit):
     """The rotor runs down from 300 rpm to a halt within 1 s and up again afterwards, and is found where it
     halted."""
     stop = {"kind": "motor_stop", "at_s": 0.1, "duration_s": 1.3}
-    payloads, due_ns = data_of(emulator(stop, rpm=300).packets(0.0, 2.8))
+    payloads, due_ns = data_of(emulator(stop, scene=each_unit, rpm=300).packets(0.0, 2.8), each_unit)
     speed = speeds_rpm(payloads)
     halted = (due_ns > 1.15 * S_NS) & (due_ns < 1.35 * S_NS)
     azimuth, _ = blocks_of(payloads[halted])
@@ -196,10 +200,10 @@ def test_phase_is_pulled_in_and_held_through_a_change_of_speed():
     assert 3.4 < np.diff(angles).min() < np.diff(angles).max() < 5.8  # degrees per millisecond: no jump
 
 
-def test_a_dead_laser_has_no_returns():
+def test_a_dead_laser_has_no_returns(each_unit):
     """Its records are empty for as long as it is dead, and those of its neighbours are not."""
     dead = {"kind": "dead_laser", "at_s": 0.2, "laser": 3, "duration_s": 0.2}
-    payloads, due_ns = data_of(emulator(dead).packets(0.0, 0.6))
+    payloads, due_ns = data_of(emulator(dead, scene=each_unit).packets(0.0, 0.6), each_unit)
     _, distance = blocks_of(payloads)
     during = (due_ns > 0.203 * S_NS) & (due_ns < 0.4 * S_NS)
     assert not distance[during][..., 3].any()
@@ -207,11 +211,12 @@ def test_a_dead_laser_has_no_returns():
     assert (distance[~during][..., 3] > 0).mean() > 0.9
 
 
-def test_a_dirty_window_takes_its_share_of_the_light_twice():
+def test_a_dirty_window_takes_its_share_of_the_light_twice(each_unit):
     """Reflectivity in the sector is that of a clean window times the transmission squared; elsewhere it is
     the same."""
     dirty = {"kind": "dirty_window", "at_s": 0.0, "sector_deg": [40, 80], "transmission": 0.5}
-    (clean, _), (dimmed, _) = (data_of(run.packets(0.0, 0.5)) for run in (emulator(), emulator(dirty)))
+    runs = [emulator(*events, scene=each_unit) for events in ([], [dirty])]
+    (clean, _), (dimmed, _) = (data_of(run.packets(0.0, 0.5)) for run in runs)
     azimuth, _ = blocks_of(clean)
     light = [p[:, :1200].reshape(-1, 12, 100)[..., 6::3].astype(float) for p in (clean, dimmed)]
     inside = (azimuth > 4100) & (azimuth < 7900)
@@ -291,7 +296,7 @@ def test_counts_are_those_of_the_readings(fov_deg):
     assert len(spans) == 2
     for span in spans:
         stop = min(span.stop or 500_000, 500_000)
-        sent = unit.timeline.chosen(span, span.first, stop)
+        sent = unit.timeline.in_view(span, span.first, stop)
         for at in range(span.first, stop, 29_998):
             counted = FieldOfView(unit.head, *span.fov_deg).count(span.first, at)
             assert 2 * counted == np.searchsorted(sent, at)

@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from kit import DEFAULT_UNIT
 from listening import MemorySink
 
 from vlp16emu import Emulator
@@ -20,12 +21,12 @@ from vlp16emu.types import PacketKind
 from vlp16emu.units import MS_NS, S_NS
 
 DATA, POSITION = PacketKind.DATA, PacketKind.POSITION
-START_NS = load("static_bench").start_ns
 SETTINGS = {"seed": 5, "duration_s": 1.5, "gps.connected": True}
+START_NS = load(DEFAULT_UNIT, SETTINGS).start_ns
 
 
 def emulator(*events, threads=2, **settings):
-    return Emulator("static_bench", SETTINGS | {"events": list(events)} | settings, threads=threads)
+    return Emulator(DEFAULT_UNIT, SETTINGS | {"events": list(events)} | settings, threads=threads)
 
 
 @lru_cache
@@ -237,7 +238,7 @@ def test_faults_are_those_of_their_unit():
 def test_events_that_cannot_be_are_refused(settings, line):
     """One line names the table and what was expected."""
     with pytest.raises(ScenarioError) as refused:
-        load("static_bench", SETTINGS | settings)
+        load(DEFAULT_UNIT, SETTINGS | settings)
     assert line in str(refused.value)
     assert "\n" not in str(refused.value)
 

@@ -16,9 +16,9 @@ SETTINGS = ["gps.connected=true", "imu.preset=consumer", "start_utc=2026-06-12T0
 
 
 @pytest.fixture(scope="module")
-def hall():
+def hall(each_unit):
     """A sensor that stands, over a full hour."""
-    return Emulator("static_bench", SETTINGS, threads=1)
+    return Emulator(each_unit, SETTINGS, threads=1)
 
 
 @pytest.fixture(scope="module")

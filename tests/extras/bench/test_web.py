@@ -15,7 +15,7 @@ from referencing import Registry, Resource
 
 from vlp16emu.errors import InputError, OutputError
 from vlp16emu.extras.bench.device import DeviceInfo, DeviceSettings, document
-from vlp16emu.extras.bench.web import WebServer
+from vlp16emu.extras.bench.web import WebServer, listen
 from vlp16emu.run.options import Http
 from vlp16emu.types import PpsState, SensorModel
 
@@ -266,7 +266,7 @@ def test_a_connection_that_is_kept_open_does_not_disturb_the_end(make, caplog):
     """A client that still has its connection when the sensor goes is cut off without a word in the log."""
     _, device = make()
     with socket.socket() as line:
-        with WebServer(device, "127.0.0.1", 0) as server:
+        with WebServer(device, listen("127.0.0.1", 0)) as server:
             line.connect(server.address)
             line.sendall(get("/cgi/info.json"))
             assert line.recv(65_536).startswith(b"HTTP/1.1 200 OK")
@@ -287,15 +287,14 @@ def test_where_it_listens():
             Http(text)
 
 
-def test_a_port_that_is_taken_is_named(web, make):
+def test_a_port_that_is_taken_is_named(web):
     """A place where it cannot listen is an error of the command line."""
-    _, device = make()
     host, port = web.address
     for place in (host, "192.0.2.1", "a..b"):
         with pytest.raises(
             OutputError, match=f"--http {place}:{port}: .*expected an address of this machine"
         ):
-            WebServer(device, place, port)
+            listen(place, port)
 
 
 WANTED = {

@@ -1,5 +1,7 @@
 """Statistics that distinguish units, on our captures and on real ones."""
 
+import re
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -7,12 +9,13 @@ import pytest
 
 from vlp16emu import Emulator
 from vlp16emu.errors import CaptureError, InputError
-from vlp16emu.extras.compare import compared, fitted, read_sequences, statistics_of
+from vlp16emu.extras.compare import compare_statistics, fit_settings, read_sequences, statistics_of
 from vlp16emu.packets import DATA_PAYLOAD
 from vlp16emu.sinks import PcapSink
 from vlp16emu.types import Packet, PacketKind
 
 CAPTURES = Path(__file__).resolve().parents[4] / "shared" / "captures"
+LAWS = Path(__file__).parents[3] / "vlp16emu/sensor/laws.toml"
 UNIT = {"noise.preset": "unit", "sensor.preset": "unit", "sensor.eccentricity_deg": 0.06}
 BEAT = {"noise.range_beat_m": 0.0055, "noise.range_beat_phase_deg": 123.0}
 
@@ -76,7 +79,7 @@ def test_known_settings_come_back_from_our_own_packets(recorded):
         "noise.no_return_wander": 0.5,
         "events": [{"kind": "drop", "at_s": 0.3, "duration_s": 0.21}],
     }
-    tables = fitted(recorded("known", UNIT | BEAT | SHORT_SIGHTED | known, 1.1))
+    tables = fit_settings(recorded("known", UNIT | BEAT | SHORT_SIGHTED | known, 1.1))
     noise, sensor = tables["noise"], tables["sensor"]
     assert noise["range_beat_m"] == pytest.approx(0.0055, abs=0.0003)
     assert noise["range_beat_phase_deg"] == pytest.approx(123.0, abs=3.0)
@@ -102,26 +105,63 @@ def test_a_unit_without_character_is_unlike_any_real_one(recorded):
     wanted = {"range.beat_mm", "residue.odd_spread", "rotation.twice_cdeg"}
     plain = recorded("plain", {"noise.preset": "typical", "sensor.eccentricity_deg": 0.06} | SHORT_SIGHTED)
     unit, other = (recorded(f"unit {seed}", UNIT | {"seed": seed}) for seed in (11, 13))
-    same = compared(unit, unit)
+    same = compare_statistics(unit, unit)
     assert len(same) > 12
     assert not any(row.distance or row.apart for row in same)
-    one, two = (fitted(sequences)["noise"] for sequences in (unit, other))
+    one, two = (fit_settings(sequences)["noise"] for sequences in (unit, other))
     assert abs(one["range_beat_phase_deg"] - two["range_beat_phase_deg"]) > 10
     assert one["odd_codes_spread"] != two["odd_codes_spread"]
-    assert fitted(plain)["noise"]["records_lost"] < 0.1
-    unlike = {row.name: row.unlike for row in compared(plain, unit)}
+    assert fit_settings(plain)["noise"]["records_lost"] < 0.1
+    unlike = {row.name: row.unlike for row in compare_statistics(plain, unit)}
     assert {name: unlike[name] for name in wanted} == dict.fromkeys(wanted, (True, False))
 
 
-def test_the_beat_of_real_units_is_found(real):
+@pytest.fixture(scope="module")
+def statistics(real):
+    """Statistics of the real units, by capture."""
+    return {name: statistics_of(sequences) for name, sequences in real.items()}
+
+
+def test_the_beat_of_real_units_is_found(statistics):
     """Amplitudes of 3.5 to 7.5 mm, which the four captures show."""
-    beats = {name: statistics_of(sequences)["range.beat_mm"] for name, sequences in real.items()}
+    beats = {name: found["range.beat_mm"] for name, found in statistics.items()}
     assert all(3.5 < beat_mm < 7.5 for beat_mm in beats.values())
     assert beats["mrpt"] == pytest.approx(6.0, abs=0.2)
 
 
+UNITS = {"A": "mrpt", "B": "nebula", "C": "einride", "D": "2014"}
+"""Captures by the letters of `sensor/laws.toml`, in the order of protocol/README.md."""
+
+
+@pytest.mark.parametrize(
+    ("section", "law", "statistic", "tolerance"),
+    [
+        ("clock", "spread_ppm", "clock.error_ppm", 0.01),
+        ("range", "beat", "range.beat_mm", 0.1),
+        ("code", "gain_neighbours", "reflectivity.gain_spread", 0.001),
+    ],
+)
+def test_a_law_names_the_unit_that_its_capture_shows(statistics, section, law, statistic, tolerance):
+    """The values by unit in the source of a law are those of the units' captures."""
+    laws = tomllib.loads(LAWS.read_text(encoding="utf-8"))
+    stated = dict(re.findall(r"\b([ABCD]) (-?[\d.]+\d)", laws[section][law]["source"]))
+    for letter, name in UNITS.items():
+        value = statistics[name].get(statistic)
+        assert value is None or float(stated[letter]) == pytest.approx(value, abs=tolerance)
+
+
+def test_clock_errors_stand_in_the_order_of_the_table(statistics):
+    """protocol/README.md has the clock errors of units in the order of the head of its table."""
+    page = (LAWS.parents[2] / "protocol/README.md").read_text(encoding="utf-8")
+    (errors,) = re.findall(r"stamps against firing ([-\d., ]+) ppm", page)
+    assert "| Effect | Measured: mrpt, nebula, einride, 2014 |" in page
+    for name, stated in zip(UNITS.values(), errors.split(", "), strict=True):
+        error_ppm = statistics[name].get("clock.error_ppm")
+        assert error_ppm is None or float(stated) == pytest.approx(error_ppm, abs=0.01)
+
+
 def settings_of(sequences):
-    tables = fitted(sequences)
+    tables = fit_settings(sequences)
     return {f"{section}.{key}": value for section, table in tables.items() for key, value in table.items()}
 
 
@@ -137,7 +177,7 @@ def test_no_statistic_of_a_fitted_unit_is_apart(real, recorded, name):
     """A recording with the tables that fit a capture is in no fitted statistic farther from it than real
     units are from each other."""
     fitted_unit = recorded(f"as_{name}", settings_of(real[name]) | SHORT_SIGHTED, 0.8)
-    rows = compared(fitted_unit, real[name])
+    rows = compare_statistics(fitted_unit, real[name])
     assert not [row for row in rows if row.apart and row.name.startswith(FITTED)]
 
 
@@ -174,9 +214,9 @@ def test_what_no_setting_makes_is_compared_but_not_fitted(recorded, tmp_path):
     sequences = read_sequences(turning(tmp_path / "a.pcap", 580))
     assert statistics_of(sequences)["rotation.speed_off_percent"] == pytest.approx(10 / 3, rel=1e-3)
     with pytest.raises(InputError, match=r"a mean speed of 580.0 rpm; expected a multiple of 60 rpm"):
-        fitted(sequences)
+        fit_settings(sequences)
     corrupt = {"events": [{"kind": "corrupt", "at_s": 0.2, "share": 0.1}]}
     with pytest.raises(InputError, match=r"^hum_deg: found 0\.\d+; expected a number from 0 to 0\.02$"):
-        fitted(recorded("corrupt", corrupt, 0.7))
-    rows = (fitted(read_sequences(turning(tmp_path / "a.pcap", rpm)))["sensor"] for rpm in (300, 600))
+        fit_settings(recorded("corrupt", corrupt, 0.7))
+    rows = (fit_settings(read_sequences(turning(tmp_path / "a.pcap", rpm)))["sensor"] for rpm in (300, 600))
     assert ["encoder_rate_error" in row for row in rows] == [False, True]

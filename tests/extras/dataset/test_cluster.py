@@ -172,7 +172,7 @@ def test_files_of_workers_that_do_not_see_the_folder_are_fetched(here, alone, tm
             raise FileNotFoundError(source)
         return read(source, begin)
 
-    monkeypatch.setattr(cluster, "_sees", lambda _: False)
+    monkeypatch.setattr(cluster, "is_marked", lambda _: False)
     monkeypatch.setattr(cluster, "_PIECE_BYTES", 100_000)
     monkeypatch.setattr(cluster, "_read_piece", lost_once)
     made = make_dataset(walks, tmp_path / "out", scheduler=here.scheduler_address)

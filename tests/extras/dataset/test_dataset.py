@@ -121,16 +121,19 @@ def test_a_note_beside_a_walk_s_files_stays(tmp_path):
     gone.
 
     In the folder for parts, that of an earlier run which was killed is removed; what somebody put there
-    stays.
+    stays, also under such a name.
     """
     (walk, *_) = walks_in(tmp_path)
     out = tmp_path / "out"
     folder = out / "sequences" / "00"
-    for name in ("run-0123456789abcdef", "run-of-mine"):
+    killed = "run-0123456789abcdef"
+    foreign = ["run-0123456789abcdee", "run-of-mine"]
+    for name in (killed, *foreign):
         (out / ".vlp16emu.parts" / name / "walk").mkdir(parents=True)
+    (out / ".vlp16emu.parts" / killed / "mark").write_text(killed)
     make_dataset([walk], out, workers=0)
     assert sorted(path.name for path in out.iterdir()) == [".vlp16emu.parts", "manifest.json", "sequences"]
-    assert [path.name for path in (out / ".vlp16emu.parts").iterdir()] == ["run-of-mine"]
+    assert sorted(path.name for path in (out / ".vlp16emu.parts").iterdir()) == foreign
     (folder / "notes.txt").write_text("mine")
     assert make_dataset([walk], out, workers=0).made == 0
     (folder / "poses.txt").unlink()
@@ -313,7 +316,9 @@ def test_an_estimate_of_many_sensors_measures_eight(tmp_path, monkeypatch):
 
 def test_workers_and_a_scheduler_exclude_each_other(tmp_path):
     """The workers of a scheduler are its own: a number of others is refused before anything is made."""
-    with pytest.raises(InputError, match=r"^workers: found 2 beside a scheduler; expected one of both"):
+    with pytest.raises(
+        InputError, match=r"^workers: found 2 beside a scheduler; expected only one of the two"
+    ):
         make_dataset([], tmp_path / "out", workers=2, scheduler="tcp://127.0.0.1:9")
     assert not (tmp_path / "out").exists()
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from vlp16emu.extras.imu.sampler import GRAVITY_M_S2, ImuSampler
 from vlp16emu.extras.imu.settings import Imu
 from vlp16emu.extras.walk.settings import Harness, Walk
-from vlp16emu.motion.mount import mounted
+from vlp16emu.motion.mount import device_motion
 from vlp16emu.motion.pose import Kinematics, StaticMotion, rotations
 from vlp16emu.motion.settings import Gps, Mount
 from vlp16emu.world.hall import HallWorld
@@ -58,7 +58,7 @@ def test_on_a_circle_it_reads_the_turn_and_the_pull_inwards(unit):
     read = unit(motion=carrier).read(1000, 400)
     np.testing.assert_allclose(read.angular_rate_rad_s, [[0, 0, 0.15]] * 400, atol=1e-8)
     np.testing.assert_allclose(read.specific_force_m_s2, [[0, 0.18, GRAVITY_M_S2]] * 400, atol=1e-8)
-    inner = mounted(carrier, Mount(lever_arm_m=(0.0, 1.0, 0.0)), START_NS)
+    inner = device_motion(carrier, Mount(lever_arm_m=(0.0, 1.0, 0.0)), START_NS)
     np.testing.assert_allclose(
         unit(motion=inner).read(1000, 9).specific_force_m_s2[:, 1], 0.18 * 7 / 8, atol=1e-8
     )
@@ -169,7 +169,7 @@ def test_the_heading_drifts_with_the_gyroscopes(unit):
     late = biased.read(200 * 60, 1)
     heading = Rotation.from_matrix(late.world_R_imu).as_euler("zyx")[0, 0]
     assert heading == pytest.approx(60 * late.gyro_bias_rad_s[0, 2], abs=1e-12)
-    sway = mounted(
+    sway = device_motion(
         StaticMotion(np.zeros(3), 0.0, 0.0, 0.0), Mount(spin_hz=2.0, spin_axis=(0.04, 0.0, 1.0)), START_NS
     )
     late = unit(motion=sway, attitude=True, gyro_bias_rad_s=1e-3).read(200 * 600, 200)

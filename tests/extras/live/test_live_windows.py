@@ -71,7 +71,7 @@ def test_the_next_window_is_asked_for_seconds_before_its_use(windows_of):
     for speed_m_s, least_s in ((1.0, 3.9), (3.0, 1.9)):
         of = windows_of(Knots(START_NS, states_at((speed_m_s, 0.0, 0.0), 40.0)))
         asked = []
-        of._opened = asked.append
+        of._future_of = asked.append
         entered = used = None
         for block in range(300):
             of.open_ahead(block * PARTS.parts, 10**6)

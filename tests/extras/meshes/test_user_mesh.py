@@ -9,7 +9,7 @@ import trimesh
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.extras.meshes.files import UserMesh, load_mesh
-from vlp16emu.extras.meshes.furnished import Furnished, MeshKey, surfaces_of
+from vlp16emu.extras.meshes.furnish import Furnished, MeshKey, surfaces_of
 from vlp16emu.extras.meshes.settings import MeshFile, MeshPart, MeshPlace
 from vlp16emu.types import FIRST_FREE_INSTANCE, Mesh, PlantPart, Semantic
 from vlp16emu.world.hall import HallWorld

@@ -42,7 +42,9 @@ def truth(tmp_path):
     np.savetxt(tmp_path / "trajectory.tum", rows, fmt="%.9f")
     world = {"latitude_deg": 47.0, "longitude_deg": 8.0, "height_m": 500.0}
     unit = {"trajectory": "trajectory.tum", "address": "192.168.1.201", "data_port": 2368}
-    (tmp_path / "rig.json").write_text(json.dumps({"units": [unit], "world": world}))
+    unit["body_T_sensor"] = {"matrix": np.eye(4).tolist()}
+    rig = {"units": [unit], "world": world, "antenna": {"above_sensor_m": 0.2}}
+    (tmp_path / "rig.json").write_text(json.dumps(rig))
     with (tmp_path / "points.csv").open("w") as file:
         file.write(POINTS)
         for tree in (1, 2):
@@ -249,6 +251,60 @@ def test_late_stamps_are_found(truth, capsys, late_s):
     _, card = scored(capsys, truth, "--trajectory", truth / "late.tum")
     assert card["scores"]["stamp_offset_s"] == pytest.approx(-late_s, abs=2e-3)
     assert card["scores"]["drift_100m_percent"] is None
+
+
+BEGIN_S = 1_780_000_000.0
+
+
+def winding_walk(path):
+    """Trajectory of a walk as `walk_of` of 40 s from `BEGIN_S` on that winds ever more tightly."""
+    rows = walk_of(path, 40.0)
+    t_s = rows[:, 0] - 1000.0
+    rows[:, 0] = BEGIN_S + t_s
+    rows[:, 2] += np.sin(0.01 * t_s**2)
+    np.savetxt(path, rows, fmt="%.9f")
+    return rows
+
+
+@pytest.mark.parametrize(
+    ("epoch_s", "clock"),
+    [(0.0, "UTC"), (-315_964_782.0, "GPS time"), (18.0, "GPS time since 1970"), (37.0, "TAI since 1970")],
+)
+def test_the_clock_of_an_estimate_is_found(truth, capsys, epoch_s, clock):
+    """Stamps in GPS time, 18 s ahead since 2017 and from 1980 on (IERS Bulletin C), and in TAI, are found with
+    the offset that they have on that clock."""
+    rows = winding_walk(truth / "trajectory.tum")[::2]
+    late_s = 0.064
+    rows[:, 0] += epoch_s + late_s
+    np.savetxt(truth / "found.tum", rows[5:-5], fmt="%.9f")
+    _, card = scored(capsys, truth, "--trajectory", truth / "found.tum", "--time-offset", "auto")
+    assert card["scores"]["time_offset_s"] == pytest.approx(epoch_s + late_s, abs=2e-3)
+    assert card["scores"]["ate_m"] < 5e-3
+    assert clock in card["notes"]["stamps"]
+
+
+@pytest.mark.parametrize("begin_s", [0.0, 3.4])
+def test_stamps_from_zero_are_found(truth, capsys, begin_s):
+    """An estimate whose stamps begin at 0, and seconds after the truth, is moved to where its steps agree;
+    with the same offset given, its scores are the same."""
+    rows = winding_walk(truth / "trajectory.tum")[::2]
+    rows = rows[rows[:, 0] >= BEGIN_S + begin_s]
+    rows[:, 0] -= rows[0, 0]
+    np.savetxt(truth / "found.tum", rows, fmt="%.9f")
+    _, card = scored(capsys, truth, "--trajectory", truth / "found.tum", "--time-offset", "auto")
+    offset_s = card["scores"]["time_offset_s"]
+    assert offset_s == pytest.approx(-BEGIN_S - begin_s, abs=2e-3)
+    _, given = scored(capsys, truth, "--trajectory", truth / "found.tum", "--time-offset", repr(offset_s))
+    assert given["scores"]["ate_m"] == pytest.approx(card["scores"]["ate_m"], abs=1e-6)
+
+
+def test_no_score_is_printed_as_nan(truth, capsys):
+    """Scores of a path that is too short or too uniform say so; so does a threshold on one of them."""
+    words = ["score", truth, "--trajectory", truth / "trajectory.tum", "--require", "drift_100m_percent<1"]
+    assert app.run([*map(str, words)]) == 1
+    printed = capsys.readouterr().out
+    assert "nan" not in printed
+    assert "drift_100m_percent is none: the path is shorter, required < 1" in printed
 
 
 @pytest.mark.parametrize("row", ["1,2,3,32", "1,,3,0.3", "1,x,3,0.3"])

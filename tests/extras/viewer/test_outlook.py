@@ -52,7 +52,7 @@ def forest():
 def test_the_outlook_is_that_of_the_recording(hall, tmp_path):
     """Run time, duration, revolutions and packets are those of a recording with the new path."""
     surroundings, draft, _ = hall
-    draft = replace(draft.moved(2, 1.0, 1.5), run_time_s=None, speed_m_s=10.0)
+    draft = replace(draft.move(2, 1.0, 1.5), run_time_s=None, speed_m_s=10.0)
     outlook = surroundings.outlook(draft)
     emulator = Emulator(load(HALL, surroundings.settings(draft)))
     assert emulator.parts.motion.run_time_s == outlook.run_time_s
@@ -69,7 +69,7 @@ def test_the_outlook_is_that_of_the_recording(hall, tmp_path):
 def test_a_short_walk_shortens_the_recording(hall):
     """A walk that ends before the scene's duration is recorded to its end, so that `record` takes it."""
     surroundings, draft, _ = hall
-    short = draft.moved(0, -0.5, 1.0).moved(2, 0.5, 1.0)
+    short = draft.move(0, -0.5, 1.0).move(2, 0.5, 1.0)
     outlook = surroundings.outlook(short)
     assert outlook.run_time_s - 0.1 < outlook.recorded_s < 3.0
     assert surroundings.settings(short)["duration_s"] == outlook.recorded_s
@@ -80,11 +80,11 @@ def test_objects_of_a_hall_stay_in_the_way(hall):
     """A pole and the outside of the hall are marked where the path leads there; a lamp is in nobody's way."""
     surroundings, draft, _ = hall
     assert surroundings.outlook(draft).marks == ()
-    through = surroundings.outlook(draft.moved(0, -10.0, -4.0).moved(1, 0.0, -4.0).moved(2, 10.0, -4.0))
+    through = surroundings.outlook(draft.move(0, -10.0, -4.0).move(1, 0.0, -4.0).move(2, 10.0, -4.0))
     (mark,) = through.marks
     assert (mark.kind, mark.words.partition(": ")[2]) == ("stays", "pole")
     np.testing.assert_allclose(through.path_m[mark.rows].mean(axis=0), [6.0, -4.0, 0.0], atol=0.5)
-    out = surroundings.outlook(draft.moved(2, 20.0, 0.0))
+    out = surroundings.outlook(draft.move(2, 20.0, 0.0))
     (mark,) = out.marks
     assert "outside the walls" in mark.words
     assert (out.path_m[mark.rows, 0] >= 15.0).all()
@@ -94,12 +94,12 @@ def test_objects_of_a_hall_stay_in_the_way(hall):
 def test_a_turn_that_nobody_can_walk_is_marked(hall):
     """The fault is that of `record`, marked at its place; such a draft has no keys to save."""
     surroundings, draft, _ = hall
-    outlook = surroundings.outlook(draft.moved(2, -6.0, 0.001))
+    outlook = surroundings.outlook(draft.move(2, -6.0, 0.001))
     assert "turns with a radius" in outlook.refusal
     assert outlook.length_m == 0.0
     np.testing.assert_allclose(outlook.path_m[outlook.marks[0].rows].mean(axis=0), [0.0, 1.0, 0.0], atol=0.3)
     with pytest.raises(InputError, match="turns with a radius"):
-        surroundings.settings(draft.moved(2, -6.0, 0.001))
+        surroundings.settings(draft.move(2, -6.0, 0.001))
     too_short = surroundings.outlook(replace(draft, run_time_s=0.5))
     assert too_short.refusal.startswith("run time: found 0.5 s")
 
@@ -109,12 +109,12 @@ def test_stems_and_stones_are_left_out(forest):
     surroundings, draft, seen = forest
     assert surroundings.outlook(draft).marks == ()
     tree = seen.near[0]
-    outlook = surroundings.outlook(draft.moved(1, float(tree["x_m"]), float(tree["y_m"])))
+    outlook = surroundings.outlook(draft.move(1, float(tree["x_m"]), float(tree["y_m"])))
     words = f"stem of silver birch, DBH {100 * tree['dbh_m']:.0f} cm"
     mark = next(mark for mark in outlook.marks if mark.words.endswith(words) and mark.rows[-1])
     assert mark.kind == "left out"
     stone = next(thing for thing in seen.things if thing.kind == "stone")
-    outlook = surroundings.outlook(draft.moved(1, *stone.place_m[:2].tolist()))
+    outlook = surroundings.outlook(draft.move(1, *stone.place_m[:2].tolist()))
     assert any(mark.words.endswith(": stone") and mark.rows[-1] for mark in outlook.marks)
     assert outlook.refusal == ""
 
@@ -122,7 +122,7 @@ def test_stems_and_stones_are_left_out(forest):
 def test_the_ground_is_followed_and_its_limits_shown(forest):
     """Points are on the ground; what is farther from the grown path than the stand is marked as unknown."""
     surroundings, draft, seen = forest
-    outlook = surroundings.outlook(draft.moved(1, 25.0, 1.0))
+    outlook = surroundings.outlook(draft.move(1, 25.0, 1.0))
     np.testing.assert_allclose(outlook.path_m[:, 2], seen.bare.height_m(*outlook.path_m[:, :2].T))
     (unknown,) = [mark for mark in outlook.marks if mark.kind == "unknown"]
     gap_m = distance_m(outlook.path_m[:, :2], seen.path_m[:, :2])
@@ -139,7 +139,7 @@ def test_the_stems_of_a_list_are_known_also_where_they_were_left_out(on_conflict
     surroundings, draft, _ = around(
         FOREST | {"world": plot, "motion": {"kind": "walk", "way_points_m": [[0, 3], [6, 3]]}}
     )
-    (mark,) = surroundings.outlook(draft.moved(0, 0.0, 0.0).moved(1, 6.0, 0.0)).marks
+    (mark,) = surroundings.outlook(draft.move(0, 0.0, 0.0).move(1, 6.0, 0.0)).marks
     assert (mark.kind, mark.words) == (kind, "2 to 4 m: stem of silver birch, DBH 20 cm")
 
 

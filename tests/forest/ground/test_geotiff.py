@@ -50,7 +50,7 @@ def test_heights_stand_where_the_tags_put_them(tmp_path, options):
 
 @pytest.mark.parametrize("none", [-32768.0, np.nan, np.inf])
 def test_the_number_for_no_height_is_a_gap(tmp_path, none):
-    """Cells with the file's number for none, or that are not finite, have no height."""
+    """Cells with the file's no-data value, or that are not finite, have no height."""
     heights = np.where(HEIGHTS == 5, np.float32(none), HEIGHTS)
     dem = read(write(tmp_path / "ground.tif", heights=heights, nodata=-32768.0))
     with pytest.raises(GeometryError, match="row 2, column 2: no height"):

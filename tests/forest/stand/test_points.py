@@ -18,14 +18,14 @@ ROWS = Plantation(kind="plantation", row_spacing_m=2.5, tree_spacing_m=2.25, azi
 CLUMPS = Clusters(kind="clusters", per_cluster=8.0, sigma_m=3.0)
 
 
-scattered = partial(module.scattered, purpose=Growth.STONES, per_ha=700.0, seed=9)
-hard_core = partial(module.hard_core, purpose=Growth.STAND, per_ha=700.0, seed=9)
-clusters = partial(module.clustered, section=CLUMPS, purpose=Growth.SHRUBS, per_ha=700.0, seed=9)
-rows = partial(module.planted, section=ROWS, purpose=Growth.STAND, per_ha=1600.0, seed=9)
+scattered = partial(module.poisson_pattern, purpose=Growth.STONES, per_ha=700.0, seed=9)
+hard_core = partial(module.hard_core_pattern, purpose=Growth.STAND, per_ha=700.0, seed=9)
+clusters = partial(module.cluster_pattern, section=CLUMPS, purpose=Growth.SHRUBS, per_ha=700.0, seed=9)
+rows = partial(module.plantation_pattern, section=ROWS, purpose=Growth.STAND, per_ha=1600.0, seed=9)
 
 
 def patchy(per_ha=700.0, seed=9):
-    return module.patchy(
+    return module.cox_pattern(
         seed=seed, purpose=Growth.HERBS, even_per_ha=0.2 * per_ha, patchy_per_ha=0.8 * per_ha
     )
 

@@ -16,7 +16,7 @@ from vlp16emu.forest.plants.species import flora, tapers
 from vlp16emu.forest.plants.stem import lean_rotation
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import Clusters, Forest, Plantation, Scattered, SpeciesShare, Storey, Terrain
-from vlp16emu.forest.stand.points import Land, scattered
+from vlp16emu.forest.stand.points import Land, poisson_pattern
 from vlp16emu.forest.stand.stand import Stand, density_per_ha, foot_discs
 
 FAR_XY_M = np.array([[0.0, 1e5]])
@@ -184,7 +184,7 @@ def test_basal_area_is_as_asked_for(trees):
 def test_no_stem_stands_in_another():
     """Where stems are scattered, those whose feet would meet give way to the thicker, also across tiles;
     few do."""
-    anywhere = scattered(seed=14, purpose=Growth.STAND, per_ha=1500.0)
+    anywhere = poisson_pattern(seed=14, purpose=Growth.STAND, per_ha=1500.0)
     stand = make_stand(stems_per_ha=1500.0, species=[SPRUCE], pattern=Scattered(kind="random"))
     tiles = [(ix, iy) for ix in range(-3, 3) for iy in range(6)]
     discs = foot_discs(np.concatenate([stand.trees(*tile) for tile in tiles]))

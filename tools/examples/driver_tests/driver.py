@@ -1,4 +1,7 @@
-"""A small driver that converts data packets of a VLP-16 to points (VLP-16 User's Manual, 63-9243 Rev D, section 9)."""
+"""A small driver that converts data packets of a VLP-16 to points.
+
+Source: VLP-16 User's Manual, 63-9243 Rev D, section 9.
+"""
 
 import struct
 
@@ -19,7 +22,10 @@ class Driver:
         self.hours, self.stamp_us, self.lost = 0, None, 0
 
     def points(self, payload):
-        """Return time since the first hour, position, ring and kind of all 384 records of a packet; range 0 is no return."""
+        """Return time since the first hour, position, ring and kind of all 384 records of a packet.
+
+        Range 0 is no return.
+        """
         blocks = np.frombuffer(payload, BLOCK, 12)
         stamp_us, mode = struct.unpack_from("<IB", payload, 1200)
         apart = 2 if mode == DUAL else 1  # pairs of blocks share their azimuth in dual return

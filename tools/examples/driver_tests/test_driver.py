@@ -14,7 +14,10 @@ def read(vlp16, count):
 
 
 def test_points_lie_where_the_pulses_went(vlp16):
-    """Each point is within 5 mm of its true position in the sensor frame; half a block at 600 rpm is 2.6 cm at 15 m."""
+    """Each point is within 5 mm of its true position in the sensor frame.
+
+    Half a block at 600 rpm is 2.6 cm at 15 m.
+    """
     points, truth = read(vlp16, 76)
     there = points["range_m"] > 0
     xyz_m = np.stack([points["x_m"], points["y_m"], points["z_m"]], axis=1)

@@ -88,7 +88,7 @@ def answer_beam(beam: Footprint, rays: int, seed: int, number: int = 0) -> Footp
     Its sub-rays must differ from the judged ones, so each number has a seed of its own.
     """
     own = int(generator(seed, Purpose.AUDIT, number).integers(2**63))
-    return replace(beam.changed(model="fixed", rays=rays), seed=own)
+    return replace(beam.with_settings(model="fixed", rays=rays), seed=own)
 
 
 def detections_of(

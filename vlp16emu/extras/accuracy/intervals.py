@@ -42,7 +42,7 @@ def intervals_of(groups: Sequence[Comparison], resolution_m: float) -> dict[str,
     absolute_m = sums([np.abs(group.error_m) for group in groups]) + unmatched_m
     found = {
         "range_rmse_m": _root(_positive(sums([group.error_m**2 for group in groups]), matched)),
-        "range_bias_m": _signed(sums([group.error_m for group in groups]), matched),
+        "range_bias_m": _mean(sums([group.error_m for group in groups]), matched),
         "range_p95_m": _quantile([np.abs(group.error_m) for group in groups]),
         "mean_error_m": _positive(absolute_m, returns),
         "reflectivity_rmse": _root(
@@ -80,7 +80,7 @@ def _root(interval: Interval) -> Interval:
     return interval and (math.sqrt(interval[0]), math.sqrt(interval[1]))
 
 
-def _signed(parts: F8, wholes: F8) -> Interval:
+def _mean(parts: F8, wholes: F8) -> Interval:
     if not _is_enough(wholes):
         return None
     ratio = float(parts.sum() / wholes.sum())

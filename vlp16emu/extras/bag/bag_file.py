@@ -41,7 +41,7 @@ def check_bag(path: Path) -> None:
     """
     suffix = path.suffix.lower()
     if suffix not in _SUFFIXES or not path.name:
-        raise OutputError(str(path), f"found the ending {suffix}", ".mcap, .bag or a folder without ending")
+        raise OutputError(str(path), f"found the ending {suffix!r}", ".mcap, .bag or a folder without ending")
     if path.exists() and (not suffix or not path.is_file()):
         raise OutputError(str(path), "is there already", "a new name")
     if not find_spec("rosbags"):

@@ -28,7 +28,7 @@ class DisturbedOptics:
     ]  # begin and end since the first pulse of events with the effect `optics`
     start_ns: int  # UTC of the first pulse
 
-    def dimmed(self, firings: Firings, hits: Hits) -> Hits:
+    def dim(self, firings: Firings, hits: Hits) -> Hits:
         """Attenuate the light of each pulse by a dirty window, twice, through the cosine of incidence."""
         passes = np.ones(firings.t_ns.shape, np.float32)
         for event, during in self._during("dirty_window", firings):
@@ -38,7 +38,7 @@ class DisturbedOptics:
             passes[inside & during] *= event.transmission * event.transmission
         return replace(hits, cos_incidence=hits.cos_incidence * np.repeat(passes, hits.count.reshape(-1)))
 
-    def received(self, returns: Returns) -> Returns:
+    def without_dead_lasers(self, returns: Returns) -> Returns:
         """Remove the returns of dead lasers."""
         for event, during in self._during("dead_laser", returns.firings):
             lost = during[:, event.laser]

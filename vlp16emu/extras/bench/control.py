@@ -4,6 +4,7 @@ Settings become events of the scene a moment later, and the stream follows.
 """
 
 import math
+import socket
 import threading
 import time
 from collections import deque
@@ -22,7 +23,7 @@ from vlp16emu.errors import InputError, OutputError
 from vlp16emu.explain import explain
 from vlp16emu.extras.bench.device import Device, DeviceInfo, DeviceSettings, DeviceStatus, check_saved
 from vlp16emu.extras.bench.events import Event, checked, event, tables
-from vlp16emu.extras.bench.web import WebServer
+from vlp16emu.extras.bench.web import WebServer, listen
 from vlp16emu.packets import POSITION_BYTES, decode_position
 from vlp16emu.run.feed import PacketFeed
 from vlp16emu.run.part import WebPart
@@ -59,6 +60,8 @@ class WebInterfaces(WebPart):
     Parameters
     ----------
     stream : stream of a scene, with options for the interfaces
+
+    Raises OutputError if it cannot listen on an address, before a world is grown.
     """
 
     def __init__(self, stream: SceneStream) -> None:
@@ -66,21 +69,27 @@ class WebInterfaces(WebPart):
         saved = stream.options.http.saved if stream.options.http else None
         if saved is not None:
             check_saved(saved)
-        self._open = ExitStack()
         self.places: list[
             tuple[str, int]
         ] = []  # host and port of each; none before the first packet is ready
         self._control: Control | None = None
+        self._listeners: list[socket.socket] = []
+        http = stream.options.http
+        assert http is not None
+        host, first = http.address
+        with ExitStack() as opening:
+            for number in range(len(stream.links)):
+                self._listeners.append(opening.enter_context(listen(host, first and first + number)))
+            self._open = opening.pop_all()
 
     def ready(self) -> None:
-        """Serve the interfaces; raises the errors of `WebServer` and `Device`."""
+        """Serve the interfaces; raises the errors of `Device`."""
         stream = self._stream
         http = stream.options.http
         assert http is not None
         control = Control(stream.feed, stream.udp, stream, http.saved)
-        host, first = http.address
-        for number, device in enumerate(control.devices):
-            server = WebServer(device, host, first and first + number, fault=partial(control.fault, number))
+        for number, (device, listener) in enumerate(zip(control.devices, self._listeners, strict=True)):
+            server = WebServer(device, listener, fault=partial(control.fault, number))
             self._open.enter_context(server)
             self.places.append(server.address)
         self._open.enter_context(control.following())

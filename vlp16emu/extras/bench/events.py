@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self, Uni
 from pydantic import Field, TypeAdapter, create_model, model_validator
 
 from vlp16emu.sensor.settings import Sector, Sensor, SensorSettings
-from vlp16emu.settings import Fraction, NonNegative, Positive, Section, toml
+from vlp16emu.settings import ExpectationError, Fraction, NonNegative, Positive, Section, toml
 from vlp16emu.trees import Tree
 from vlp16emu.units import FOREVER_NS, seconds_to_ns
 
@@ -59,9 +59,11 @@ class Event(Section):
     @model_validator(mode="after")
     def _says_what_and_how_long(self) -> Self:
         if self.kind == "setting" and not self.model_fields_set - {"kind", "at_s", "unit"}:
-            raise ValueError("at least one of rpm, return_mode, laser, fov_deg and phase_lock_deg in it")
+            raise ExpectationError(
+                "at least one of rpm, return_mode, laser, fov_deg and phase_lock_deg in it"
+            )
         if getattr(self, "count", None) is not None and self.duration_s is not None:
-            raise ValueError("duration_s or count in it, not both")
+            raise ExpectationError("duration_s or count in it, not both")
         return self
 
 
@@ -159,11 +161,13 @@ def checked(given: object, scene: Tree) -> list[Event]:
     sensor, rig, gps = (scene.get(key) for key in ("sensor", "rig", "gps"))
     for place, event in enumerate(events):
         if rig is not None and event.unit > len(rig) + 1:
-            raise ValueError(f"events[{place}].unit of at most {len(rig) + 1}, the units of the scene")
+            raise ExpectationError(f"events[{place}].unit of at most {len(rig) + 1}, the units of the scene")
         if sensor is not None and not isinstance(sensor, Sensor) and event.effect != "optics":
-            raise ValueError(f'no {event.kind} (events[{place}]) beside sensor.model = "{sensor.model}"')
+            raise ExpectationError(
+                f'no {event.kind} (events[{place}]) beside sensor.model = "{sensor.model}"'
+            )
         if gps is not None and not gps.connected and event.effect == "gps":
-            raise ValueError(f"gps.connected = true beside {event.kind} (events[{place}])")
+            raise ExpectationError(f"gps.connected = true beside {event.kind} (events[{place}])")
     return events
 
 

@@ -71,22 +71,38 @@ class _BadRequestError(Exception):
     """A request that is malformed or too long: status and reason."""
 
 
+def listen(host: str, port: int) -> socket.socket:
+    """Return a socket that listens on an address, port 0 for a free one; clients wait until it is served.
+
+    Raises OutputError if it cannot listen there.
+    """
+    listener = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((host, port))
+        listener.listen(128)
+    except (OSError, UnicodeError) as error:
+        listener.close()
+        found = getattr(error, "strerror", None) or "no name of a host"
+        expected = "an address of this machine and a free port"
+        raise OutputError(f"--http {host}:{port}", found.lower(), expected) from error
+    return listener
+
+
 class WebServer:
     """The web interface of one sensor; a context manager, inside which it answers.
 
     Parameters
     ----------
     device : settings and status of the sensor
-    host, port : address to listen on; port 0 for a free one
+    listener : socket that listens, see `listen`
     fault : returns the present fault: HTTP status of all answers, 0 for no answer, None for no fault; called
         from the
     server's thread, and must not wait
-
-    Raises OutputError if it cannot listen on this address.
     """
 
     def __init__(
-        self, device: Device, host: str, port: int, *, fault: Callable[[], int | None] = lambda: None
+        self, device: Device, listener: socket.socket, *, fault: Callable[[], int | None] = lambda: None
     ) -> None:
         self.device = device
         self.fault = fault
@@ -94,16 +110,7 @@ class WebServer:
         self._lines = dict[StreamWriter, asyncio.Task[None] | None]()
         self._began = Event()
         self._thread = Thread(target=lambda: asyncio.run(self._run()), name="web interface", daemon=True)
-        self._socket = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            self._socket.bind((host, port))
-            self._socket.listen(128)
-        except (OSError, UnicodeError) as error:
-            self._socket.close()
-            found = getattr(error, "strerror", None) or "no name of a host"
-            expected = "an address of this machine and a free port"
-            raise OutputError(f"--http {host}:{port}", found.lower(), expected) from error
+        self._socket = listener
         self.is_private = ip_address(self.address[0]).is_loopback
 
     @property

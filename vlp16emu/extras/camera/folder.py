@@ -109,7 +109,7 @@ class ImageFolder:
         self._depth = depth
         self._where = str(path)
         self._number_of = dict[int, int]()  # numbers of instances, from 1
-        self.taken = list[tuple[int, F8]]()
+        self.shots = list[tuple[int, F8]]()
         """UTC and world_T_camera (4, 4) of each image."""
         with opening(self._where, "a folder that can be written"):
             final_name(path).parent.mkdir(parents=True, exist_ok=True)
@@ -143,9 +143,9 @@ class ImageFolder:
 
         Raises RunError if it cannot be written, or if there are more instances than numbers of 16 bits.
         """
-        name = f"{len(self.taken):06d}"
-        instance = self._numbered(shot.instance)
-        with self._complete(f"image {name}"):
+        name = f"{len(self.shots):06d}"
+        instance = self._number(shot.instance)
+        with self._writing(f"image {name}"):
             self._png("rgb", name, shot.rgb)
             self._png("semantic", name, shot.semantic)
             self._png("part", name, shot.part)
@@ -154,24 +154,24 @@ class ImageFolder:
                 self._png("depth", name, _in_mm(shot.depth_m))
             else:
                 np.save(self.path / "depth" / f"{name}.npy", shot.depth_m)
-        self.taken.append((shot.t_ns, shot.world_T_camera))
+        self.shots.append((shot.t_ns, shot.world_T_camera))
 
     def finish(self, cameras: Table, lens: Lens) -> None:
         """Write the files that describe all images."""
-        with self._complete("its description"):
+        with self._writing("its description"):
             write_json(self.path / "cameras.json", cameras)
             (self.path / "poses.tum").write_text(_TUM_HEAD + self._poses())
             rows = "".join(f"{number},{instance}\n" for instance, number in self._number_of.items())
             (self.path / "instances.csv").write_text("number,instance\n" + rows)
-            poses = [pose for _, pose in self.taken]
+            poses = [pose for _, pose in self.shots]
             for file, text in reconstruction_files(lens, poses, self.depth_suffix).items():
                 (self.path / file).parent.mkdir(parents=True, exist_ok=True)
                 (self.path / file).write_text(text)
 
     def _poses(self) -> str:
         """Return the lines of `poses.tum`; the rows have no velocities."""
-        t_ns = [at_ns for at_ns, _ in self.taken]
-        T = np.array([pose for _, pose in self.taken])
+        t_ns = [at_ns for at_ns, _ in self.shots]
+        T = np.array([pose for _, pose in self.shots])
         rows = POSES.rows(t_ns, position_m=T[:, :3, 3], quaternion_xyzw=quaternions(T[:, :3, :3]))
         return POSES.text(rows)
 
@@ -183,25 +183,25 @@ class ImageFolder:
     def _png(self, layer: str, name: str, pixels: AnyArray) -> None:
         self._image.fromarray(pixels).save(self.path / layer / f"{name}.png", compress_level=6)
 
-    def _numbered(self, instance: U4) -> U2:
+    def _number(self, instance: U4) -> U2:
         """Return instances as numbers of 16 bits, in the order in which images show them; 0 stays 0."""
-        different, which = np.unique(instance, return_inverse=True)
-        for one in different.tolist():
-            if one and one not in self._number_of:
-                self._number_of[one] = len(self._number_of) + 1
+        different, place = np.unique(instance, return_inverse=True)
+        for number in different.tolist():
+            if number and number not in self._number_of:
+                self._number_of[number] = len(self._number_of) + 1
         if len(self._number_of) > MOST_INSTANCES:
-            found = f"more than {MOST_INSTANCES} instances in {len(self.taken)} images"
+            found = f"more than {MOST_INSTANCES} instances in {len(self.shots)} images"
             raise RunError(f"{self._where}: {found}; they are left as {self.path}")
-        numbers = np.array([self._number_of.get(one, 0) for one in different.tolist()], np.uint16)
-        return numbers[which.ravel()].reshape(instance.shape)
+        numbers = np.array([self._number_of.get(number, 0) for number in different.tolist()], np.uint16)
+        return numbers[place.ravel()].reshape(instance.shape)
 
     @contextmanager
-    def _complete(self, what: str) -> Iterator[None]:
+    def _writing(self, content: str) -> Iterator[None]:
         try:
             yield
         except OSError as error:
             found = error.strerror or error
-            raise RunError(f"{self._where}: {what}: {found}; it is left as {self.path}") from error
+            raise RunError(f"{self._where}: {content}: {found}; it is left as {self.path}") from error
 
 
 def write_images(
@@ -239,17 +239,17 @@ def write_images(
                 progress((since_ns + step_ns - begin_ns) / S_NS)
                 if stop.is_set():
                     break
-        if not images.taken:
+        if not images.shots:
             raise CancelledError
         images.finish(_cameras(photographer, emulator.name, asked.depth, images), photographer.lens)
         size = sum(path.stat().st_size for path in images.path.rglob("*.*"))
-        last_ns = images.taken[-1][0] - scenario.start_ns + step_ns
+        last_ns = images.shots[-1][0] - scenario.start_ns + step_ns
     return ImageRun(
         str(folder),
         emulator.name,
         photographer.lens.width,
         photographer.lens.height,
-        len(images.taken),
+        len(images.shots),
         images.instances,
         size,
         (min(last_ns, end_ns) - begin_ns) / S_NS,
@@ -291,8 +291,8 @@ def _cameras(photographer: Photographer, scene: str, depth: str, images: ImageFo
             "none": 0,
             "range_m": photographer.far_m,
         },
-        "semantic": {int(one): one.name.lower() for one in Semantic},
-        "part": {int(one): one.name.lower() for one in PlantPart},
+        "semantic": {int(label): label.name.lower() for label in Semantic},
+        "part": {int(label): label.name.lower() for label in PlantPart},
         "images": [
             {
                 "file": f"{number:06d}",
@@ -300,7 +300,7 @@ def _cameras(photographer: Photographer, scene: str, depth: str, images: ImageFo
                 "t_ns": t_ns,
                 "world_T_camera": pose.tolist(),
             }
-            for number, (t_ns, pose) in enumerate(images.taken)
+            for number, (t_ns, pose) in enumerate(images.shots)
         ],
     }
 

@@ -48,7 +48,7 @@ class Lens:
     def project(self, points_m: F8) -> F8:
         """Return pixels (n, 2), column and row, of points (n, 3) in the camera's axes with z above 0."""
         x, y = points_m[:, 0] / points_m[:, 2], points_m[:, 1] / points_m[:, 2]
-        x, y = self._distorted(x, y)[:2]
+        x, y = self._distort(x, y)[:2]
         return np.column_stack([self.fx * x + self.cx, self.fy * y + self.cy])
 
     def rays(self, columns: F8, rows: F8) -> F8:
@@ -59,11 +59,11 @@ class Lens:
         goal_x, goal_y = (columns - self.cx) / self.fx, (rows - self.cy) / self.fy
         x, y = goal_x, goal_y
         if any(self.distortion):
-            x, y = self._undistorted(goal_x, goal_y)
+            x, y = self._undistort(goal_x, goal_y)
         xyz = np.stack([x, y, np.ones_like(x)], axis=-1)
         return xyz / norm(xyz)[:, None]
 
-    def _distorted(self, x: F8, y: F8) -> tuple[F8, F8, F8, F8, F8]:
+    def _distort(self, x: F8, y: F8) -> tuple[F8, F8, F8, F8, F8]:
         """Return distorted places (n,), (n,) and the derivatives dx/dx, dx/dy = dy/dx and dy/dy.
 
         Brown, "Decentering distortion of lenses", Photogrammetric Engineering 32(3), 1966, in the signs of
@@ -80,11 +80,11 @@ class Lens:
         y_by_y = radial + y * y * growth + 6.0 * p1 * y + 2.0 * p2 * x
         return to_x, to_y, x_by_x, x_by_y, y_by_y
 
-    def _undistorted(self, goal_x: F8, goal_y: F8) -> tuple[F8, F8]:
+    def _undistort(self, goal_x: F8, goal_y: F8) -> tuple[F8, F8]:
         """Invert the distortion by Newton's method."""
         x, y = goal_x, goal_y
         for _ in range(_ROUNDS):
-            to_x, to_y, x_by_x, x_by_y, y_by_y = self._distorted(x, y)
+            to_x, to_y, x_by_x, x_by_y, y_by_y = self._distort(x, y)
             off_x, off_y = goal_x - to_x, goal_y - to_y
             determinant = x_by_x * y_by_y - x_by_y * x_by_y
             if not (determinant > 0.0).all():
@@ -93,6 +93,6 @@ class Lens:
                 return x, y
             x = x + (y_by_y * off_x - x_by_y * off_y) / determinant
             y = y + (x_by_x * off_y - x_by_y * off_x) / determinant
-        found = f"found {', '.join(f'{one:g}' for one in self.distortion)}"
+        found = f"found {', '.join(f'{coefficient:g}' for coefficient in self.distortion)}"
         expected = "a distortion that maps no two rays to one place of the image"
         raise InputError("camera.distortion", found, expected)

@@ -35,7 +35,7 @@ _WHITE = 1.5  # exposed light from which on a colour is full
 
 
 class Facing(NamedTuple):
-    """How n surfaces stand to the light."""
+    """Orientation of n surfaces to the light."""
 
     normal: F8  # (n, 3) towards the camera
     cosine: F4  # (n,) of incidence of the camera's ray
@@ -83,7 +83,7 @@ def tone_map(light: F8) -> U1:
 
 
 def sky(direction: F8, sun: F8 | None, *, wooded: bool) -> F8:
-    """Return the light (n, 3) from directions (n, 3) in which nothing is met.
+    """Return the light (n, 3) of the sky from directions (n, 3).
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ _DEVICE = 1001  # device number of its mount, above all sensors and the inertial
 
 
 def camera_of(scenario: Scenario) -> Camera:
-    """Return the camera of a scene: its own, or the default one."""
+    """Return the camera of a scene, or the default one."""
     return scenario.camera if isinstance(scenario.camera, Camera) else Camera()
 
 

@@ -56,7 +56,7 @@ def _colmap_image(number: int, world_T_camera: F8) -> str:
     turn = world_T_camera[:3, :3].T
     x, y, z = (-matvec(turn, world_T_camera[:3, 3])).tolist()
     qx, qy, qz, qw = Rotation.from_matrix(turn).as_quat(canonical=True).tolist()
-    pose = " ".join(f"{one:.12f}" for one in (qw, qx, qy, qz, x, y, z))
+    pose = " ".join(f"{value:.12f}" for value in (qw, qx, qy, qz, x, y, z))
     return f"{number + 1} {pose} 1 {number:06d}.png\n\n"
 
 

@@ -1,4 +1,4 @@
-"""Taking of images: rays through pixels, what they meet, and how it is lit.
+"""Images: rays through pixels, their hits, and the light on them.
 
 Colours need no second renderer: the camera's rays, and rays from what they meet to the sun, are cast like the
 sensor's pulses.
@@ -21,7 +21,7 @@ from vlp16emu.extras.camera.lens import Lens
 from vlp16emu.extras.camera.mount import camera_mount, camera_of, optical
 from vlp16emu.extras.colours import surface_colours
 from vlp16emu.forest.plants.species import flora
-from vlp16emu.motion.mount import mounted
+from vlp16emu.motion.mount import device_motion
 from vlp16emu.motion.settings import Mount
 from vlp16emu.raycast.beam import Footprint
 from vlp16emu.raycast.caster import Geometry
@@ -70,7 +70,7 @@ class Shot(NamedTuple):
 
 
 class View(NamedTuple):
-    """What the n rays of an image meet, row by row."""
+    """Hits of the n rays of an image, row by row."""
 
     origin_m: F8  # (n, 3)
     direction: F8  # (n, 3)
@@ -101,7 +101,7 @@ class Photographer:
         self.section = camera_of(scenario)
         self.lens = Lens.of(self.section)
         base = scenario.motion.under_sensors(parts.carrier)
-        self.motion = mounted(base, camera_mount(scenario), scenario.start_ns)
+        self.motion = device_motion(base, camera_mount(scenario), scenario.start_ns)
         alone = replace(parts, units=(replace(parts.units[0], motion=self.motion),))
         windows = windows_of(alone, scenario.start_ns, engine.batching, engine.threads)
         self.windows = windows.stopped_by(engine.windows.stop)
@@ -181,10 +181,14 @@ class Photographer:
             add_texture(firings, hits, geometry.surfaces, self.engine.parts.world.seed)
             texture = hits.cos_incidence / np.maximum(cosine, np.float32(1e-6))
             size = len(direction)
-            return origin_m, direction, *(of[:size] for of in (hits.range_m, hits.surface, cosine, texture))
+            return (
+                origin_m,
+                direction,
+                *(values[:size] for values in (hits.range_m, hits.surface, cosine, texture)),
+            )
 
         parts = zip(*self._in_parts(part, len(rays)), strict=True)
-        origin_m, direction, *met = (np.concatenate(of) for of in parts)
+        origin_m, direction, *met = (np.concatenate(column) for column in parts)
         return View(origin_m, direction, t, *met)
 
     def _in_parts(self, work: Callable[[slice], _T], count: int) -> list[_T]:
@@ -200,19 +204,19 @@ class Photographer:
         self, geometry: Geometry, t_ns: I8, origin_m: F8, direction: F8, sun: F8 | None = None, first: int = 0
     ) -> tuple[Firings, Hits]:
         """Cast n rays, or with `sun` pulses as wide as the sun, the last repeated up to a multiple of 8."""
-        which = np.minimum(np.arange(len(t_ns) + -len(t_ns) % _RAYS), len(t_ns) - 1)
-        shape = len(which), 1
+        ray_of = np.minimum(np.arange(len(t_ns) + -len(t_ns) % _RAYS), len(t_ns) - 1)
+        shape = len(ray_of), 1
         level = None
         if sun is not None:
             level = np.broadcast_to(_across(sun), (*shape, 3)).copy()
         firings = Firings(
             first,
-            t_ns[which, None],
-            np.zeros(len(which), np.int64),
+            t_ns[ray_of, None],
+            np.zeros(len(ray_of), np.int64),
             np.zeros(shape),
-            np.zeros(len(which)),
-            origin_m[which, None],
-            direction[which, None],
+            np.zeros(len(ray_of)),
+            origin_m[ray_of, None],
+            direction[ray_of, None],
             level,
         )
         if sun is not None:
@@ -248,7 +252,7 @@ class Photographer:
         return seen
 
     def _looks(self, geometry: Geometry) -> tuple[F8, F8, NDArray[np.bool_]]:
-        """Return colours (m, 3), grain (m, 5) and whether it is a leaf (m,) of the surfaces of a window."""
+        """Return colours (m, 3), grain (m, 5) and a mask (m,) of leaves of the surfaces of a window."""
         surfaces = geometry.surfaces
         is_leaf = (surfaces["part"] == PlantPart.LEAF) | (surfaces["semantic"] == Semantic.GRASS)
         colours = light.linear(surface_colours(surfaces, self._species))
@@ -282,10 +286,10 @@ class Photographer:
             for right in (0, 1):
                 i = rows[np.minimum(row_of + down, len(rows) - 1)]
                 j = columns[np.minimum(column_of + right, len(columns) - 1)]
-                other = (i[:, None] * width + j).ravel()
-                off_m = norm(place_m[other] - place_m)
-                weight = is_met[other] / (pixel_m * pixel_m + off_m * off_m)
-                total += weight * share[other]
+                neighbour = (i[:, None] * width + j).ravel()
+                off_m = norm(place_m[neighbour] - place_m)
+                weight = is_met[neighbour] / (pixel_m * pixel_m + off_m * off_m)
+                total += weight * share[neighbour]
                 weights += weight
         return np.divide(total, weights, out=share, where=weights > 0.0)
 

@@ -347,7 +347,7 @@ def point_file(
     format, MissingExtraError if its library is not installed, OutputError and RunError like `OutputFile`.
     """
     if not has_door(path.suffix, "clouds"):
-        raise InputError(where, f"found suffix '{path.suffix}'", ", ".join(DOORS["clouds"]))
+        raise InputError(where, f"found the ending {path.suffix!r}", ", ".join(DOORS["clouds"]))
     make = door(path.suffix, "clouds")
     with OutputFile(path, where=where, inputs=inputs) as output:
         failed: Exception | None = None

@@ -15,6 +15,7 @@ from vlp16emu.captures import CaptureReader, chosen_unit, packet_clock
 from vlp16emu.elementary import matmul, matvec
 from vlp16emu.errors import InputError, TrajectoryError
 from vlp16emu.extras.clouds import cloud
+from vlp16emu.extras.clouds.epochs import clock_offset
 from vlp16emu.extras.clouds.scan import twins
 from vlp16emu.extras.options import TrajectoryErrors
 from vlp16emu.extras.recorded.files import read_tum
@@ -57,15 +58,35 @@ class Trajectory:
         recorded = Recorded(kind="recorded", file=str(self.path), format="tum")
         self._motion = RecordedMotion(recorded, poses, start_ns=self._first_ns)
         errors = errors or TrajectoryErrors()
-        self._offset_ns = seconds_to_ns(errors.time_offset_s)
+        self.needs_clock = errors.time_offset_s is None  # True until `find_clock` has found the time offset
+        self.clock: str | None = None  # clock of the stamps, if it was found
+        self._offset_ns = seconds_to_ns(errors.time_offset_s or 0.0)
         self._mount = errors.mount
         self._drift = errors.drift
         self.first_m = poses.position_m[0]
 
     @property
+    def span_ns(self) -> tuple[int, int]:
+        """UTC of the first and the last pulse that have a pose."""
+        return self._first_ns - self._offset_ns, self._last_ns - self._offset_ns
+
+    @property
     def span_s(self) -> tuple[float, float]:
         """UTC of the first and the last pulse that have a pose, in seconds."""
-        return (self._first_ns - self._offset_ns) / S_NS, (self._last_ns - self._offset_ns) / S_NS
+        first_ns, last_ns = self.span_ns
+        return first_ns / S_NS, last_ns / S_NS
+
+    @property
+    def time_offset_s(self) -> float:
+        """Time added to a pulse's time before its pose is looked up."""
+        return self._offset_ns / S_NS
+
+    def find_clock(self, pulses_ns: tuple[int, int]) -> None:
+        """Set the time offset from the UTC of a run's first and last pulse, as `clock_offset`."""
+        found = clock_offset((self._first_ns, self._last_ns), pulses_ns)
+        self.clock = found.clock
+        self._offset_ns = found.offset_ns
+        self.needs_clock = False
 
     def has(self, t_ns: I8) -> NDArray[np.bool_]:
         """Return a mask (n,) of instants between the first and the last pose.
@@ -155,6 +176,11 @@ def write_deskewed(
     """
     known = chosen_unit(capture, way.sensor or str(way.unit), where="--unit")
     stamped = packet_clock(capture, known, clock, where="--clock")
+    if way.needs_clock and capture.is_fifo():
+        found = f"found auto for the pipe {capture}"
+        raise InputError("--time-offset", found, "a number, or a file, which can be read twice")
+    if way.needs_clock:
+        way.find_clock(_pulses_ns(CaptureReader(capture, known, clock=stamped), stop))
     tables = CaptureReader(capture, known, clock=stamped).tables()
     first = next(tables)
     start_ns = int(first["utc_ns"][0])
@@ -184,11 +210,23 @@ def write_deskewed(
         "truth": truth is not None,
         "simulated_s": last_ns / S_NS,  # from the first pulse of the capture to the last
         "clock": stamped.clock,
+        "time_offset_s": way.time_offset_s,
+        "clock_of_poses": way.clock,  # how the offset was found; None if it was given
         "host_ahead_s": (stamped.host_ahead_ns or 0)
         / S_NS,  # capture stamp minus sensor's clock at the first packet
         "bytes": path.stat().st_size,
         "interrupted": stop.is_set(),
     }
+
+
+def _pulses_ns(reader: CaptureReader, stop: Event) -> tuple[int, int]:
+    """Return UTC of the first and the last data packet of a capture, or of its part before a stop."""
+    ends_ns = list[int]()
+    for table in reader.tables():
+        ends_ns += [int(table["utc_ns"][0]), int(table["utc_ns"][-1])]
+        if stop.is_set():
+            break
+    return ends_ns[0], ends_ns[-1]
 
 
 def _without_poses(way: Trajectory, pulses_ns: tuple[int, int], clock: str) -> TrajectoryError:

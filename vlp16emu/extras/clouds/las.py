@@ -16,6 +16,7 @@ import numpy as np
 
 from vlp16emu.errors import MissingExtraError
 from vlp16emu.extras.clouds.cloud import Block, CloudAbout, Column, PointWriter, label_scheme
+from vlp16emu.extras.clouds.epochs import ADJUSTMENT_S, GPS_EPOCH_NS, leap_seconds
 from vlp16emu.types import F8, I8, U1
 from vlp16emu.units import S_NS
 
@@ -28,19 +29,6 @@ _FIELDS = frozenset({*"xyz", "time", "intensity", "return_number", "is_last", "l
 _NO_DATE = datetime(1970, 1, 1, tzinfo=UTC)
 _EQUATOR_M = 6_378_137.0  # ellipsoid of WGS 84
 _FLATTENING = 1 / 298.257223563
-
-
-def _ns(year: int, month: int, day: int) -> int:
-    return int(datetime(year, month, day, tzinfo=UTC).timestamp()) * S_NS
-
-
-_GPS_EPOCH_NS = _ns(1980, 1, 6)
-_LEAPS_NS = np.sort(
-    [_ns(year, 7, 1) for year in (1981, 1982, 1983, 1985, 1992, 1993, 1994, 1997, 2012, 2015)]
-    + [_ns(year, 1, 1) for year in (1988, 1990, 1991, 1996, 1999, 2006, 2009, 2017)]
-)
-"""Instants after the leap seconds since GPS time began (IERS Bulletin C; the last one was 2016-12-31)."""
-_ADJUSTMENT_S = 1_000_000_000  # LAS specification 1.4 - R15, section 2.4, global encoding bit 0
 
 
 class LasFile(PointWriter):
@@ -194,7 +182,6 @@ def local_wkt(latitude_deg: float, longitude_deg: float, height_m: float) -> str
 
 def adjusted_gps_s(t_ns: I8) -> F8:
     """Convert UTC (n,), ns since 1970 without leap seconds, to adjusted standard GPS time (n,) in s."""
-    leaps = np.searchsorted(_LEAPS_NS, t_ns, side="right")
     # Whole seconds are added separately, as float64 resolves only 60 ns of the sum.
-    whole, rest = np.divmod(t_ns - _GPS_EPOCH_NS, S_NS)
-    return np.asarray((whole + leaps - _ADJUSTMENT_S) + rest / S_NS)
+    whole, rest = np.divmod(t_ns - GPS_EPOCH_NS, S_NS)
+    return np.asarray((whole + leap_seconds(t_ns) - ADJUSTMENT_S) + rest / S_NS)

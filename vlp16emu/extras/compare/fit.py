@@ -41,7 +41,7 @@ _MOST_OFF_RPM = 3.0
 models)."""
 
 
-def fitted(sequences: Sequences) -> dict[str, dict[str, object]]:
+def fit_settings(sequences: Sequences) -> dict[str, dict[str, object]]:
     """Return the `[noise]` and `[sensor]` keys of the unit that made a capture, within the limits of a scene.
 
     For quantities that a unit draws with its seed, such as the gain of each laser and the rates of lost

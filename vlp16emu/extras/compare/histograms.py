@@ -35,11 +35,11 @@ def _steps_cdeg(sequences: Sequences) -> F8:
     return np.asarray(np.diff(sequences.azimuth_cdeg)[np.diff(sequences.block) == 1], np.float64)
 
 
-def _returned(sequences: Sequences) -> F8:
+def _reflectivity_of_returns(sequences: Sequences) -> F8:
     return np.asarray(sequences.reflectivity[sequences.distance_lsb > 0], np.float64)
 
 
-def _silent(sequences: Sequences) -> F8:
+def _reflectivity_of_no_returns(sequences: Sequences) -> F8:
     return np.asarray(sequences.reflectivity[sequences.distance_lsb == 0], np.float64)
 
 
@@ -57,8 +57,12 @@ _QUANTITIES: Mapping[str, tuple[str, Callable[[Sequences], F8], tuple[float, flo
         {
             "range noise": ("mm on smooth surfaces", _white_mm, (-30.0, 30.0, 1.5)),
             "azimuth step": ("0.01 deg between blocks", _steps_cdeg, (-9.5, 10.5, 1.0)),
-            "reflectivity": ("code of returns", _returned, (-0.5, 110.5, 1.0)),
-            "no-returns": ("code of records without a return", _silent, (-0.5, 110.5, 1.0)),
+            "reflectivity": ("code of returns", _reflectivity_of_returns, (-0.5, 110.5, 1.0)),
+            "no-returns": (
+                "code of records without a return",
+                _reflectivity_of_no_returns,
+                (-0.5, 110.5, 1.0),
+            ),
             "range": ("m, of returns", _ranges_m, (0.0, 100.0, 2.0)),
             "packet arrival": ("us later than the packet's period", _arrivals_us, (-300.0, 300.0, 10.0)),
         }

@@ -65,13 +65,13 @@ def read_sequences(path: Path) -> Sequences:
     table = table_of(packets, PacketClock())
     if len(modes := np.unique(table["return_mode"])) > 1:
         raise CaptureError(str(path), f"{len(modes)} return modes", "one")
-    sequences = _numbered(path, table)
+    sequences = _sequences_of(path, table)
     if not (1 - _MARGIN) * LEAST_RPM <= sequences.rpm <= (1 + _MARGIN) * MOST_RPM:
         raise CaptureError(str(path), f"a rotor at {sequences.rpm:.1f} rpm", f"{LEAST_RPM} to {MOST_RPM} rpm")
     return sequences
 
 
-def _numbered(path: Path, table: PacketTable) -> Sequences:
+def _sequences_of(path: Path, table: PacketTable) -> Sequences:
     dual = bool(is_dual(table)[0])
     blocks = table["blocks"][:, 1::2] if dual else table["blocks"]
     per_packet = layout.BLOCKS_PER_PACKET // 2 if dual else layout.BLOCKS_PER_PACKET

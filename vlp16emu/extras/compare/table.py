@@ -60,7 +60,7 @@ class Compared(NamedTuple):
     unlike: tuple[bool, bool]  # True for each that is outside the limits of real units
 
 
-def compared(first: Sequences, second: Sequences) -> list[Compared]:
+def compare_statistics(first: Sequences, second: Sequences) -> list[Compared]:
     """Compare two captures by the statistics that both have."""
     one, other = statistics_of(first), statistics_of(second)
     rows = []

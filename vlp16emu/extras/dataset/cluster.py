@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 from vlp16emu.errors import InputError, MissingExtraError, RunError
 from vlp16emu.extras.dataset.manifest import Entry, identity, is_list_of_files, read_list, write_list
+from vlp16emu.extras.dataset.parts import is_marked
 from vlp16emu.extras.dataset.processes import MOST_DEATHS, died_too_often
 from vlp16emu.extras.dataset.spec import DatasetWalk
 from vlp16emu.extras.dataset.walk import Made, forget_worlds, make_walk
@@ -36,7 +37,6 @@ _REACHED_WITHIN_S = 10.0
 _FIRST_WORKER_WITHIN_S = 60.0
 _MOST_AT_ONCE = 1_000  # walks that the scheduler knows at a time
 _PIECE_BYTES = 8_000_000  # of a file that is fetched; larger pieces are not faster (tools/results/dataset.md)
-_MARK = "mark"
 
 _Made = tuple[str | None, Path, Entry]
 """Address of the worker that has the folder, None for one inside the dataset; the folder; entry of the
@@ -65,7 +65,6 @@ class Cluster:
         """
         from distributed import as_completed
 
-        (parts / _MARK).write_text(parts.name, encoding="ascii")
         scratch = f"vlp16emu-{hashlib.sha256(f'{node()}:{parts.parent}'.encode()).hexdigest()[:16]}"
         left = iter(walks)
         tries = dict[str, tuple[DatasetWalk, int]]()
@@ -261,7 +260,7 @@ def _make_on_worker(walk: DatasetWalk, parts: Path, scratch: str) -> _Made:
     from distributed import get_worker
 
     worker = get_worker()
-    if _sees(parts):
+    if is_marked(parts):
         _, folder, entry = make_walk(walk, parts, threads=1)
         return None, folder, entry
     place = Path(worker.local_directory) / scratch
@@ -271,14 +270,6 @@ def _make_on_worker(walk: DatasetWalk, parts: Path, scratch: str) -> _Made:
         raise RunError(f"{worker.address}: {place}: {error.strerror}; what is made so far is kept") from None
     _, folder, entry = make_walk(walk, place, threads=1)
     return worker.address, folder, entry
-
-
-def _sees(parts: Path) -> bool:
-    """Return True if a folder of the client is there, and has the client's mark."""
-    try:
-        return (parts / _MARK).read_text(encoding="ascii") == parts.name
-    except (OSError, ValueError):
-        return False
 
 
 def _read_piece(folder: Path, begin: int) -> bytes:

@@ -1,14 +1,11 @@
 """A dataset from its walks to its manifest."""
 
 import os
-import re
-import secrets
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from shutil import rmtree
 from typing import Any
 
 from vlp16emu.errors import InputError
@@ -20,15 +17,12 @@ from vlp16emu.extras.dataset.manifest import (
     take_place,
     write_manifest,
 )
+from vlp16emu.extras.dataset.parts import parts_of_run
 from vlp16emu.extras.dataset.processes import make_here
 from vlp16emu.extras.dataset.spec import DatasetWalk
 from vlp16emu.extras.dataset.walk import Made, forget_worlds
 from vlp16emu.extras.options import DatasetOptions
 from vlp16emu.output import lock, opening
-
-PARTS = ".vlp16emu.parts"
-"""Folder within the dataset in which walks are made, in a folder of each run."""
-_RUN = re.compile("run-[0-9a-f]{16}")  # folder of a run; a run that is killed leaves it
 
 Progress = Callable[[float], None]
 Maker = Callable[[Sequence[DatasetWalk], Path], Iterator[Made]]
@@ -79,7 +73,7 @@ def make_dataset(
         done_s = sum(walk.scenario.duration_s for walk in walks if walk.number in entries)
         progress(done_s)
         try:
-            with _parts_of_run(out) as parts:
+            with parts_of_run(out) as parts:
                 for walk, made, entry in make(missing, parts):
                     take_place(made, out / walk.folder)
                     entries[walk.number] = entry
@@ -95,7 +89,7 @@ def check_options(options: DatasetOptions) -> None:
     """Raise InputError for options that exclude each other."""
     if options.scheduler is not None and options.workers is not None:
         found = f"found {options.workers} beside a scheduler"
-        raise InputError("workers", found, "one of both: the workers of a scheduler are its own")
+        raise InputError("workers", found, "only one of the two: a scheduler has workers of its own")
 
 
 @contextmanager
@@ -110,22 +104,3 @@ def _locked(out: Path) -> Iterator[None]:
     finally:
         os.close(opened)
         forget_worlds()
-
-
-@contextmanager
-def _parts_of_run(out: Path) -> Iterator[Path]:
-    """Make a folder in which walks are made, and remove it at the end; first remove those of killed runs."""
-    parts = out / PARTS
-    with opening(str(parts), "a folder that can be written"):
-        parts.mkdir(exist_ok=True)
-        for old in parts.iterdir():
-            if _RUN.fullmatch(old.name) and not old.is_symlink():
-                rmtree(old, ignore_errors=True)
-        own = parts / f"run-{secrets.token_hex(8)}"
-        own.mkdir()
-    try:
-        yield own
-    finally:
-        rmtree(own, ignore_errors=True)
-        with suppress(OSError):  # somebody else's files stay
-            parts.rmdir()

@@ -36,7 +36,7 @@ def sampler_of(motion: Motion, imu: InertialSection, *, start_ns: int, seed: int
 
 
 class ImuSampler:
-    """A strapdown unit that samples at its rate from `start_ns` on; `motion` is its own motion."""
+    """A strapdown unit that samples at its rate from `start_ns` on; `motion` is that of the unit."""
 
     def __init__(self, motion: Motion, imu: Imu, *, start_ns: int, seed: int) -> None:
         self._motion = motion
@@ -45,7 +45,7 @@ class ImuSampler:
         self._seed = seed
         drawn = (normal(seed, Purpose.IMU_MODEL, 0, 9, lane).reshape(3, 3) for lane in range(2))
         # Sensitivity and alignment (3, 3) of the gyroscopes and of the accelerometers.
-        self._responses = [np.eye(3) + _AXIS_ERROR * each for each in drawn]
+        self._responses = [np.eye(3) + _AXIS_ERROR * errors for errors in drawn]
         noise = imu.gyro_noise_rad_s_sqrt_hz, imu.gyro_walk_rad_s2_sqrt_hz
         self._gyro = (imu.gyro_bias_rad_s, *noise, _GYRO_WARM_UP_RAD_S * imu.is_rough)
         self._turn = lru_cache(None)(lambda chunk: float(self._gyro_bias_angle(chunk)[-1]))

@@ -110,9 +110,8 @@ class LiveReport:
     out_of_order: int  # not later than the pose before
     longest_gap_s: float  # between arrivals
     lost: tuple[PosesLost, ...]  # times without a pose for more than a second
-    left_out_s: (
-        float  # time of the run, summed over units, whose pulses were not cast because the engine was late
-    )
+    left_out_s: float
+    """Time of the run, summed over units, whose pulses were not cast because the engine was late."""
     latency_median_us: float
     """Time from the arrival of a pose to the first data packet that was computed with it, like the next
     fields."""

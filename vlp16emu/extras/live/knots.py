@@ -6,7 +6,7 @@ import numpy as np
 
 from vlp16emu.elementary import atan2, exp
 from vlp16emu.kernels.compiler import array_kernel
-from vlp16emu.motion.piecewise import Piecewise
+from vlp16emu.motion.piecewise import POWERS, KnotMotion
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import F8
 from vlp16emu.units import S_NS
@@ -26,7 +26,7 @@ GAP_RAD = 0.2
 _SMALL = 1e-6  # angle in rad below which series are exact to float64
 
 
-class Knots(Piecewise):
+class Knots(KnotMotion):
     """Cubic Hermite motion between knots, with continuous velocity and angular rate.
 
     Parameters
@@ -40,7 +40,7 @@ class Knots(Piecewise):
         room = max(_MOST, len(states))
         self._knots_ns = np.arange(room, dtype=np.int64) * STEP_NS
         self._states = np.empty((room, STATE))
-        self._pieces = np.empty((4, room, 7))
+        self._pieces = np.zeros((room, 7, POWERS))
         super().__init__(start_ns, self._knots_ns[:0], self._pieces)
         self.last_state = states[0]  # (13,)
         for state in states:
@@ -62,19 +62,16 @@ class Knots(Piecewise):
 
     def append(self, state: F8) -> None:
         """Append a knot (13,), one step after the last one."""
-        if self._count == len(
-            self._states
-        ):  # drop the older half, in new arrays: others may be reading these
+        if self._count == len(self._states):
+            # Drop the older half, in new arrays: other threads may be reading these.
             half = self._count // 2
             self._first = self._first + half
             self._count = self._count - half
             self._knots_ns = self._knots_ns + half * STEP_NS
             self._states = np.roll(self._states, -half, 0)
-            self._pieces = np.roll(self._pieces, -half, 1)
+            self._pieces = np.roll(self._pieces, -half, 0)
         if self._count:
-            _fill_piece(
-                self._states[self._count - 1], state, STEP_NS / S_NS, self._pieces[:, self._count - 1]
-            )
+            _fill_piece(self._states[self._count - 1], state, STEP_NS / S_NS, self._pieces[self._count - 1])
         self._states[self._count] = self.last_state = state
         self._count += 1
         # One assignment, because other threads read it.
@@ -118,7 +115,7 @@ def _pose_and_rates(knot: F8) -> tuple[F8, F8]:
 
 @array_kernel
 def _fill_piece(begin: F8, end: F8, step_s: float, out: F8) -> None:
-    """Fill powers of the time into a piece (4, 7), highest first, from the knots (13,) at both ends."""
+    """Fill powers of the time into a piece (7, 6), lowest first, from the knots (13,) at both ends."""
     (value, rate) = _pose_and_rates(begin)
     (end_value, end_rate) = _pose_and_rates(end)
     if _dot(value, end_value, 3, 7) < 0.0:
@@ -127,10 +124,10 @@ def _fill_piece(begin: F8, end: F8, step_s: float, out: F8) -> None:
             end_rate[a] = -end_rate[a]
     for a in range(7):
         slope = (end_value[a] - value[a]) / step_s
-        out[0, a] = (rate[a] + end_rate[a] - 2.0 * slope) / (step_s * step_s)
-        out[1, a] = (3.0 * slope - 2.0 * rate[a] - end_rate[a]) / step_s
-        out[2, a] = rate[a]
-        out[3, a] = value[a]
+        out[a, 0] = value[a]
+        out[a, 1] = rate[a]
+        out[a, 2] = (3.0 * slope - 2.0 * rate[a] - end_rate[a]) / step_s
+        out[a, 3] = (rate[a] + end_rate[a] - 2.0 * slope) / (step_s * step_s)
 
 
 @array_kernel

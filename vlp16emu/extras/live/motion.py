@@ -29,10 +29,9 @@ last pulse."""
 _BASE_NS = 20_000_000
 """Rates are computed from poses at least this far apart, if there are any: noise of 1 mm then gives 0.07
 m/s."""
-_LEAST_BASE_NS, _MOST_BASE_NS = (
-    2_000_000,
-    300_000_000,
-)  # poses closer together, or farther apart, give no rates
+_LEAST_BASE_NS = 2_000_000
+_MOST_BASE_NS = 300_000_000
+"""Least and greatest time between the poses that give rates."""
 _MOST_PULL = 500.0
 """Limits in units of `GAP_M` and `GAP_RAD` per s2 above which a change is a jump: 50 m/s2 and 100 rad/s2."""
 _RESTART_NS = S_NS  # a sender whose stamps go back by more than this has started a new clock
@@ -151,8 +150,8 @@ class PoseInput:
         since_s = (at_ns - self.last.at_ns) / S_NS
         off_m = norm(pose[:3] - last[:3] - since_s * last[7:10])
         off_rad = norm(turn_between(last[3:7], pose[3:]) - since_s * last[10:])
-        most = 1.0 + _MOST_PULL * since_s * since_s
-        return bool(off_m > GAP_M * most or off_rad > GAP_RAD * most)
+        limit = 1.0 + _MOST_PULL * since_s * since_s
+        return bool(off_m > GAP_M * limit or off_rad > GAP_RAD * limit)
 
 
 class LiveMotion:
@@ -253,9 +252,9 @@ class LiveMotion:
     def _knots_until(self, t_ns: int) -> Knots:
         """Compute knots until a UTC instant, each at its time."""
         if self.knots is None:
-            rest = np.append(self._last_pose().state[:7], np.zeros(STATE - 7))
-            still = follow(rest, rest, 0.0, STEP_NS / S_NS, self._smoothing_s)  # also loads the kernel
-            return Knots(self._start_ns, np.stack([rest, still]))
+            at_rest = np.append(self._last_pose().state[:7], np.zeros(STATE - 7))
+            still = follow(at_rest, at_rest, 0.0, STEP_NS / S_NS, self._smoothing_s)  # also loads the kernel
+            return Knots(self._start_ns, np.stack([at_rest, still]))
         while True:
             with self._lock:
                 knots = self.knots

@@ -1,4 +1,4 @@
-"""The datagram of a pose of the carrier in a live run; `protocol/pose_packet.toml` describes its bytes."""
+"""The datagram of a pose of the carrier in a live run, as in `protocol/pose_packet.toml`."""
 
 import struct
 from collections.abc import Sequence

@@ -33,9 +33,8 @@ allows for."""
 _BEFORE_NS = 4 * S_NS
 """Time for which the body has been in the next cube before its window is used, so that it is open by then:
 less for bodies that leave the margin earlier, 2 s at 3 m/s."""
-_KNOWN_NS = (
-    200_000_000  # time before a block at which the place of the body is known when the block is submitted
-)
+_KNOWN_NS = 200_000_000
+"""Time before a block at which the place of the body is known when the block is submitted."""
 _SPARE_M = 1.0
 _SPARE_S = 0.35  # from that time to the end of a block
 """Margin that is left for the path of the body until the end of the block, at its speed."""
@@ -114,7 +113,7 @@ class CubeWindows(Windows[Geometry]):
         """Begin to open the window of the cube that the body has entered."""
         known_ns = self._begin_ns(block) - _KNOWN_NS
         place_m = self._motion.poses_at(np.array([known_ns])).world_p_body_m[0]
-        self._opened(self._window_name(Cube.containing(place_m), block + self._ahead))
+        self._future_of(self._window_name(Cube.containing(place_m), block + self._ahead))
 
     def _begin_ns(self, block: int) -> int:
         """UTC at which the ordinary block begins that a block is part of."""
@@ -140,7 +139,7 @@ class LiveWindows(CubeWindows):
         if sys.platform == "linux":
             os.nice(_NICE)
 
-    def runs(self, blocks: range, together: int, threads: int) -> Iterator[range]:  # noqa: ARG002
+    def runs(self, blocks: range, at_once: int, threads: int) -> Iterator[range]:  # noqa: ARG002
         """Yield blocks one by one, as packets shall not wait; skip to the present if they are late."""
         block = blocks.start
         while block < blocks.stop:

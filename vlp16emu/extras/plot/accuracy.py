@@ -70,38 +70,44 @@ def _draw_errors(axes: "Axes", rows: Sequence[Report], name: str) -> None:
         if row["errors"][name]:  # zero has no place on a logarithmic axis
             labels.setdefault((row["model"], round(row["errors"][name], 6)), []).append(row)
     for model, (label, colour, marker, line) in _SERIES.items():
-        own = [row for (of, _), same in labels.items() if of == model for row in same[-1:]]
-        if not own:
+        of_model = [
+            row for (row_model, _), settings in labels.items() if row_model == model for row in settings[-1:]
+        ]
+        if not of_model:
             continue
-        us = np.array([row["us_per_pulse"] for row in own])
-        half_us = np.array([row["us_spread"] / 2 for row in own])
-        error_mm = 1e3 * np.array([row["errors"][name] for row in own])
-        ends_mm = 1e3 * np.array([row["intervals"][name] or (np.nan, np.nan) for row in own], float)
+        us = np.array([row["us_per_pulse"] for row in of_model])
+        half_us = np.array([row["us_spread"] / 2 for row in of_model])
+        error_mm = 1e3 * np.array([row["errors"][name] for row in of_model])
+        ends_mm = 1e3 * np.array([row["intervals"][name] or (np.nan, np.nan) for row in of_model], float)
         reach_mm = np.abs(ends_mm.T - error_mm)
         look: Look = {"color": colour, "marker": marker, "linestyle": line, "capsize": 3, "elinewidth": 1}
         bars = axes.errorbar(us, error_mm, yerr=reach_mm, xerr=np.minimum(half_us, 0.9 * us), **look)
         bars.set_label(label or "_")
         bars.lines[0].set_gid(f"{name}-{model}")
-    for (model, error_m), same in labels.items():
-        words = [row["name"].rpartition("=")[2] for row in same[:: max(len(same) - 1, 1)]]
+    for (model, error_m), settings in labels.items():
+        words = [row["name"].rpartition("=")[2] for row in settings[:: max(len(settings) - 1, 1)]]
         text = f"{' to '.join(reversed(words))}{' m' if model == 'adaptive' else ''}"
         beneath = model in ("none", "adaptive")
         _write(
-            axes, text, (same[-1]["us_per_pulse"], 1e3 * error_m), beneath=beneath, colour=_SERIES[model][1]
+            axes,
+            text,
+            (settings[-1]["us_per_pulse"], 1e3 * error_m),
+            beneath=beneath,
+            colour=_SERIES[model][1],
         )
-        if any(row["in_use"] for row in same):
+        if any(row["in_use"] for row in settings):
             look = {"ms": 19, "mfc": "none", "mec": INK, "mew": 2.2, "ls": "none", "gid": f"{name}-in-use"}
-            axes.plot(same[-1]["us_per_pulse"], 1e3 * error_m, "o", label="in use", **look)
+            axes.plot(settings[-1]["us_per_pulse"], 1e3 * error_m, "o", label="in use", **look)
 
 
 def _draw_suggestions(axes: "Axes", rows: Sequence[Report], suggestions: Sequence[Report]) -> None:
     """Mark the fastest setting for each wanted mean error, with this error."""
-    of = {row["name"]: row for row in rows}
+    row_of = {row["name"]: row for row in rows}
     label = "suggested for a mean error of at most"
-    for one in suggestions:
+    for suggestion in suggestions:
         look: Look = {"ms": 13, "mfc": "none", "mec": GREEN, "mew": 2.2, "ls": "none"}
-        row = of[one["take"]]
-        wanted_mm = 1e3 * one["wanted_m"]
+        row = row_of[suggestion["take"]]
+        wanted_mm = 1e3 * suggestion["wanted_m"]
         place = row["us_per_pulse"], 1e3 * row["errors"]["mean_error_m"]
         axes.plot(*place, "s", label=label, gid=f"suggested-{wanted_mm:g}", **look)
         label = "_"

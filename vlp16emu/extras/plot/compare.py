@@ -36,15 +36,19 @@ def draw(figure: "Figure", report: Report) -> None:
 
 
 def _draw_histogram(axes: "Axes", histogram: Report, names: list[str], number: int) -> None:
-    for which, look in _LOOKS.items():
-        shares = histogram[which]
-        name = names[which == "second"]
+    for capture, look in _LOOKS.items():
+        shares = histogram[capture]
+        name = names[capture == "second"]
         if shares is None:
             axes.plot([], [], color=look["color"], label=f"{name}: none")
             continue
-        label = f"{name}: {histogram[f'{which}_values']}"
+        label = f"{name}: {histogram[f'{capture}_values']}"
         axes.stairs(
-            100 * np.array(shares), histogram["edges"], label=label, gid=f"histogram-{number}-{which}", **look
+            100 * np.array(shares),
+            histogram["edges"],
+            label=label,
+            gid=f"histogram-{number}-{capture}",
+            **look,
         )
     axes.set(title=histogram["name"].capitalize(), xlabel=histogram["unit"], ylabel="share, %")
     axes.set_xlim(histogram["edges"][0], histogram["edges"][-1])
@@ -74,9 +78,9 @@ def _draw_distances(axes: "Axes", report: Report) -> None:
     axes.invert_yaxis()
     axes.axvline(1.0, color=INK, lw=1.2, ls="--")
     axes.grid(visible=False, axis="y")
-    of = f"{len(report['apart'])} of {len(report['statistics'])}"
+    counts = f"{len(report['apart'])} of {len(report['statistics'])}"
     axes.set_title(
-        f"Greatest differences of statistics: {of} exceed those of real units (dashed), with both values"
+        f"Greatest differences of statistics: {counts} exceed those of real units (dashed), with both values"
     )
     axes.set_xlabel("difference as a multiple of the spread of real units")
     greatest = max([1.0, *(row["distance"] for row in far)])

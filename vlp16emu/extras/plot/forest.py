@@ -84,14 +84,21 @@ def _draw_plan(axes: "Axes", report: Report, looks: Mapping[str, tuple[str, str]
     axes.add_collection(crowns, autolim=False)
     seen = np.array(stems["bark_seen"]) if "bark_seen" in stems else None
     for name, (colour, marker) in looks.items():
-        own = names == name
-        label = f"{name.replace('_', ' ').capitalize()}, {own.sum()}"
+        is_species = names == name
+        label = f"{name.replace('_', ' ').capitalize()}, {is_species.sum()}"
         style: Look = {"marker": marker, "edgecolors": INK, "linewidths": 0.7, "zorder": 4}
         faces = (
-            colour if seen is None else [colour if share >= _SEEN_SHARE else "white" for share in seen[own]]
+            colour
+            if seen is None
+            else [colour if share >= _SEEN_SHARE else "white" for share in seen[is_species]]
         )
         marks = axes.scatter(
-            place_m[own, 0], place_m[own, 1], s=_areas(dbh_m[own]), c=faces, gid=f"stems-{name}", **style
+            place_m[is_species, 0],
+            place_m[is_species, 1],
+            s=_areas(dbh_m[is_species]),
+            c=faces,
+            gid=f"stems-{name}",
+            **style,
         )
         axes.scatter([], [], s=_areas(np.array([0.3])), c=colour, label=label, **style)
         marks.set_label("_")

@@ -24,6 +24,7 @@ _MEANING = {
     "drift_10m_percent": "mean error of position over 10 m of path, % of the length",
     "drift_100m_percent": "mean error of position over 100 m of path, % of the length",
     "stamp_offset_s": "time to add to the estimate's stamps, s",
+    "time_offset_s": "time of the estimate's stamps minus UTC, taken off before scoring, s",
     "infra_d_per_m2": "points per m2 of plan around the start",
     "infra_nuc": "evenness of these points, 0 is perfectly even",
     "accuracy_m": "mean distance from points of the map to true points, m",
@@ -74,7 +75,7 @@ def page_writing(path: Path | None, inputs: Iterable[Path]) -> Iterator[Callable
         yield lambda _: None
         return
     if path.suffix.lower() != ".html":
-        raise OutputError(f"--out {path}", f"found the ending '{path.suffix}'", ".html")
+        raise OutputError(f"--out {path}", f"found the ending {path.suffix!r}", ".html")
     check_matplotlib()
     with OutputFile(path, where=f"--out {path}", inputs=inputs) as output:
 

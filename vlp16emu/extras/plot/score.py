@@ -23,7 +23,7 @@ _BINS = 8
 
 
 def draw(figure: "Figure", report: Report) -> None:
-    """Draw what a score was made of: a trajectory, stems, or both."""
+    """Draw the trajectory, the stems, or both, from which scores were computed."""
     path = report["path"]
     trees = report["trees"]
     panels: list[Callable[[Axes], None]] = []
@@ -47,14 +47,16 @@ def draw(figure: "Figure", report: Report) -> None:
 def _title(report: Report) -> str:
     reference = report["reference"]
     scores = report["scores"]
-    of = f"{reference['title']}, seed {reference['seed']}" if reference else str(report["inputs"]["truth"])
+    subject = (
+        f"{reference['title']}, seed {reference['seed']}" if reference else str(report["inputs"]["truth"])
+    )
     words = {
         "ate_m": "ATE {:.3g} m",
         "drift_10m_percent": "drift {:.2g} % over 10 m",
         "stem_f1": "stems F1 {:.2f}",
     }
     found = [text.format(scores[name]) for name, text in words.items() if scores.get(name) is not None]
-    return f"{of}: {', '.join(found)}"
+    return f"{subject}: {', '.join(found)}"
 
 
 def _draw_plan(axes: "Axes", path: Report | None, trees: Sequence[Report]) -> None:
@@ -64,10 +66,10 @@ def _draw_plan(axes: "Axes", path: Report | None, trees: Sequence[Report]) -> No
         axes.plot(path["found_x_m"], path["found_y_m"], gid="found-path", **look)
         axes.plot(path["true_x_m"][0], path["true_y_m"][0], "^", color=INK, ms=10, label="start")
     for kind, look in _LOOKS.items():
-        if own := [row for row in trees if row["kind"] == kind]:
-            size = [_PX2_PER_CM * 100 * (row["true_dbh_m"] or 0.15) for row in own]
-            place = [row["x_m"] for row in own], [row["y_m"] for row in own]
-            label = f"{len(own)} stems {'found falsely' if kind == 'false' else kind}"
+        if of_kind := [row for row in trees if row["kind"] == kind]:
+            size = [_PX2_PER_CM * 100 * (row["true_dbh_m"] or 0.15) for row in of_kind]
+            place = [row["x_m"] for row in of_kind], [row["y_m"] for row in of_kind]
+            label = f"{len(of_kind)} stems {'found falsely' if kind == 'false' else kind}"
             axes.scatter(*place, s=size, label=label, gid=f"stems-{kind}", zorder=3, **look)
     axes.set(
         xlabel="east, m", ylabel="north, m", aspect="equal", title="From above; marks of stems grow with DBH"
@@ -101,30 +103,30 @@ def _draw_drift(axes: "Axes", path: Report, scores: Report) -> None:
 
 def _draw_shares(axes: "Axes", trees: Sequence[Report], name: str, unit: float, label: str) -> None:
     """Draw numbers of true stems, found and missed, in classes of a size."""
-    of = {
+    sizes_of = {
         kind: np.array(
             [unit * row[name] for row in trees if row["kind"] == kind and row[name] is not None], float
         )
         for kind in ("found", "missed")
     }
-    every = np.concatenate(list(of.values()))
+    every = np.concatenate(list(sizes_of.values()))
     axes.set(title=f"Stems by {label.partition(',')[0]}", xlabel=label, ylabel="number of true stems")
     if not len(every):
         axes.text(0.5, 0.5, "not known", ha="center", transform=axes.transAxes, color=SOFT)
         return
     edges = np.linspace(np.floor(every.min()), np.ceil(every.max()) + 1e-9, _BINS + 1)
-    found, missed = (np.histogram(values, edges)[0] for values in of.values())
+    found, missed = (np.histogram(values, edges)[0] for values in sizes_of.values())
     at = edges[:-1]
     width = np.diff(edges) * 0.9
     axes.bar(at, found, width, align="edge", color=GREEN, label="found", gid=f"found-by-{name}")
     look: Look = {"color": VERMILION, "hatch": "//", "edgecolor": "white", "lw": 0}
     axes.bar(at, missed, width, found, align="edge", label="missed", gid=f"missed-by-{name}", **look)
-    for x, own, lost, wide in zip(at, found, missed, width, strict=True):
-        if own + lost:
+    for x, hits, misses, wide in zip(at, found, missed, width, strict=True):
+        if hits + misses:
             axes.text(
                 x + wide / 2,
-                own + lost,
-                f"{100 * own / (own + lost):.0f} %",
+                hits + misses,
+                f"{100 * hits / (hits + misses):.0f} %",
                 ha="center",
                 va="bottom",
                 fontsize=9,

@@ -98,7 +98,7 @@ def plotting(
         yield lambda _: None
         return
     if path.suffix.lower() not in _FORMATS:
-        raise OutputError(f"{where} {path}", f"found the ending '{path.suffix}'", ".png, .svg or .pdf")
+        raise OutputError(f"{where} {path}", f"found the ending {path.suffix!r}", ".png, .svg or .pdf")
     check_matplotlib()
     with OutputFile(path, where=f"{where} {path}", inputs=inputs) as output:
 
@@ -140,7 +140,7 @@ def _in_few_colours(file: IO[bytes]) -> bytes:
 
 
 def figure_of(report: Report) -> "Figure":
-    """Draw a report; InputError if it is none that has a picture, or lacks a member.
+    """Draw a report; InputError if it has no picture, or lacks a member.
 
     Artists that show data have an id (`gid`), which is in SVG files too.
     """
@@ -161,11 +161,11 @@ def figure_of(report: Report) -> "Figure":
     return figure
 
 
-def plain_logarithm(axes: "Axes", which: str = "xy") -> None:
+def plain_logarithm(axes: "Axes", names: str = "xy") -> None:
     """Label the logarithmic ones of the axes x and y with plain numbers at 1, 2 and 5 of each decade."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    for axis in (getattr(axes, f"{name}axis") for name in which):
+    for axis in (getattr(axes, f"{name}axis") for name in names):
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())

@@ -50,12 +50,12 @@ def read_poses(recorded: Recorded) -> RecordedPoses:
 
 def read_tum(path: Path) -> RecordedPoses:
     """Read lines of `t x y z qx qy qz qw`, t in seconds (file format of the TUM RGB-D benchmark)."""
-    return _timed(read_table(path, TIMED_POSES, _TUM, TrajectoryError, has_header=False))
+    return _timed_poses(read_table(path, TIMED_POSES, _TUM, TrajectoryError, has_header=False))
 
 
 def read_trajectory_csv(path: Path) -> RecordedPoses:
     """Read a CSV with the columns t_s, x_m, y_m, z_m, qx, qy, qz and qw; others are ignored."""
-    return _timed(
+    return _timed_poses(
         read_table(path, TIMED_POSES, f"a CSV with the columns {', '.join(TIMED_POSES)}", TrajectoryError)
     )
 
@@ -80,7 +80,7 @@ def read_kitti(path: Path, times: Path | float) -> RecordedPoses:
 
 
 def _quaternions(turns: F8) -> F8:
-    """Quaternions (n, 4), x, y, z, w, about of unit length, of the rotations nearest to matrices (n, 3, 3).
+    """Return unit quaternions (n, 4), x, y, z, w, of the rotations nearest to matrices (n, 3, 3).
 
     Source: Markley, "Unit quaternion from rotation matrix", J. Guidance, Control, and Dynamics 31(2), 2008.
     """
@@ -110,7 +110,7 @@ def _times_ns(times: Path | float, count: int) -> list[int]:
     return table.times_ns("t_s")
 
 
-def _timed(table: Table) -> RecordedPoses:
+def _timed_poses(table: Table) -> RecordedPoses:
     return _valid_poses(table, table.times_ns("t_s"), table.numbers(*POSE))
 
 

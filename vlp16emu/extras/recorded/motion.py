@@ -9,24 +9,23 @@ from vlp16emu.elementary import acos, cos, norm, sin
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.extras.recorded.files import RecordedPoses
 from vlp16emu.extras.recorded.settings import Recorded
-from vlp16emu.extras.splines import interpolant
-from vlp16emu.motion.piecewise import Piecewise
+from vlp16emu.extras.splines import Spline, interpolant
+from vlp16emu.motion.piecewise import POWERS, KnotMotion
 from vlp16emu.types import F8, I8
 from vlp16emu.units import S_NS
 from vlp16emu.world.settings import Site
 
 _log = logging.getLogger(__name__)
 
-_MOST_TURN_DEG = (
-    90.0  # between one pose and the next: half the angle at which the sense of the turn is undefined
-)
+_MOST_TURN_DEG = 90.0
+"""Greatest turn from one pose to the next: half the angle at which the sense of a turn is undefined."""
 _LEAST_NORM = 0.5
 """Least norm of the quaternion spline: it is 1 at each pose; the lower it is between poses, the more it
 distorts the turn."""
 _LOOKS = 8  # samples of this norm between two poses
 
 
-class RecordedMotion(Piecewise):
+class RecordedMotion(KnotMotion):
     """Recorded poses, interpolated with two continuous derivatives in position and rotation.
 
     Positions and quaternions are cubic splines. Each quaternion has the sign that is nearer to the one
@@ -49,23 +48,22 @@ class RecordedMotion(Piecewise):
         quaternion = _sign_continuous(poses.quaternion)
         _check_steps(poses, knots_ns, quaternion, recorded.max_gap_s)
         position_m, quaternion = _to_world(recorded, poses.position_m, quaternion)
-        powers = interpolant(knots_ns / S_NS, np.column_stack([position_m, quaternion])).powers[::-1]
-        powers = np.concatenate([np.zeros((4 - len(powers), *powers.shape[1:])), powers])
+        spline = interpolant(knots_ns / S_NS, np.column_stack([position_m, quaternion]))
+        _check_norm(poses, spline)
+        powers = np.zeros((len(knots_ns) - 1, 7, POWERS))
+        powers[..., : len(spline.powers)] = np.moveaxis(spline.powers, 0, -1)
         super().__init__(start_ns, knots_ns, powers)
-        self._check_norm(poses)
-        self.position_m = np.ascontiguousarray(
-            powers[3, :, :3]
-        )  # (n - 1, 3) of all poses but the last, in the world
+        self.position_m = powers[:, :3, 0].copy()  # (n - 1, 3) of all poses but the last, in the world
 
-    def _check_norm(self, poses: RecordedPoses) -> None:
-        (knots_ns, powers) = self._arrays
-        found = "no smooth turn leads here from the pose before: times are too uneven"
-        steps_s = np.diff(knots_ns) / S_NS
-        c = powers[:, :, 3:]
-        for look in range(1, _LOOKS):
-            d = (look / _LOOKS * steps_s)[:, None]
-            off = np.abs(norm(((c[0] * d + c[1]) * d + c[2]) * d + c[3]) - 1.0)
-            _refuse(poses, off, 1.0 - _LEAST_NORM, found, "poses at more even times")
+
+def _check_norm(poses: RecordedPoses, spline: Spline) -> None:
+    """Refuse a spline (7 values) whose quaternion is too short or too long between two poses."""
+    found = "no smooth turn leads here from the pose before: times are too uneven"
+    steps_s = np.diff(spline.breaks)
+    for look in range(1, _LOOKS):
+        quaternion = spline(spline.breaks[:-1] + look / _LOOKS * steps_s)[:, 3:]
+        off = np.abs(norm(quaternion) - 1.0)
+        _refuse(poses, off, 1.0 - _LEAST_NORM, found, "poses at more even times")
 
 
 def _refuse(poses: RecordedPoses, values: F8, most: float, found: str, expected: str) -> None:
@@ -83,6 +81,7 @@ def _sign_continuous(quaternion: F8) -> F8:
 
 
 def _check_steps(poses: RecordedPoses, knots_ns: I8, quaternion: F8, max_gap_s: float) -> None:
+    """Refuse poses with too long a time or too great a turn between them."""
     _refuse(poses, np.diff(knots_ns) / S_NS, max_gap_s, "found a gap of {:g} s", f"at most {max_gap_s:g} s")
     turn_deg = np.degrees(2 * acos(np.minimum((quaternion[1:] * quaternion[:-1]).sum(axis=1), 1.0)))
     expected = f"at most {_MOST_TURN_DEG:g} degrees, beyond which its sense is in doubt"
@@ -93,9 +92,10 @@ def check_places(position_m: F8, site: Site, reach_m: float) -> None:
     """Warn of poses (n, 3) in map coordinates, below the ground, or farther above it than the sensor sees."""
     plan_m = position_m[:, :2]
     above_m = position_m[:, 2] - site.height_m(*plan_m.T)
-    if (
-        norm(plan_m - site.origin_m[:2]) < norm(plan_m)
-    ).all():  # the origin in map coordinates is nearer than (0, 0)
+    is_nearer = norm(plan_m - site.origin_m[:2]) < norm(
+        plan_m
+    )  # to the origin in map coordinates than to (0, 0)
+    if is_nearer.all():
         _log.warning(
             "motion: recorded poses begin at (%.1f, %.1f, %.1f) m, as if in map coordinates; "
             "origin_m is not taken off"

@@ -34,6 +34,17 @@ _STEP_NS = 100 * MS_NS  # between points of the path for the range of trees: a d
 _BREAST_M = 0.1  # half the height of the stem's slice whose points count as hits for the DBH: 1.2 to 1.4 m
 _SIGNS = MappingProxyType({"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge})
 _LIMIT = re.compile(r"\s*(\w+)\s*(<=|>=|<|>)\s*([-+.\deE]+)\s*")
+_UNDEFINED = (
+    ("stamp_offset", "the motion is too uniform, or poses are too few"),
+    ("drift", "the path is shorter"),
+    ("rpe", "the path is shorter than 1 m"),
+    ("infra", "the map has no point near the start"),
+    ("stem_position", "no stem is paired"),
+    ("dbh", "no pair has a DBH"),
+    ("leaf", "no true point has this label"),
+    ("wood", "no true point has this label"),
+)
+"""Why a score is NaN, by the beginning of its name; for others there is nothing to find and nothing found."""
 Limit = tuple[str, str, float]  # a threshold: name of a score, sign and bound; NaN never meets it
 
 
@@ -71,6 +82,10 @@ class ScoreCard:
     path: PathErrors | None = None
     reference: Table | None = None  # title and seed of the walk; None if the truth has no scenario
 
+    def texts(self) -> dict[str, str]:
+        """Return the scores as text, with the reason where one is NaN."""
+        return {name: _score_text(name, value) for name, value in self.scores.items()}
+
     def failed_limits(self, limits: Sequence[Limit]) -> list[str]:
         """Return the failed thresholds, with the values, as text.
 
@@ -81,8 +96,15 @@ class ScoreCard:
             if name not in self.scores:
                 raise InputError("--require", f"found {name}", ", ".join(self.scores))
             if not _SIGNS[sign](self.scores[name], bound):
-                failed.append(f"{name} is {self.scores[name]:.6g}, required {sign} {bound:g}")
+                failed.append(f"{name} is {_score_text(name, self.scores[name])}, required {sign} {bound:g}")
         return failed
+
+
+def _score_text(name: str, value: float) -> str:
+    if not math.isnan(value):
+        return f"{value:.6f}" if name == "time_offset_s" else f"{value:.6g}"
+    reason = next((text for begin, text in _UNDEFINED if name.startswith(begin)), "nothing to find")
+    return f"none: {reason}"
 
 
 def limits_of(texts: Sequence[str]) -> list[Limit]:
@@ -114,7 +136,9 @@ def make_card(inputs: ScoreInputs) -> ScoreCard:
     card = ScoreCard(inputs, reference=_reference(inputs.truth))
     true = read_cloud(inputs.truth_points) if inputs.truth_points else None
     if inputs.trajectory:
-        found = score_path(inputs.trajectory, inputs.times, inputs.truth, inputs.unit, inputs.alignment)
+        found = score_path(
+            inputs.trajectory, inputs.times, inputs.truth, inputs.unit, inputs.alignment, inputs.time_offset_s
+        )
         card.scores = found.scores
         card.path = found.errors
         card.notes["trajectory"] = (
@@ -123,6 +147,10 @@ def make_card(inputs: ScoreInputs) -> ScoreCard:
             f"{found.poses} poses, {found.left_out} beyond the truth left out; RMSE by evo; the offset "
             "is to be added to the estimate's stamps"
         )
+        if found.clock is not None:
+            offset_s = found.clock.offset_ns / S_NS
+            card.scores["time_offset_s"] = offset_s
+            card.notes["stamps"] = f"of the estimate, minus UTC: {offset_s:.6f} s ({found.clock.clock})"
     if inputs.map:
         points_m = read_cloud(inputs.map)["xyz"]
         centre_m = Trajectory(inputs.truth, inputs.unit).first_m[:2]

@@ -58,7 +58,7 @@ def read_cloud(path: Path) -> Cloud:
     MissingExtraError without the library for it.
     """
     if path.suffix not in _READERS:
-        raise InputError(str(path), f"found suffix '{path.suffix}'", ", ".join(_READERS))
+        raise InputError(str(path), f"found the ending {path.suffix!r}", ", ".join(_READERS))
     with readable(path, f"points as {path.suffix}", InputError, most_bytes=LARGEST_BYTES):
         try:
             columns = _READERS[path.suffix](path)

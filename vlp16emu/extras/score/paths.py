@@ -1,18 +1,22 @@
 """Errors of a trajectory, computed by evo."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError, MissingExtraError
 from vlp16emu.extras.clouds.deskew import Trajectory
+from vlp16emu.extras.clouds.epochs import ClockOffset, clock_offset
 from vlp16emu.extras.recorded.files import RecordedPoses, read_kitti, read_tum
 from vlp16emu.types import F8
-from vlp16emu.units import MS_NS, S_NS
+from vlp16emu.units import MS_NS, S_NS, seconds_to_ns
+
+if TYPE_CHECKING:  # it takes 0.1 s to load
+    from scipy.spatial.transform import Rotation
 
 RPE_DELTA_M = 1.0  # length of path for relative errors, short enough for short walks
 DRIFT_M = (
@@ -21,6 +25,10 @@ DRIFT_M = (
 )  # lengths of path for drift; KITTI's are 100 to 800 m (Geiger et al., CVPR 2012, section 3.2)
 _MOST_OFFSET_NS = 300 * MS_NS  # three sweeps, and the step of the search
 _OFFSET_STEP_NS = 10 * MS_NS
+_MOST_LATE_NS = 10 * S_NS  # a program that waits for its initialisation begins so much later (assumption)
+_LATE_STEP_NS = 50 * MS_NS  # the step of that search: a tenth of a pace
+_LEAST_STEP_NS = 100 * MS_NS
+_MOST_STEPS = 500
 _MOST_SHOWN = 1000  # greatest number of poses, and of drifts, in a report
 # fewer poses, or a motion this uniform, do not determine the offset of stamps
 _LEAST_POSES = 10
@@ -56,19 +64,80 @@ class PathScores:
     poses: int
     left_out: int  # poses outside the time of the ground truth
     errors: PathErrors
+    clock: ClockOffset | None  # offset subtracted from the stamps; None if none was asked for
 
 
-def score_path(file: Path, times: Path | None, truth: Path, unit: int, alignment: str) -> PathScores:
+def on_truth_clock(
+    found: RecordedPoses, true: Trajectory, time_offset_s: float | None
+) -> tuple[RecordedPoses, ClockOffset | None]:
+    """Return an estimate with its stamps on the truth's clock, and the offset subtracted from them.
+
+    If no offset is given (None), the clock is that of `clock_offset`, moved by the offset within
+    `_MOST_LATE_NS` with which the steps of the estimate agree best with the true ones. If the motion is too
+    uniform for that, it stays.
+    """
+    if time_offset_s is not None:
+        clock = ClockOffset(seconds_to_ns(time_offset_s), "as given")
+        return _earlier(found, clock.offset_ns), clock if time_offset_s else None
+    clock = clock_offset((int(found.t_ns[0]), int(found.t_ns[-1])), true.span_ns)
+    moved = _earlier(found, clock.offset_ns)
+    moved = _earlier(moved, -_agreeing_offset_ns(moved, true))
+    rest_s = stamp_offset_s(moved, true)
+    if math.isnan(rest_s):
+        how = f"{clock.clock}; the motion is too uniform for more"
+    else:
+        moved = _earlier(moved, -seconds_to_ns(rest_s))
+        how = f"{clock.clock}, then by steps that agree"
+    return moved, ClockOffset(int(found.t_ns[0] - moved.t_ns[0]), how)
+
+
+def _earlier(found: RecordedPoses, offset_ns: int) -> RecordedPoses:
+    return replace(found, t_ns=found.t_ns - offset_ns)
+
+
+def _agreeing_offset_ns(found: RecordedPoses, true: Trajectory) -> int:
+    """Return the time to add to an estimate's stamps, within `_MOST_LATE_NS`, so that its steps agree best.
+
+    Steps of `_LEAST_STEP_NS` or more are compared, at most `_MOST_STEPS` of them; half or more must be within
+    the truth. The result is 0 for too few.
+    """
+    from scipy.spatial.transform import Rotation
+
+    ends = np.searchsorted(found.t_ns, found.t_ns + _LEAST_STEP_NS)
+    begins = np.flatnonzero(ends < len(found.t_ns))
+    if len(begins) < _LEAST_POSES:
+        return 0
+    begins = begins[np.linspace(0, len(begins) - 1, min(len(begins), _MOST_STEPS)).astype(np.int64)]
+    both = np.concatenate([begins, ends[begins]])
+    moved_m, turned = _steps(Rotation.from_quat(found.quaternion[both]), found.position_m[both])
+    offsets_ns = np.arange(-_MOST_LATE_NS, _MOST_LATE_NS + 1, _LATE_STEP_NS)
+    unlike = np.full(len(offsets_ns), math.inf)
+    for i, offset_ns in enumerate(offsets_ns.tolist()):
+        t_ns = found.t_ns[both] + offset_ns
+        inside = np.flatnonzero(true.has(t_ns).reshape(2, -1).all(axis=0))
+        if len(inside) >= max(_LEAST_POSES, len(begins) / 2):
+            turns, places_m = true.poses_at(t_ns)
+            true_m, true_turned = _steps(Rotation.from_matrix(turns), places_m)
+            unlike[i] = _unlike(moved_m[inside], true_m[inside], turned[inside], true_turned[inside])
+    known = unlike[np.isfinite(unlike)]
+    return int(offsets_ns[unlike.argmin()]) if len(known) and np.ptp(known) > _FLAT_M else 0
+
+
+def score_path(
+    file: Path, times: Path | None, truth: Path, unit: int, alignment: str, time_offset_s: float | None = 0.0
+) -> PathScores:
     """Compare a trajectory with the ground truth, which is interpolated to the trajectory's stamps.
 
     TrajectoryError, InputError if one of them is no trajectory, or they have fewer than three instants in
     common.
 
     The file is TUM, or KITTI if `times` has a time in seconds for each pose; truth and unit are as in
-    `Trajectory`. Scores are `ate_m` RMSE of positions, `ate_max_m`, `rpe_m` and `rpe_deg` RMSE over
-    `RPE_DELTA_M` of path; `drift_10m_percent` and `drift_100m_percent`, the mean relative error of positions
-    over such lengths, NaN on a shorter path; `stamp_offset_s` to add to the estimate's stamps, NaN if the
-    motion is too uniform to determine it.
+    `Trajectory`. The time offset is subtracted from the stamps; None finds it as `on_truth_clock` does.
+
+    Scores are `ate_m` RMSE of positions, `ate_max_m`, `rpe_m` and `rpe_deg` RMSE over `RPE_DELTA_M` of path;
+    `drift_10m_percent` and `drift_100m_percent`, the mean relative error of positions over such lengths, NaN
+    on a shorter path; `stamp_offset_s` to add to the estimate's stamps, NaN if the motion is too uniform to
+    determine it.
     """
     try:
         from evo.core import metrics
@@ -76,13 +145,16 @@ def score_path(file: Path, times: Path | None, truth: Path, unit: int, alignment
         raise MissingExtraError("evo", "score", "scoring a trajectory") from None
     found = read_tum(file) if times is None else read_kitti(file, times)
     true = Trajectory(truth, unit)
+    found, clock = on_truth_clock(found, true, time_offset_s)
     inside = true.has(found.t_ns)
     if inside.sum() < 3:
         spans = [
             f"{a:.3f} to {b:.3f} s" for a, b in ((found.t_ns[0] / S_NS, found.t_ns[-1] / S_NS), true.span_s)
         ]
         raise InputError(
-            str(file), f"found poses from {spans[0]}", f"at least three within the truth, {spans[1]}"
+            str(file),
+            f"found poses from {spans[0]}",
+            f"at least three within the truth, {spans[1]} (see --time-offset)",
         )
     pair = _align(found, inside, true, alignment)
     places = metrics.PoseRelation.translation_part
@@ -99,9 +171,8 @@ def score_path(file: Path, times: Path | None, truth: Path, unit: int, alignment
     for drift, length_m in zip(drifts, DRIFT_M, strict=True):
         scores[f"drift_{length_m:g}m_percent"] = 100.0 * float(np.mean(_errors(drift, pair)[1])) / length_m
     scores["stamp_offset_s"] = stamp_offset_s(found, true)
-    return PathScores(
-        scores, int(inside.sum()), int((~inside).sum()), _path_errors(pair, errors_m, drifts[0])
-    )
+    errors = _path_errors(pair, errors_m, drifts[0])
+    return PathScores(scores, int(inside.sum()), int((~inside).sum()), errors, clock)
 
 
 def _path_errors(pair: Any, error_m: F8, drift: Any) -> PathErrors:
@@ -165,22 +236,35 @@ def stamp_offset_s(found: RecordedPoses, true: Trajectory) -> float:
     t_ns = found.t_ns[inside]
     offsets_ns = np.arange(-_MOST_OFFSET_NS, _MOST_OFFSET_NS + 1, _OFFSET_STEP_NS)
 
-    def steps(turns: Rotation, places_m: F8) -> tuple[F8, Rotation]:
-        return turns[:-1].apply(np.diff(places_m, axis=0), inverse=True), turns[:-1].inv() * turns[1:]
-
-    moved_m, turned = steps(Rotation.from_quat(found.quaternion[inside]), found.position_m[inside])
+    places = np.flatnonzero(inside)
+    rows = np.arange(len(t_ns))
+    both = np.concatenate([rows[:-1], rows[1:]])
+    moved_m, turned = _steps(
+        Rotation.from_quat(found.quaternion[places[both]]), found.position_m[places[both]]
+    )
     unlike = np.empty(len(offsets_ns))
     for i, offset_ns in enumerate(offsets_ns.tolist()):
         turns, places_m = true.poses_at(t_ns + offset_ns)
-        true_m, true_turned = steps(Rotation.from_matrix(turns), places_m)
-        off_rad = (turned.inv() * true_turned).magnitude()
-        unlike[i] = math.sqrt(((moved_m - true_m) ** 2).sum(axis=1).mean()) + math.sqrt((off_rad**2).mean())
+        true_m, true_turned = _steps(Rotation.from_matrix(turns[both]), places_m[both])
+        unlike[i] = _unlike(moved_m, true_m, turned, true_turned)
     best = int(unlike.argmin())
     if not 0 < best < len(unlike) - 1 or np.ptp(unlike) < _FLAT_M:
         return math.nan
     before, at, after = unlike[best - 1 : best + 2] ** 2  # a parabola through the minimum
     bend = before - 2.0 * at + after
     return float(offsets_ns[best] + 0.5 * _OFFSET_STEP_NS * (before - after) / bend) / S_NS
+
+
+def _steps(turns: "Rotation", places_m: F8) -> tuple[F8, "Rotation"]:
+    """Return steps (n, 3) and turns from the first half of 2 n poses to the second, in axes of the first."""
+    n = len(places_m) // 2
+    return turns[:n].apply(places_m[n:] - places_m[:n], inverse=True), turns[:n].inv() * turns[n:]
+
+
+def _unlike(moved_m: F8, true_m: F8, turned: "Rotation", true_turned: "Rotation") -> float:
+    """Return the RMS difference of steps (n, 3) in metres, plus that of their turns in radians."""
+    off_rad = (turned.inv() * true_turned).magnitude()
+    return math.sqrt(((moved_m - true_m) ** 2).sum(axis=1).mean()) + math.sqrt((off_rad**2).mean())
 
 
 def _align(found: RecordedPoses, inside: NDArray[np.bool_], true: Trajectory, alignment: str):  # type: ignore[no-untyped-def]  # noqa: ANN202 - of evo, which has no types

@@ -68,7 +68,7 @@ class TruthFolder:
 
         Raises RunError if that fails; the lines so far stay, and nothing more is written.
         """
-        with self._opened(name, "line") as file:
+        with self._open_file(name, "line") as file:
             _append(file, text.encode())
 
     def begin_rows(self, name: str, table: Table) -> None:
@@ -88,13 +88,13 @@ class TruthFolder:
         header = BytesIO()  # of one length for any number of rows: numpy leaves room for it
         fields = {"descr": dtype_to_descr(table.dtype), "fortran_order": False, "shape": (count,)}
         write_array_header_1_0(header, fields)
-        with self._opened(f"{name}.npy", "row") as file:
+        with self._open_file(f"{name}.npy", "row") as file:
             _write_at(file, rows.tobytes(), len(header.getvalue()) + before * rows.itemsize)
             _write_at(file, header.getvalue(), 0)
         self._rows[name] = count
 
     @contextmanager
-    def _opened(self, name: str, unit: str) -> Iterator[FileIO]:
+    def _open_file(self, name: str, unit: str) -> Iterator[FileIO]:
         if self._failed:
             raise self._failed
         try:

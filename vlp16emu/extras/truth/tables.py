@@ -246,7 +246,8 @@ class StoredTable:
             shape, _, stored = read_array_header_1_0(file)
             self.rows: Rows = np.memmap(file, stored, "r", file.tell(), shape)
         if self.rows.dtype != dtype or self.rows.ndim != 1:
-            raise InputError(str(path), "another table", _EXPECTED)
+            columns = ", ".join(self.rows.dtype.names or [str(self.rows.dtype)])
+            raise InputError(str(path), f"found columns {columns}", _EXPECTED)
         self._check()
 
     def _check(self) -> None:

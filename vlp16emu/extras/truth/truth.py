@@ -211,7 +211,7 @@ class Truth:
         )
         with ExitStack() as stack:
             self._folder = stack.enter_context(TruthFolder(to.folder, named_files(scenario)))
-            write_json(self._folder.path / to.scenario.name, _resolved(scenario, span_s))
+            write_json(self._folder.path / to.scenario.name, _scenario_tree(scenario, span_s))
             write_json(self._folder.path / "rig.json", rig_of(scenario, parts))
             # The first packet may begin before the requested span.
             earliest_s = earliest_ns(faults_of(scenario, self._units), seconds_to_ns(span_s[0])) / S_NS
@@ -263,7 +263,7 @@ class Truth:
         if not self._is_whole and self._seen_ns > self._scenario.start_ns + seconds_to_ns(begin_s):
             stop_s = (self._seen_ns + 1 - self._scenario.start_ns) / S_NS
         if (ran := self._of.engine.scenario) is not self._scenario or stop_s != self._span_s[1]:
-            write_json(self._folder.path / self._to.scenario.name, _resolved(ran, (begin_s, stop_s)))
+            write_json(self._folder.path / self._to.scenario.name, _scenario_tree(ran, (begin_s, stop_s)))
 
     def beside(self, packets: Iterable[Packet]) -> Iterator[Packet]:
         """Pass packets on, and write the ground truth up to a packet once a second.
@@ -343,7 +343,7 @@ def _file(name: str, unit: Unit) -> str:
     return f"{name}_{unit.number + 1}" if unit.number else name
 
 
-def _resolved(scenario: Scenario, span_s: tuple[float, float]) -> Tree:
+def _scenario_tree(scenario: Scenario, span_s: tuple[float, float]) -> Tree:
     tree = scenario.model_dump(mode="json", by_alias=True, exclude_none=True) | {"duration_s": span_s[1]}
     start = f", --start {span_s[0]!r}" if span_s[0] else ""
     return {"written_by": f"vlp16emu {version('vlp16emu')}{start}"} | tree

@@ -9,7 +9,7 @@ import numpy as np
 
 from vlp16emu.elementary import norm
 from vlp16emu.errors import InputError
-from vlp16emu.extras.walk.path import Path
+from vlp16emu.extras.walk.path import Path, level_path
 from vlp16emu.extras.walk.settings import Walk
 from vlp16emu.extras.walk.way_points import way_points
 from vlp16emu.foliage.polyline import Polyline
@@ -60,7 +60,7 @@ class Draft:
     @property
     def xy_m(self) -> F8:
         """Way points (n, 2)."""
-        return np.array([(one.x_m, one.y_m) for one in self.way_points])
+        return np.array([(point.x_m, point.y_m) for point in self.way_points])
 
     @property
     def is_loop(self) -> bool:
@@ -68,36 +68,38 @@ class Draft:
         first, last = self.way_points[0], self.way_points[-1]
         return len(self.way_points) >= _FEWEST_OF_LOOP and _gap_m(first, last) < _SAME_M
 
-    def moved(self, number: int, x_m: float, y_m: float) -> Self:
+    def move(self, number: int, x_m: float, y_m: float) -> Self:
         """Return the draft with a way point, from 0, at another place; its stop moves with it."""
         last = len(self.way_points) - 1
         together = {0, last} if self.is_loop and number in (0, last) else {number}
         place = {"x_m": round(x_m, _DECIMALS), "y_m": round(y_m, _DECIMALS)}
-        rows = (one._replace(**place) if i in together else one for i, one in enumerate(self.way_points))
+        rows = (
+            point._replace(**place) if i in together else point for i, point in enumerate(self.way_points)
+        )
         return replace(self, way_points=tuple(rows))
 
-    def stopped(self, number: int, pause_s: float) -> Self:
+    def set_stop(self, number: int, pause_s: float) -> Self:
         """Return the draft with a stop at a way point; 0 s for none."""
         rows = list(self.way_points)
         rows[number] = rows[number]._replace(pause_s=pause_s)
         return replace(self, way_points=tuple(rows))
 
-    def inserted(self, x_m: float, y_m: float) -> tuple[Self, int]:
+    def insert(self, x_m: float, y_m: float) -> tuple[Self, int]:
         """Return the draft with a way point more, in the leg that it lengthens least, and its number."""
         new = WayPoint(round(x_m, _DECIMALS), round(y_m, _DECIMALS))
         detours_m = [_gap_m(a, new) + _gap_m(new, b) - _gap_m(a, b) for a, b in pairwise(self.way_points)]
         number = 1 + int(np.argmin(detours_m))
         return replace(self, way_points=(*self.way_points[:number], new, *self.way_points[number:])), number
 
-    def removed(self, number: int) -> Self:
+    def remove(self, number: int) -> Self:
         """Return the draft without a way point, or the same one if too few would be left."""
-        rows = [one for i, one in enumerate(self.way_points) if i != number]
+        rows = [point for i, point in enumerate(self.way_points) if i != number]
         if self.is_loop and number in (0, len(rows)):
             rows = [*self.way_points[1:-1], self.way_points[1]._replace(pause_s=0.0)]
         fewest = _FEWEST_OF_LOOP if self.is_loop else _FEWEST
         return replace(self, way_points=tuple(rows)) if len(rows) >= fewest else self
 
-    def closed(self, *, is_loop: bool) -> Self:
+    def set_loop(self, *, is_loop: bool) -> Self:
         """Return the draft as a loop back to the first way point, or open; two way points stay open."""
         if is_loop == self.is_loop or (is_loop and len(self.way_points) < _FEWEST_OF_LOOP - 1):
             return self
@@ -105,14 +107,14 @@ class Draft:
         rows = (*self.way_points, end) if is_loop else self.way_points[:-1]
         return replace(self, way_points=rows, laps=self.laps if is_loop or self.back_and_forth else 1)
 
-    def simplified(self, tolerance_m: float) -> Self:
+    def simplify(self, tolerance_m: float) -> Self:
         """Return the draft with fewer way points, whose curve passes all present ones within a tolerance.
 
         Way points with a stop stay. A phone's track has one per second, far more than a curve needs.
         """
         xy_m = self.xy_m
         last = len(self.way_points) - 1
-        kept = {0, last} | {i for i, one in enumerate(self.way_points) if one.pause_s}
+        kept = {0, last} | {i for i, point in enumerate(self.way_points) if point.pause_s}
         if self.is_loop:
             kept |= {last // 3, 2 * last // 3}
         while added := set(_strays(xy_m, sorted(kept), tolerance_m)) - kept:
@@ -178,13 +180,13 @@ class Versions:
 def plan_of(xy_m: F8) -> Path | None:
     """Return the path through way points (n, 2) on level ground; None if nobody can turn so."""
     try:
-        return Path(xy_m, lambda x_m, _y_m: np.zeros_like(x_m))
+        return level_path(xy_m)
     except InputError:
         return None
 
 
-def _gap_m(one: WayPoint, other: WayPoint) -> float:
-    return float(norm(np.array(one[:2]) - np.array(other[:2])))
+def _gap_m(first: WayPoint, second: WayPoint) -> float:
+    return float(norm(np.array(first[:2]) - np.array(second[:2])))
 
 
 def _strays(xy_m: F8, kept: list[int], tolerance_m: float) -> Iterator[int]:

@@ -73,7 +73,7 @@ class Opened:
         first = Draft.of(self.scenario)
         site = self.scenario.world.site(self.scenario.world_seed)
         for tolerance_m in (0.5, 1.0, 2.0, 4.0):
-            settings = first.simplified(tolerance_m).settings(first, walk)
+            settings = first.simplify(tolerance_m).settings(first, walk)
             scenario = load(self.scenario, settings)
             try:
                 walk_of(scenario).route(site, scenario.gps, is_stored=False)
@@ -210,15 +210,15 @@ class Editor:
         self._insert(*path_m[gap_m.argmin()].tolist())
 
     def _insert(self, x_m: float, y_m: float) -> None:
-        draft, self._chosen = self._versions.draft.inserted(x_m, y_m)
+        draft, self._chosen = self._versions.draft.insert(x_m, y_m)
         self._versions.change(draft)
 
     def _delete(self) -> None:
-        self._versions.change(self._versions.draft.removed(self._chosen))
+        self._versions.change(self._versions.draft.remove(self._chosen))
 
     def _simplify(self) -> None:
         tolerance_m = _clip(self._tolerance.value, 0.05, 20.0)
-        self._versions.change(self._versions.draft.simplified(tolerance_m))
+        self._versions.change(self._versions.draft.simplify(tolerance_m))
 
     def _take_panel(self) -> None:
         """Change the draft to the values of the panel."""
@@ -228,14 +228,14 @@ class Editor:
         if not run_time_s or speed_m_s != draft.speed_m_s:  # a new speed replaces the run time
             run_time_s = None
         draft = replace(
-            draft.stopped(self._chosen, _clip(self._pause.value, 0.0, 86_400)),
+            draft.set_stop(self._chosen, _clip(self._pause.value, 0.0, 86_400)),
             speed_m_s=speed_m_s,
             run_time_s=run_time_s,
             laps=int(_clip(self._laps.value, 1, 1000)),
             back_and_forth=self._return.value is True,
             is_whole=self._whole.value is True,
         )
-        self._versions.change(draft.closed(is_loop=self._loop.value is True))
+        self._versions.change(draft.set_loop(is_loop=self._loop.value is True))
 
     def _save(self) -> None:
         opened = self._opened
@@ -419,7 +419,7 @@ class Editor:
     def _drag(self, number: int, x_m: float, y_m: float, *, is_end: bool) -> None:
         if not (abs(x_m) <= _FARTHEST_M and abs(y_m) <= _FARTHEST_M):  # False for NaN
             return
-        moved = self._versions.draft.moved(number, x_m, y_m)
+        moved = self._versions.draft.move(number, x_m, y_m)
         self._chosen = number
         self._dragged = None if is_end else moved
         if is_end:

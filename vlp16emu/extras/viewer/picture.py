@@ -169,7 +169,7 @@ def is_film(path: Path) -> bool:
 def check_suffix(path: Path) -> None:
     """Raise OutputError if a file is not .png or .gif by its suffix, and MissingExtraError without pillow."""
     if path.suffix.lower() != ".png" and not is_film(path):
-        raise OutputError(str(path), f"found the ending {path.suffix.lower()}", ".png, or .gif for a film")
+        raise OutputError(str(path), f"found the ending {path.suffix.lower()!r}", ".png, or .gif for a film")
     if find_spec("PIL") is None:
         raise MissingExtraError("pillow", "picture", "a picture")
 
@@ -441,12 +441,12 @@ def _annotate(
     elif isinstance(entries, tuple):
         _draw_scale(image, entries, em, write)
     for line, words in enumerate(captions):
-        if shown := _shortened(words, room, lambda text: draw.textlength(text, font)):
+        if shown := _shorten(words, room, lambda text: draw.textlength(text, font)):
             write(edge, edge + 1.6 * em * line, shown, "ls")
     return image
 
 
-def _shortened(words: str, room: float, length: Callable[[str], float]) -> str:
+def _shorten(words: str, room: float, length: Callable[[str], float]) -> str:
     """Return words, with dots in place of their end if they are too long.
 
     It is empty if there is no room for the dots.

@@ -57,7 +57,7 @@ class Trunk:
 
 
 def _lines(seed: int) -> F8:
-    """Angular frequency and phase, (7, lines, 2), of the sinusoids of each slow process."""
+    """Draw angular frequency and phase (7, lines, 2) of the sinusoids of each slow process."""
     lines = np.empty((AXES + 1, _LINES, 2))
     for lane in range(AXES + 1):
         draw = uniform(seed, Purpose.GAIT, 0, 2 * _LINES, lane).reshape(2, _LINES)
@@ -69,6 +69,7 @@ def _lines(seed: int) -> F8:
 
 @array_kernel
 def _band_noise(lines: F8, t_s: float) -> float:
+    """Return the value of a slow process of variance 1, a sum of sinusoids `lines`."""
     total = 0.0
     for k in range(len(lines)):
         total += cos_sin(lines[k, 0] * t_s + lines[k, 1])[1]
@@ -77,6 +78,7 @@ def _band_noise(lines: F8, t_s: float) -> float:
 
 @array_kernel
 def _band_noise_integral(lines: F8, t_s: float) -> float:
+    """Return the integral of `_band_noise` from 0 to `t_s`."""
     total = 0.0
     for k in range(len(lines)):
         total += (cos_sin(lines[k, 1])[0] - cos_sin(lines[k, 0] * t_s + lines[k, 1])[0]) / lines[k, 0]
@@ -87,7 +89,7 @@ def _band_noise_integral(lines: F8, t_s: float) -> float:
 def _fill(
     elapsed_s: F8, effort: F8, step_hz: float, variation: float, amplitude: F8, lines: F8, out: F8
 ) -> None:
-    """Fill each row on its own; positive pitch is nose down, positive roll is right side down."""
+    """Fill displacements (n, 6) as in `Trunk.at`, each row on its own."""
     for i in range(elapsed_s.size):
         t_s = elapsed_s[i]
         strides = 0.5 * step_hz * (t_s + variation * _band_noise_integral(lines[_TIMING], t_s))

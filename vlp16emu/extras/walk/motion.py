@@ -1,7 +1,7 @@
 """A sensor on the back of a person."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import lru_cache
 
 import numpy as np
@@ -10,22 +10,19 @@ from vlp16emu.extras.walk.gait import AXES, Trunk
 from vlp16emu.extras.walk.pack import KNOTS_PER_S, NODES_PER_KNOT, Pack
 from vlp16emu.extras.walk.route import Route
 from vlp16emu.extras.walk.settings import Gait, Mast, Walk
-from vlp16emu.kernels.compiler import array_kernel, kernel
-from vlp16emu.motion.pose import Kinematics, fill_rotation, rotate
-from vlp16emu.trig import ZERO, cos_sin
-from vlp16emu.types import F8, I8, Poses
+from vlp16emu.kernels.compiler import array_kernel
+from vlp16emu.motion.piecewise import Pieces, Piecewise
+from vlp16emu.trig import cos_sin
+from vlp16emu.types import F8, I8
 from vlp16emu.units import S_NS
 
 _log = logging.getLogger(__name__)
 _NODES_PER_S = KNOTS_PER_S * NODES_PER_KNOT
 _NODE_NS = S_NS // _NODES_PER_S
-_TOGETHER = (
-    128  # instants whose poses are computed together: intermediate results fit into the first-level cache
-)
 _TABLES_KEPT = 16  # seconds of motion kept, 0.3 MB each: workers of a run are never farther apart
 
 
-class WalkMotion:
+class WalkMotion(Piecewise):
     """A pack on the back of a person who walks along a route.
 
     Route, gait and harness are evaluated on a grid of 1 ms that begins with the walk. The pose is defined as
@@ -39,7 +36,7 @@ class WalkMotion:
     Raises TrajectoryError if the straps would never stop swinging.
     """
 
-    moves = True
+    per_s = 1e9 / _NODE_NS
 
     def __init__(
         self,
@@ -60,28 +57,14 @@ class WalkMotion:
         self._table = lru_cache(_TABLES_KEPT)(self._tabulate)
         self.run_time_s = route.run_time_s
 
-    def poses_at(self, t_ns: I8) -> Poses:
-        """Return poses at UTC instants (n,); outside the run time the person rests at the path's ends."""
-        poses = Poses(t_ns, np.empty((len(t_ns), 3, 3)), np.empty((len(t_ns), 3)))
-        room = np.empty((1 + 2 * AXES, _TOGETHER))
+    def pieces_at(self, t_ns: I8) -> Iterator[Pieces]:
+        """Yield the pieces with UTC instants (n,); outside the run time the person rests at an end."""
         for second, which in self._seconds(t_ns):
-            begin_ns = self._start_ns + second * S_NS
-            table = self._table(second)
-            _poses(table, t_ns, begin_ns, which, room, poses.world_R_body, poses.world_p_body_m)
-        return poses
+            since_ns = t_ns[which] - (self._start_ns + second * S_NS)
+            piece = since_ns // _NODE_NS
+            yield Pieces(self._table(second), which, piece, (since_ns - piece * _NODE_NS) / _NODE_NS)
 
-    def kinematics_at(self, t_ns: I8) -> Kinematics:
-        """Return poses at UTC instants (n,) with the derivatives of the same function."""
-        n = len(t_ns)
-        out = Kinematics(t_ns, np.empty((n, 3, 3)), *(np.empty((n, 3)) for _ in range(5)))
-        for second, which in self._seconds(t_ns):
-            begin_ns = self._start_ns + second * S_NS
-            pose = (out.world_R_body, out.world_p_body_m)
-            rates = out.world_v_body_m_s, out.world_a_body_m_s2, out.body_w_rad_s, out.body_alpha_rad_s2
-            _kinematics(self._table(second), t_ns, begin_ns, which, *pose, *rates)
-        return out
-
-    def bent(self, mast: Mast) -> "WalkMotion":
+    def mast_top(self, mast: Mast) -> "WalkMotion":
         """Return the motion of the top of a mast on the pack, which swings as the pack pushes it."""
         if self._pack is None:
             return self
@@ -98,26 +81,26 @@ class WalkMotion:
 
     def _seconds(self, t_ns: I8) -> list[tuple[int, I8]]:
         """Return the seconds of the walk that contain instants (n,), and the indices of these instants."""
-        if (
-            len(t_ns)
-            and t_ns.max() - self._start_ns < S_NS * (low := int(t_ns.min() - self._start_ns) // S_NS) + S_NS
-        ):
-            return [(low, np.arange(len(t_ns)))]  # nine blocks in ten
+        if not len(t_ns):
+            return []
+        first = int(t_ns.min() - self._start_ns) // S_NS
+        last = int(t_ns.max() - self._start_ns) // S_NS
+        if first == last:  # nine blocks in ten
+            return [(first, np.arange(len(t_ns)))]
         seconds = (t_ns - self._start_ns) // S_NS
         order = np.argsort(seconds, kind="stable")
         parts = np.split(order, np.flatnonzero(np.diff(seconds[order])) + 1)
-        return [(int(seconds[part[0]]), part) for part in parts if len(part)]
+        return [(int(seconds[part[0]]), part) for part in parts]
 
     def _trunk_samples(self, first: int, count: int) -> F8:
         """Sample the trunk's motion (count, 6) as `_pack_samples` does."""
         elapsed_s = np.arange(first, first + count) / KNOTS_PER_S
         share = np.minimum(self._route.at(elapsed_s)[1] / self._route.speed_m_s, 1.0)
-        return self._trunk.at(
-            elapsed_s, share * share * (3.0 - 2.0 * share)
-        )  # smooth: starts and stops jerk no pack
+        effort = share * share * (3.0 - 2.0 * share)  # smooth: starts and stops jerk no pack
+        return self._trunk.at(elapsed_s, effort)
 
     def _tabulate(self, second: int) -> F8:
-        """Coefficients (1000, 6, 6) of x, y, z, roll, pitch, yaw by piece of a second, lowest power first."""
+        """Return the pieces (1000, 6, 6) of a second, powers of the share of a step as in `Pieces`."""
         elapsed_s = np.arange(second * _NODES_PER_S, (second + 1) * _NODES_PER_S + 1) / _NODES_PER_S
         nodes, _ = self._route.at(elapsed_s)
         nodes[:, 2, 0] += self._height_m
@@ -159,7 +142,7 @@ def _add_pack(pack: F8, nodes: F8) -> None:
 
 
 def _hermite(nodes: F8) -> F8:
-    """Coefficients (n - 1, 6, 6) of the quintics through value, rate and acceleration at nodes (n, 6, 3)."""
+    """Return quintics (n - 1, 6, 6) through value, rate and acceleration at nodes (n, 6, 3)."""
     h_s = 1.0 / _NODES_PER_S
     p = nodes[..., 0]
     v = nodes[..., 1] * h_s
@@ -173,101 +156,3 @@ def _hermite(nodes: F8) -> F8:
     quartic = -15.0 * rise + 8.0 * v0 + 7.0 * v1 + 1.5 * a0 - a1
     quintic = 6.0 * rise - 3.0 * (v0 + v1) - 0.5 * (a0 - a1)
     return np.stack([p[:-1], v0, 0.5 * a0, cubic, quartic, quintic], axis=-1)
-
-
-@kernel
-def _poses(
-    table: F8, t_ns: I8, begin_ns: int, which: I8, room: F8, world_R_body: F8, world_p_body_m: F8
-) -> None:
-    """Fill the poses at the instants `which`, all within the second that begins at `begin_ns`.
-
-    Instants are done in groups that fit into `room` (13, n), so that the compiler vectorizes the loops over
-    them.
-    """
-    x = room[0]
-    q = room[1:7]
-    cosine = room[7:10]
-    sine = room[10:13]
-    done = ZERO
-    while done < len(which):
-        piece = (t_ns[which[done]] - begin_ns) // _NODE_NS
-        node_ns = begin_ns + piece * _NODE_NS
-        count = ZERO
-        while count < min(len(x), len(which) - done):
-            since_ns = t_ns[which[done + count]] - node_ns
-            if not 0 <= since_ns < _NODE_NS:
-                break
-            x[count] = since_ns / _NODE_NS
-            count += 1
-        for axis in range(AXES):
-            c0 = table[piece, axis, 0]
-            c1 = table[piece, axis, 1]
-            c2 = table[piece, axis, 2]
-            c3 = table[piece, axis, 3]
-            c4 = table[piece, axis, 4]
-            c5 = table[piece, axis, 5]
-            for n in range(count):
-                q[axis, n] = c0 + x[n] * (c1 + x[n] * (c2 + x[n] * (c3 + x[n] * (c4 + x[n] * c5))))
-        for angle in range(3):
-            for n in range(count):
-                cosine[angle, n], sine[angle, n] = cos_sin(q[3 + angle, n])
-        for n in range(count):
-            i = which[done + n]
-            for axis in range(3):
-                world_p_body_m[i, axis] = q[axis, n]
-            yaw, pitch = (cosine[2, n], sine[2, n]), (cosine[1, n], sine[1, n])
-            fill_rotation(*yaw, *pitch, cosine[0, n], sine[0, n], world_R_body[i])
-        done += count
-
-
-@array_kernel
-def _kinematics(
-    table: F8,
-    t_ns: I8,
-    begin_ns: int,
-    which: I8,
-    world_R_body: F8,
-    world_p_body_m: F8,
-    v_m_s: F8,
-    a_m_s2: F8,
-    w_rad_s: F8,
-    alpha_rad_s2: F8,
-) -> None:
-    per_s = 1.0e9 / _NODE_NS  # derivatives are by the share of a piece
-    q = np.empty((3, AXES))
-    for i in which:
-        since_ns = t_ns[i] - begin_ns
-        piece = since_ns // _NODE_NS
-        x = (since_ns - piece * _NODE_NS) / _NODE_NS
-        for axis in range(AXES):
-            c = table[piece, axis]
-            q[0, axis] = c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * c[5]))))
-            q[1, axis] = c[1] + x * (2 * c[2] + x * (3 * c[3] + x * (4 * c[4] + x * 5 * c[5])))
-            q[2, axis] = 2 * c[2] + x * (6 * c[3] + x * (12 * c[4] + x * 20 * c[5]))
-        q[1] *= per_s
-        q[2] *= per_s * per_s
-        world_p_body_m[i] = q[0, :3]
-        v_m_s[i] = q[1, :3]
-        a_m_s2[i] = q[2, :3]
-        rotate(q[0, 5], q[0, 4], q[0, 3], world_R_body[i])
-        _body_rate(q[0, 3:], q[1, 3:], q[2, 3:], w_rad_s[i], alpha_rad_s2[i])
-
-
-@array_kernel
-def _body_rate(angle_rad: F8, rate_rad_s: F8, acceleration_rad_s2: F8, w_rad_s: F8, alpha_rad_s2: F8) -> None:
-    """Fill angular rate and acceleration (3,), in body axes, from roll, pitch, yaw and derivatives.
-
-    Source: the z-y-x Euler kinematic equations, for instance Diebel, "Representing Attitude", 2006, section
-    5.
-    """
-    cr, sr = cos_sin(angle_rad[0])
-    cp, sp = cos_sin(angle_rad[1])
-    roll, pitch, yaw = rate_rad_s
-    roll2, pitch2, yaw2 = acceleration_rad_s2
-    w_rad_s[0] = roll - sp * yaw
-    w_rad_s[1] = cr * pitch + sr * cp * yaw
-    w_rad_s[2] = -sr * pitch + cr * cp * yaw
-    alpha_rad_s2[0] = roll2 - sp * yaw2 - cp * pitch * yaw
-    across = cp * yaw2 - sp * pitch * yaw
-    alpha_rad_s2[1] = cr * pitch2 + sr * across + roll * w_rad_s[2]
-    alpha_rad_s2[2] = -sr * pitch2 + cr * across - roll * w_rad_s[1]

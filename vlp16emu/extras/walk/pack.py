@@ -18,11 +18,11 @@ from vlp16emu.errors import TrajectoryError
 from vlp16emu.extras.walk.gait import AXES
 from vlp16emu.extras.walk.settings import Harness, Mast
 from vlp16emu.kernels.compiler import array_kernel
+from vlp16emu.motion.piecewise import derivatives
 from vlp16emu.types import F8
 
-KNOTS_PER_S = (
-    200  # heel strikes last 40 ms; the spline follows them to 1 % of their depth, and all else to a nanometre
-)
+KNOTS_PER_S = 200
+"""The spline follows heel strikes, which last 40 ms, to 1 % of their depth, and all else to a nanometre."""
 NODES_PER_KNOT = 5  # instants per knot at which the pack's motion is returned: one per millisecond
 _REACH = 4  # samples needed before the first knot and after the last one of a second
 _FORGOTTEN = 39.14394658089878
@@ -46,9 +46,8 @@ _QUINTIC = (
 )
 """Uniform quintic B-spline (de Boor, A Practical Guide to Splines, chapter IX): row p gives the coefficient
 of tau^p between two knots from the six spline coefficients around."""
-# in an eighth of a radian the fourteenth term is below the last bit
-_SHORT = 3
-_TERMS = 14
+_SHORT = 3  # halvings of a time until less than an eighth of a radian passes in it
+_TERMS = 14  # of the series, whose fourteenth term is below the last bit in such a time
 
 
 class Pack:
@@ -93,17 +92,14 @@ class Pack:
         pieces = self._pieces(second)
         node = np.arange(NODES_PER_KNOT * KNOTS_PER_S + 1)
         k = np.minimum(node // NODES_PER_KNOT, KNOTS_PER_S - 1)  # the last node ends the last piece
-        s = ((node - k * NODES_PER_KNOT) * (1.0 / (NODES_PER_KNOT * KNOTS_PER_S)))[:, None]
-        a = np.moveaxis(pieces[k], -1, 0)
-        value = a[0] + s * (a[1] + s * (a[2] + s * (a[3] + s * (a[4] + s * a[5]))))
-        rate = a[1] + s * (2 * a[2] + s * (3 * a[3] + s * (4 * a[4] + s * 5 * a[5])))
-        out = np.stack([value, rate, 2 * a[2] + s * (6 * a[3] + s * (12 * a[4] + s * 20 * a[5]))], axis=-1)
+        since_s = (node - k * NODES_PER_KNOT) * (1.0 / (NODES_PER_KNOT * KNOTS_PER_S))
+        out = derivatives(pieces, k, since_s)
         if self._harness is not None:
             _swing(pieces, self._steps, self._state(second), self._stiffness, self._drag, out)
         return out
 
     def _pieces(self, second: int) -> F8:
-        """Polynomials (200, 6, 6) of the trunk's motion, in seconds from each knot, lowest power first."""
+        """Return quintics (200, 6, 6) of the trunk's motion by seconds from each knot, lowest power first."""
         samples = self._trunk(second * KNOTS_PER_S - _REACH, KNOTS_PER_S + 2 * _REACH + 1)
         n = KNOTS_PER_S
         spline = sum(share * samples[j : j + n + 5] for j, share in enumerate(_QUASI))
@@ -111,19 +107,19 @@ class Pack:
         return np.stack([KNOTS_PER_S**power * each for power, each in enumerate(powers)], axis=-1)
 
     def _state(self, second: int) -> F8:
-        """Stretch and its rate (6, 2) at the start of a second, at rest until the first step.
+        """Return the stretch and its rate (6, 2) at the start of a second, at rest until the first step.
 
         It is the sum of the responses to each second within memory, so it does not depend on where a run
         begins.
         """
         state = np.zeros((AXES, 2))
-        for past in range(
-            max(0, second - self._memory_s), second
-        ):  # older swings have decayed below the last bit
+        first = max(0, second - self._memory_s)  # older swings have decayed below the last bit
+        for past in range(first, second):
             state = matvec(self._second, state) + self._pushed(past)
         return state
 
     def _push(self, second: int) -> F8:
+        """Return the stretch and its rate (6, 2) that a second leaves behind, from rest at its start."""
         state = np.zeros((AXES, 2))
         out = np.zeros((KNOTS_PER_S + 1, AXES, 3))
         per_knot = np.ascontiguousarray(self._steps[:, -1:])  # from knot to knot
@@ -133,7 +129,7 @@ class Pack:
 
 @array_kernel
 def _stretch(step: F8, state: F8, a: F8, row: int) -> float:
-    """Stretch (row 0) or its rate (row 1) after a step from a state, under -u'' of the piece a."""
+    """Return the stretch (row 0) or its rate (row 1) a step after a state, under -u'' of the piece a."""
     forced = (
         step[row, 2] * a[2] * 2
         + step[row, 3] * a[3] * 6

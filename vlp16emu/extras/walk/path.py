@@ -17,19 +17,17 @@ _LONGEST_M = 100_000.0  # more than a person walks in a day: a longer path is a 
 _FARTHEST_M = 1e6  # from the origin of the scene; up to there the ground is exact to a nanometre
 _SMALLEST_RADIUS_M = 0.1
 """Smallest turning radius: a person 0.4 m wide turns on the spot instead of on a smaller arc (assumption)."""
-_STEEPEST_DEG = 60.0
-_STEEPEST = 1.7320508075688772
-"""Greatest slope of the ground along the path, and its tangent; people climb steeper ground with their hands
-(assumption)."""
+_STEEPEST_DEG = (
+    60.0  # greatest slope along the path; people climb steeper ground with their hands (assumption)
+)
+_STEEPEST = 1.7320508075688772  # its tangent
 _KNOT_M = 0.25  # greatest distance between knots: resolves the ground under a walker, smoothed over a pace
 _KNOT_RAD = 0.125  # greatest turn between knots: keeps the parameter an arc length within 1e-4
-_KNOT_GROWTH = (
-    0.2  # growth of the distance between knots per metre: neighbours stay within a factor of about 1.2
-)
+_KNOT_GROWTH = 0.2  # of the distance between knots, per metre: neighbours are within a factor of about 1.2
 _SAMPLE_M = 0.05
 _FEWEST_SAMPLES = 16  # between two waypoints: fine enough to see each turn below the smallest radius
-# length of a pace at a common walking speed (Perry and Burnfield, "Gait Analysis", 2nd ed., chapter 20)
 _PACE_M = 0.7
+"""Length of a pace at a common walking speed (Perry and Burnfield, "Gait Analysis", 2nd ed., chapter 20)."""
 _HEIGHT_M = 0.1  # distance between the heights that are taken from the ground
 _GAUSS = (
     (-0.906179845938664, 0.23692688505618908),
@@ -121,6 +119,11 @@ class Path:
         return lap, np.clip(s_m - lap * self.length_m, 0.0, self.length_m)
 
 
+def level_path(way_points_m: F8) -> Path:
+    """Return the path through waypoints (n, 2) on level ground; errors as in `Path`."""
+    return Path(way_points_m, lambda x_m, _y_m: np.zeros_like(x_m))
+
+
 def path_over(way_points_m: F8, height_m: HeightField, ground: str) -> Path:
     """Return the path over the ground named `ground`, from the user's store after the first computation.
 
@@ -192,7 +195,7 @@ def _knots(cubic: Spline, u: F8, way_points_m: F8, closed: bool) -> tuple[F8, I8
 
 
 def _curvature(steps: F8, closed: bool) -> F8:
-    """Curvature (n,) from the angles between n - 1 steps; infinite at steps without length."""
+    """Return the curvature (n,) from the angles between n - 1 steps; infinite at steps without length."""
     before, after = (np.roll(steps, 1, axis=0), steps) if closed else (steps[:-1], steps[1:])
     ahead = (before * after).sum(axis=1)
     aside = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
@@ -249,7 +252,7 @@ def _heights(plan: Spline, along_m: F8, origin_m: F8, height_m: HeightField, clo
 
 
 def _smooth(padded: F8, reach: int) -> F8:
-    """Mean (n,) of values (n + 2 reach - 2,) with weights that fall linearly to zero over `reach` steps."""
+    """Return means (n,) of values (n + 2 reach - 2,) under a triangle of `reach` steps to either side."""
     out = np.zeros(len(padded) - 2 * reach + 2)
     for k in range(1 - reach, reach):
         out += (reach - abs(k)) / (reach * reach) * padded[reach - 1 + k : reach - 1 + k + len(out)]

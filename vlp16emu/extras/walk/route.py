@@ -14,7 +14,7 @@ from vlp16emu.extras.walk.settings import Walk
 from vlp16emu.types import F8
 
 Stops = Sequence[tuple[float, float]]
-_PLACED = [0, 1, 2, 5]  # x, y, z and yaw among x, y, z, roll, pitch, yaw: a path has no roll or pitch
+_PATH_AXES = [0, 1, 2, 5]  # x, y, z and yaw among x, y, z, roll, pitch, yaw: a path has no roll or pitch
 _MAX_SPEED_M_S = 10.0  # a sprint
 _KNOT_S = 0.1  # between knots: a start or a stop takes half a second, a pace (assumption)
 _DEGREE = 5
@@ -96,9 +96,9 @@ class Route:
         curve = np.concatenate([point_m, heading_rad[..., None]], axis=2)
         speed = speed_m_s[:, None]
         nodes = np.zeros((len(elapsed_s), AXES, 3))
-        nodes[:, _PLACED, 0] = curve[:, 0]
-        nodes[:, _PLACED, 1] = curve[:, 1] * speed
-        nodes[:, _PLACED, 2] = curve[:, 2] * (speed * speed) + curve[:, 1] * acceleration_m_s2[:, None]
+        nodes[:, _PATH_AXES, 0] = curve[:, 0]
+        nodes[:, _PATH_AXES, 1] = curve[:, 1] * speed
+        nodes[:, _PATH_AXES, 2] = curve[:, 2] * (speed * speed) + curve[:, 1] * acceleration_m_s2[:, None]
         return nodes, speed_m_s
 
 
@@ -112,9 +112,8 @@ class _Leg:
     def __init__(self, start_m: float, end_m: float, turn_rad_m: Callable[[F8], F8], walk: Walk) -> None:
         cells = max(2, math.ceil((end_m - start_m) / _CELL_M))
         looked_m = np.linspace(start_m, end_m, 1 + _LOOKS * cells)
-        blocks = np.array_split(
-            looked_m, 1 + len(looked_m) // _BLOCK
-        )  # a path of 100 km has 20 million places
+        # A path of 100 km has 20 million places.
+        blocks = np.array_split(looked_m, 1 + len(looked_m) // _BLOCK)
         turn = -_running_minimum(-np.abs(np.concatenate([*map(turn_rad_m, blocks)])), _LOOKS // 2)[::_LOOKS]
         yaw_rate_rad_s = math.radians(walk.yaw_rate_deg_s)
         self._turn_limit_m_s = yaw_rate_rad_s / np.maximum(turn, yaw_rate_rad_s / _MAX_SPEED_M_S)
@@ -174,18 +173,18 @@ def _rests(stops: Stops, length_m: float) -> tuple[F8, F8]:
 def _speed_for(run_time_s: float, legs: Sequence[_Leg], pauses_s: float, length_m: float) -> float:
     """Find the cruise speed with which the run takes a given time, or slightly less."""
 
-    def takes_s(speed_m_s: float) -> float:
+    def duration_s(speed_m_s: float) -> float:
         return pauses_s + _PADDING_S + sum(leg.times_s(leg.speeds_m_s(speed_m_s))[-1] for leg in legs)
 
     high = _MAX_SPEED_M_S
-    fastest_s = takes_s(_MAX_SPEED_M_S)
+    fastest_s = duration_s(_MAX_SPEED_M_S)
     if fastest_s > run_time_s:
         expected = f"at least {fastest_s:.1f} s, with its stops, turns and starts"
         raise TrajectoryError("run time", f"found {run_time_s:g} s for {length_m:.1f} m", expected)
     low = min(high, length_m / run_time_s)
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
-        low, high = (middle, high) if takes_s(middle) > run_time_s else (low, middle)
+        low, high = (middle, high) if duration_s(middle) > run_time_s else (low, middle)
     return high
 
 

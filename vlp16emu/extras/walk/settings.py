@@ -261,11 +261,11 @@ class Walk(MotionSection):
         """
         from vlp16emu.extras.walk.path import path_over
         from vlp16emu.extras.walk.route import Route
-        from vlp16emu.extras.walk.way_points import around, way_points
+        from vlp16emu.extras.walk.way_points import lead_around, way_points
 
         points = way_points(self, gps, site.origin_m[:2])
         if site.obstacles is not None:
-            points = around(points, *site.obstacles)
+            points = lead_around(points, *site.obstacles)
         path = path_over(points.xy_m, site.height_m, site.name if is_stored else "")
         return Route(path, self, points.pause_s)
 
@@ -274,5 +274,5 @@ class Walk(MotionSection):
         if self.mast is None:
             return carrier
         # `carrier` is a `WalkMotion`, which this file does not load.
-        top: Motion = carrier.bent(self.mast)  # type: ignore[attr-defined]
+        top: Motion = carrier.mast_top(self.mast)  # type: ignore[attr-defined]
         return top

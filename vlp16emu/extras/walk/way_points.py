@@ -10,7 +10,7 @@ import numpy as np
 
 from vlp16emu.elementary import atan2, cos, norm, sin
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.extras.walk.path import Path as WalkedPath
+from vlp16emu.extras.walk.path import level_path
 from vlp16emu.extras.walk.settings import LawnMower, Walk
 from vlp16emu.inputs import read_bytes
 from vlp16emu.motion.gnss import to_local
@@ -18,9 +18,7 @@ from vlp16emu.motion.settings import Gps
 from vlp16emu.tables import Column, Table, read_table
 from vlp16emu.types import F8
 
-_POINTS_PER_QUARTER = (
-    6  # waypoints in a quarter turn: the spline through them keeps within 0.2 % of the radius
-)
+_POINTS_PER_QUARTER = 6  # waypoints in a quarter turn: their spline keeps within 0.2 % of the radius
 _LOOP_RADIUS_M = 0.5  # of the loop behind each end of a way back and forth (assumption)
 _LOOP_LENGTH_M = _LOOP_RADIUS_M * math.pi / 3 * 7  # least distance from end to end of a way back and forth
 _FARTHEST_M = 100_000.0  # from the scene's origin; farther away a plane map does not represent the earth
@@ -31,10 +29,8 @@ _CSV = {
     "stop_s": Column({"stop_s": 1.0}, 0.0, 1e6, is_needed=False, is_filled=False),
 }
 _TRIES = 300  # waypoints that are put beside an obstacle, or moved farther away from it
-_SPARE_M = 0.05
-_WIDER_M = 0.05
-"""Added to the required distance, and its growth with each try at the same obstacle: the curve between
-waypoints cuts corners."""
+_SPARE_M = 0.05  # added to the required distance, as the curve between waypoints cuts corners
+_WIDER_M = 0.05  # growth of that distance with each try at the same obstacle
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +160,7 @@ def _there_and_back(points: WayPoints) -> WayPoints:
 
 
 def _turning_loop(before_m: F8, end_m: F8) -> F8:
-    """Waypoints (n, 2) of a loop that leads back to the end of a path in the opposite direction.
+    """Return waypoints (n, 2) of a loop that leads back to the end of a path in the opposite direction.
 
     It is a sixth of a circle to the right, five sixths to the left round a centre straight ahead, and a sixth
     to the right, all with one radius, and has a waypoint at each sixth.
@@ -199,13 +195,13 @@ def lawn_mower(plot: LawnMower) -> F8:
         corners.append((far_m, y_m))
         if line < lines - 1:
             corners.append((far_m, y_m + line_spacing_m))
-    along, across = _rounded(np.array(corners), radius_m, spacing_m).T
+    along, across = _round_corners(np.array(corners), radius_m, spacing_m).T
     azimuth_rad = math.radians(plot.azimuth_deg)
     cosine, sine = cos(azimuth_rad), sin(azimuth_rad)
     return np.column_stack([cosine * along - sine * across, sine * along + cosine * across]) + plot.corner_m
 
 
-def _rounded(corners_m: F8, radius_m: float, spacing_m: float) -> F8:
+def _round_corners(corners_m: F8, radius_m: float, spacing_m: float) -> F8:
     """Sample points (n, 2) about evenly along right-angled corners (c, 2) rounded by quarter circles."""
     ahead = np.diff(corners_m, axis=0)
     ahead /= norm(ahead)[:, None]
@@ -221,19 +217,19 @@ def _rounded(corners_m: F8, radius_m: float, spacing_m: float) -> F8:
 
 
 def _straight(start_m: F8, end_m: F8, spacing_m: float) -> F8:
-    """Points (n, 2) from a start to just before an end; none if both are equal."""
+    """Return points (n, 2) from a start to just before an end; none if both are equal."""
     count = math.ceil(norm(end_m - start_m) / spacing_m - 1e-9)
     return start_m + np.arange(count)[:, None] / max(count, 1) * (end_m - start_m)
 
 
-def around(points: WayPoints, places_m: F8, gaps_m: F8) -> WayPoints:
+def lead_around(points: WayPoints, places_m: F8, gaps_m: F8) -> WayPoints:
     """Add waypoints that keep the path at least gaps (n,) away from places (n, 2); the user's stay.
 
     Raises TrajectoryError if no way around is found.
     """
     beside = dict[int, tuple[int, F8]]()  # tries and waypoint by place
     for _ in range(_TRIES):
-        path = WalkedPath(points.xy_m, lambda x, _y: np.zeros_like(x))
+        path = level_path(points.xy_m)
         apart_m = np.array([norm(path.xy_m - place_m) for place_m in places_m])
         short_m = gaps_m - apart_m.min(axis=1)
         worst = int(short_m.argmax())

@@ -1,11 +1,9 @@
-"""Ground from a digital elevation model.
+"""Ground from a digital elevation model: ESRI ASCII grids, numpy arrays and GeoTIFF (with rasterio).
 
-ESRI ASCII grids, numpy arrays, and GeoTIFF if rasterio is installed.
-
-Monotone cubics interpolate between cell centres along x, and then along y (Steffen, "A simple method for
-monotonic interpolation in one dimension", Astronomy and Astrophysics 239, 1990): the surface passes through
-every height and stays within the four around. Where the ground bends little it equals the bicubic convolution
-of Keys (1981) with a = -1/2.
+Monotone cubics interpolate between cell
+centres along x, and then along y (Steffen, "A simple method for monotonic interpolation in one dimension",
+Astronomy and Astrophysics 239, 1990): the surface passes through every height and stays within the four
+around. Where the ground bends little it equals the bicubic convolution of Keys (1981) with a = -1/2.
 """
 
 import logging
@@ -55,11 +53,10 @@ class Grid:
 def read_grid(path: Path, *, cell_m: float | None, corner_m: tuple[float, float] | None) -> Grid:
     """Read a grid in the format of its suffix.
 
-    Cells with a non-finite value or the file's no-data value have no height.
-
-    The edge of a cell, and easting and northing of the outer corner of the south-western cell, are required
-    for .npy, which does not hold them, and None for the others. Raises GeometryError if the file is not such
-    a grid, and MissingExtraError for a GeoTIFF without rasterio.
+    Cells with a non-finite value or the file's no-data value have no height. The edge of a cell, and easting
+    and northing of the outer corner of the south-western cell, are required for .npy, which does not hold
+    them, and None for the others. Raises GeometryError if the file is not such a grid, and MissingExtraError
+    for a GeoTIFF without rasterio.
     """
     kind = path.suffix.lower()
     if kind not in {".asc", ".npy", ".tif", ".tiff"}:
@@ -76,9 +73,8 @@ def read_grid(path: Path, *, cell_m: float | None, corner_m: tuple[float, float]
 def write_ascii(file: BinaryIO, height_m: HeightField, low_m: F8, high_m: F8, cell_m: float) -> None:
     """Write ground as an ESRI ASCII grid with millimetre resolution.
 
-    Each height is taken at the centre of its cell.
-
-    The grid covers the rectangle from `low_m` to `high_m` (2,), with edges at whole multiples of a cell.
+    Each height is taken at the centre of its cell. The grid covers the rectangle from `low_m` to `high_m`
+    (2,), with edges at whole multiples of a cell.
     """
     first = np.floor(low_m / cell_m)
     end = np.ceil(high_m / cell_m)
@@ -334,7 +330,7 @@ def _slope(before: float, after: float) -> float:
 
 
 @inline_kernel
-def _between(a: float, b: float, c: float, d: float, t: float) -> float:
+def _interpolate(a: float, b: float, c: float, d: float, t: float) -> float:
     """Height at share `t` of the way from b to c, for four heights at equal distances."""
     rise = c - b
     start = _slope(b - a, rise)
@@ -353,5 +349,5 @@ def _heights(out: F8, x: F8, y: F8, nodes: F8, west_m: float, south_m: float, ce
         column, row = min(int(u), columns - 4), min(int(v), rows - 4)
         for j in range(4):
             a, b, c, d = nodes[row + j, column : column + 4]
-            z[j] = _between(a, b, c, d, u - column)
-        out[i] = _between(z[0], z[1], z[2], z[3], v - row)
+            z[j] = _interpolate(a, b, c, d, u - column)
+        out[i] = _interpolate(z[0], z[1], z[2], z[3], v - row)

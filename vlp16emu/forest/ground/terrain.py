@@ -69,9 +69,8 @@ _SHOULDER = 1.5
 """Distance of the end of a rut's shoulder over half the rut's width; the shoulder is a seventeenth of the
 depth high."""
 _WAVES_M = (7.0, 19.0)  # wavelengths of the depth along a rut; assumption
-_FREE_M = (
-    2.0  # distance from the middle of a trail without trees: trails are 4 m wide (FSC and PEFC in Germany)
-)
+_FREE_M = 2.0
+"""Distance from the middle of a trail without trees: trails are 4 m wide (FSC and PEFC in Germany)."""
 _RUT = int(Growth.RUT)
 
 
@@ -83,9 +82,8 @@ class Trails:
         towards = math.radians(section.trail_towards_deg)
         self._along = (cos(towards), sin(towards))
         self._seed = (np.uint32(seed & 0xFFFFFFFF), np.uint32(seed >> 32))
-        self.free_share = (
-            1.0 - 2 * _FREE_M / self._spacing_m if self._spacing_m else 1.0
-        )  # of the ground, for trees
+        self.free_share = 1.0 - 2 * _FREE_M / self._spacing_m if self._spacing_m else 1.0
+        """Share of the ground for trees."""
 
     def are_free(self, xy_m: F8) -> NDArray[np.bool_]:
         """Return a mask (n,) of the points (n, 2) off all trails."""
@@ -140,12 +138,13 @@ def _add_ruts(
             # The phases of a rut's two waves take one half of the bits each.
             phases = words[2] if aside > 0 else words[3]
             along_m = along_x * x[i] + along_y * y[i]
-            one, other = (phases >> np.uint32(16)) * 2.0**-16, (phases & np.uint32(0xFFFF)) * 2.0**-16
-            wave = cos_sin(2 * math.pi * (along_m / _WAVES_M[0] + one))[0]
-            wave += cos_sin(2 * math.pi * (along_m / _WAVES_M[1] + other))[0]
+            first_phase = (phases >> np.uint32(16)) * 2.0**-16
+            second_phase = (phases & np.uint32(0xFFFF)) * 2.0**-16
+            wave = cos_sin(2 * math.pi * (along_m / _WAVES_M[0] + first_phase))[0]
+            wave += cos_sin(2 * math.pi * (along_m / _WAVES_M[1] + second_phase))[0]
             depth_m = _DEPTH_M[0] + (0.5 + 0.25 * wave) * (_DEPTH_M[1] - _DEPTH_M[0])
-            rest = 1.0 - square
-            out[i] -= depth_m * (rest * rest) * (1.0 - _SHOULDER * _SHOULDER * square)
+            inside = 1.0 - square
+            out[i] -= depth_m * (inside * inside) * (1.0 - _SHOULDER * _SHOULDER * square)
 
 
 _HILL_WAVELENGTHS_M = (30.0, 300.0)
@@ -203,15 +202,15 @@ class TerrainHeights:
         flat = height.reshape(-1), x.reshape(-1), y.reshape(-1)
         sum_of_waves(*flat, self._waves, *self._gradient)
         if self._mound_share:
-            _add(*flat, self._mound_share, _MOUND_CELL_M, _MOUND, *self._seed)
+            _add_features(*flat, self._mound_share, _MOUND_CELL_M, _MOUND, *self._seed)
         if self._pit_share:
-            _add(*flat, self._pit_share, _PIT_CELL_M, _PIT, *self._seed)
+            _add_features(*flat, self._pit_share, _PIT_CELL_M, _PIT, *self._seed)
         self.trails.add(*flat)
         return height
 
 
 @array_kernel
-def _add(
+def _add_features(
     out: F8,
     x: F8,
     y: F8,
@@ -238,14 +237,15 @@ def _add(
                 east_m = x[i] - (ix + words[1] * 2.0**-32) * cell_m
                 north_m = y[i] - (iy + words[2] * 2.0**-32) * cell_m
                 # Two numbers from one half of the last word each: 65536 values are enough.
-                one, other = (words[3] >> np.uint32(16)) * 2.0**-16, (words[3] & np.uint32(0xFFFF)) * 2.0**-16
+                first_draw = (words[3] >> np.uint32(16)) * 2.0**-16
+                second_draw = (words[3] & np.uint32(0xFFFF)) * 2.0**-16
                 if purpose == _PIT:
-                    out[i] += _pit_m(east_m, north_m, one, other)
+                    out[i] += _pit_m(east_m, north_m, first_draw, second_draw)
                     continue
                 # A mound with a width and a height in [0, 1) is (1 - (r / R)^2)^3, smooth to its rim.
-                radius = (_MOUND_WIDTH_M[0] + one * (_MOUND_WIDTH_M[1] - _MOUND_WIDTH_M[0])) / 2
+                radius = (_MOUND_WIDTH_M[0] + first_draw * (_MOUND_WIDTH_M[1] - _MOUND_WIDTH_M[0])) / 2
                 inside = _dome(east_m, north_m, radius)
-                out[i] += (2.0 * other - 1.0) * _MOUND_HEIGHT_M * (inside * inside * inside)
+                out[i] += (2.0 * second_draw - 1.0) * _MOUND_HEIGHT_M * (inside * inside * inside)
 
 
 @array_kernel

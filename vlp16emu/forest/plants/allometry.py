@@ -11,7 +11,7 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from vlp16emu.elementary import exp, expm1, log, log1p, power
 from vlp16emu.kernels.compiler import array_kernel
-from vlp16emu.settings import Section
+from vlp16emu.settings import ExpectationError, Section
 from vlp16emu.types import F8
 
 Coefficients = tuple[float, ...]
@@ -63,10 +63,8 @@ def _curtis_arney_height_m(
 def _bechtold_crown_width_m(coefficients: Coefficients, dbh_cm: F8) -> F8:
     """Crown width of forest-grown trees, Bechtold (2003), in inches and feet.
 
-    Its parameters are a1, a2, a3, a4; the crown ratio is in percent.
-
-    It is proportional to diameter below 5 inches and constant above 50 inches, as in the Forest Vegetation
-    Simulator.
+    Its parameters are a1, a2, a3, a4; the crown ratio is in percent. It is proportional to diameter below 5
+    inches and constant above 50 inches, as in the Forest Vegetation Simulator.
     """
     a1, a2, a3, a4, crown_ratio_percent = coefficients
     dbh_in = np.clip(dbh_cm / _INCH_CM, 5.0, 50.0)
@@ -88,10 +86,9 @@ def _component_biomass_kg(
 ) -> F8:
     """Sum of components a + b d^c h^d u^e s^f k^g (d h)^h.
 
-    Here u is the diameter at 0.3 h, s the stump, k the crown base.
-
-    A negative component, such as coarse wood of saplings, counts as 0. Source: Vonderach et al. (2018),
-    10.1007/s13595-018-0728-4, coefficients of Vonderach and Kaendler (2021).
+    Here u is the diameter at 0.3 h, s the stump, k the crown base. A negative component, such as coarse wood
+    of saplings, counts as 0. Source: Vonderach et al. (2018), 10.1007/s13595-018-0728-4, coefficients of
+    Vonderach and Kaendler (2021).
     """
     total = np.zeros_like(dbh_cm)
     for a, b, c, d, e, f, g, h in np.reshape(coefficients, (-1, _COMPONENT_TERMS)):
@@ -104,7 +101,7 @@ def _component_biomass_kg(
 class Equation(Section):
     """An equation by name, with its coefficients."""
 
-    known: ClassVar[Mapping[str, tuple[int, Any]]]
+    equations: ClassVar[Mapping[str, tuple[int, Any]]]
     """Number of coefficients, and function of the coefficients and the arguments, by equation."""
 
     model: str
@@ -112,28 +109,28 @@ class Equation(Section):
 
     @field_validator("coefficients")
     @classmethod
-    def _complete(cls, coefficients: Coefficients, info: ValidationInfo) -> Coefficients:
+    def _check_count(cls, coefficients: Coefficients, info: ValidationInfo) -> Coefficients:
         model = info.data.get("model")  # absent if it is itself in error
-        if model is not None and len(coefficients) != cls.known[model][0]:
-            raise ValueError(f"{cls.known[model][0]} numbers for {model!r}")
+        if model is not None and len(coefficients) != cls.equations[model][0]:
+            raise ExpectationError(f"{cls.equations[model][0]} numbers for {model!r}")
         return coefficients
 
     def __call__(self, *values: Any) -> F8:
         """Value of the equation."""
-        return self.known[self.model][1](self.coefficients, *values)
+        return self.equations[self.model][1](self.coefficients, *values)
 
 
 class HeightCurve(Equation):
     """Tree height as a function of diameter in cm, through a stand's mean diameter and mean height."""
 
-    known: ClassVar = {"uniform": (2, _uniform_height_m), "curtis_arney": (3, _curtis_arney_height_m)}
+    equations: ClassVar = {"uniform": (2, _uniform_height_m), "curtis_arney": (3, _curtis_arney_height_m)}
     model: Literal["uniform", "curtis_arney"]
 
 
 class CrownWidth(Equation):
     """Crown width of forest-grown trees as a function of diameter in cm."""
 
-    known: ClassVar = {
+    equations: ClassVar = {
         # c0, c1 and c0, c1, c2, c3 of Doebbeler et al. (2002): a straight line, and a line with less width
         # for thin trees.
         "linear": (2, lambda c, dbh_cm: c[0] + c[1] * dbh_cm),
@@ -151,7 +148,7 @@ class CrownBase(Equation):
     over the ground area.
     """
 
-    known: ClassVar = {
+    equations: ClassVar = {
         "logistic": (6, _logistic_crown_base),
         # The crown ratio, if it is the same for all trees.
         "ratio": (1, lambda c, dbh_cm, *_: np.broadcast_to(log(1 / c[0] - 1), np.shape(dbh_cm))),
@@ -165,7 +162,7 @@ class Biomass(Equation):
     It follows from diameters in cm, heights, diameters at 0.3 of the height, and crown base heights.
     """
 
-    known: ClassVar = {
+    equations: ClassVar = {
         # b0, b1: Jenkins et al. (2003), Forest Science 49(1), table 4; b0, b1, b2: the form of Smith et al.
         # (2014).
         "log_diameter": (2, lambda b, dbh_cm, *_: exp(b[0] + b[1] * log(dbh_cm))),
@@ -178,7 +175,7 @@ class Biomass(Equation):
 class Taper(Equation):
     """Taper of a stem."""
 
-    known: ClassVar = {"laasasenaho": (8, None), "brink": (3, None)}  # see `_form`
+    equations: ClassVar = {"laasasenaho": (8, None), "brink": (3, None)}  # see `_form`
     model: Literal["laasasenaho", "brink"]
     flare: Annotated[tuple[float, float], Field(strict=False)] = (0.0, 1.0)
     """Butt swell: relative extra radius at the ground, and the height in m over which it falls by a factor of
@@ -198,25 +195,25 @@ class Taper(Equation):
 @array_kernel
 def _form(row: F8, height_m: float, above_ground_m: float) -> float:
     """Relative stem radius, to be scaled to the DBH; 0 at the tip of the unbroken stem."""
-    whole_m = height_m / row[1]
-    z = min(max(above_ground_m, 0.0), whole_m)
+    unbroken_m = height_m / row[1]
+    z = min(max(above_ground_m, 0.0), unbroken_m)
     if row[0] == 0:
         # Laasasenaho (1982): exponents 1, 2, 3, 5, 8, 13, 21, 34 of the relative distance from the tip.
         # Each exponent is the sum of the two before, so each power is the product of the two before.
-        before = now = 1.0 - z / whole_m
-        form = row[4] * now
+        power_before = power_now = 1.0 - z / unbroken_m
+        form = row[4] * power_now
         for i in range(5, 12):
-            before, now = now, before * now
-            form += row[i] * now
+            power_before, power_now = power_now, power_before * power_now
+            form += row[i] * power_now
     else:
         # Brink's function as in Schmidt (2001), with a radius of 1 at breast height.
         i_share = row[4]
         p = row[5]
         q = row[6]
-        top = 1.0 - exp(q * (1.3 - whole_m))
-        butt = 1.0 - exp(p * (1.3 - whole_m))
+        top = 1.0 - exp(q * (1.3 - unbroken_m))
+        butt = 1.0 - exp(p * (1.3 - unbroken_m))
         # Two terms, exactly 1 at breast height and 0 at the tip.
-        form = i_share * ((1.0 - exp(q * (z - whole_m))) / top)
+        form = i_share * ((1.0 - exp(q * (z - unbroken_m))) / top)
         form += (1.0 - i_share) * (1.0 - (1.0 - exp(p * (1.3 - z))) / butt)
     if row[2] > 0:
         form *= 1.0 + row[2] * exp(-z / row[3])
@@ -228,11 +225,11 @@ def _radii(taper: F8, dbh_m: F8, height_m: F8, above_ground_m: F8) -> F8:
     out = np.empty_like(above_ground_m)
     for i in range(len(dbh_m)):
         breast = _form(taper[i], height_m[i], 1.3)
-        more = taper[i, 12]
+        own_taper = taper[i, 12]
         for j, z in enumerate(above_ground_m[i]):
             share = _form(taper[i], height_m[i], z) / breast
-            if more != 0 and share > 0:
-                share *= exp(more * log(share))
+            if own_taper != 0 and share > 0:
+                share *= exp(own_taper * log(share))
             out[i, j] = dbh_m[i] / 2 * share
     return out
 

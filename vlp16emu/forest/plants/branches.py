@@ -27,8 +27,8 @@ def quads(corners: F8) -> Mesh:
 NO_LEAVES = quads(np.zeros((0, 4, 3)))  # in place of fallen leaves
 
 
-def merged(*parts: Mesh) -> Mesh:
-    """Concatenation of triangle meshes."""
+def merge(*parts: Mesh) -> Mesh:
+    """Concatenate triangle meshes."""
     if len(parts) == 1:
         return parts[0]
     first = np.cumsum([0, *(len(part.vertices_m) for part in parts)])
@@ -42,27 +42,24 @@ def pipe_faces(sides: int, rings: int, *, bottom: bool = True, top: bool = True)
 
     Its first vertex is the bottom's centre and its last the tip, if it has them.
     """
-    here = np.arange(sides)
-    after = np.roll(here, -1)
+    corner = np.arange(sides)
+    after = np.roll(corner, -1)
     low = int(bottom) + (np.arange(rings - 1) * sides)[:, None]
     high = low + sides
     last = int(bottom) + (rings - 1) * sides
-    walls = [(low + here, low + after, high + after), (low + here, high + after, high + here)]
+    walls = [(low + corner, low + after, high + after), (low + corner, high + after, high + corner)]
     triangles = [np.stack(corners, axis=-1).reshape(-1, 3) for corners in walls]
     if bottom:
-        triangles.insert(0, np.column_stack([after + 1, here + 1, np.zeros(sides, np.int64)]))
+        triangles.insert(0, np.column_stack([after + 1, corner + 1, np.zeros(sides, np.int64)]))
     if top:
-        triangles.append(np.column_stack([last + here, last + after, np.full(sides, last + sides)]))
+        triangles.append(np.column_stack([last + corner, last + after, np.full(sides, last + sides)]))
     faces = np.concatenate(triangles).astype(np.uint32)
     faces.flags.writeable = False
     return faces
 
 
-_NODES = {
-    1: 9,
-    2: 5,
-    3: 3,
-}  # nodes of a branch's curve, by order: odd, so that saplings can use every second node
+_NODES = {1: 9, 2: 5, 3: 3}
+"""Nodes of a branch's curve, by order: odd, so that saplings can use every second node."""
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 """Angle between successive branches or whorls, so that none is directly above another."""
 _STEEPEST = np.radians(85.0)  # branches hang or rise no steeper; keeps the azimuth of a branch defined
@@ -86,13 +83,13 @@ class Branches:
         rings = self.nodes_m.shape[1] - 1
         return self.radius_m[:, None] * np.append(_taper(np.arange(rings) / rings), 0.0)
 
-    def of(self, which: I8) -> "Branches":
-        """Return some of the branches."""
-        return Branches(*(getattr(self, name)[which] for name in self.__slots__))
+    def select(self, rows: I8) -> "Branches":
+        """Return the selected branches."""
+        return Branches(*(getattr(self, name)[rows] for name in self.__slots__))
 
 
 def first_order(rng: np.random.Generator, habit: Habit, size_m: tuple[float, float], stem_m: F8) -> Branches:
-    """First-order branches of a crown of a length and width.
+    """Grow the first-order branches of a crown of the given length and width.
 
     Stem radii (s,) are evenly spaced from base to top.
     """
@@ -105,13 +102,15 @@ def first_order(rng: np.random.Generator, habit: Habit, size_m: tuple[float, flo
     azimuth = whorl * GOLDEN_ANGLE + turn * (np.arange(n) % habit.branches_per_whorl)
     azimuth += rng.normal(0.0, 0.2, n)
 
-    def between(pair_deg: Sequence[float]) -> F8:
+    def angles_rad(pair_deg: Sequence[float]) -> F8:
         """Angles in radians, interpolated from the lowest to the highest branches."""
         return np.radians(pair_deg[0] + (pair_deg[1] - pair_deg[0]) * relative)[:, None]
 
     share = (np.arange(_NODES[1] - 1) + 0.5) / (_NODES[1] - 1)
-    rise = between(habit.rise_deg) + rng.normal(0.0, np.radians(6.0), (n, 1))
-    elevation = rise - between(habit.droop_deg) * share + between(habit.upturn_deg) * (share * share * share)
+    rise = angles_rad(habit.rise_deg) + rng.normal(0.0, np.radians(6.0), (n, 1))
+    elevation = (
+        rise - angles_rad(habit.droop_deg) * share + angles_rad(habit.upturn_deg) * (share * share * share)
+    )
     base = np.zeros((n, 3))
     base[:, 2] = relative * length_m
     unit = curves(rng, base * 0, azimuth, elevation, np.ones(n), habit.crook_deg)
@@ -121,12 +120,12 @@ def first_order(rng: np.random.Generator, habit: Habit, size_m: tuple[float, flo
     # (Shinozaki et al. 1964). Thickness is proportional to length, and limited by the stem at the branch's
     # base.
     radius = stem_m[0] * np.sqrt(habit.branch_area) * branch_m / np.sqrt(np.square(branch_m).sum())
-    here = np.interp(relative, np.linspace(0, 1, len(stem_m)), stem_m)
-    return Branches(nodes, azimuth, branch_m, np.clip(radius, THINNEST_M, 0.6 * here))
+    stem_here_m = np.interp(relative, np.linspace(0, 1, len(stem_m)), stem_m)
+    return Branches(nodes, azimuth, branch_m, np.clip(radius, THINNEST_M, 0.6 * stem_here_m))
 
 
 def side_branches(rng: np.random.Generator, twigs: Twigs, bearers: Branches, order: int) -> Branches:
-    """Branches on both sides of the branches of the previous order; the last one continues its bearer."""
+    """Grow branches on both sides of the bearers, of the previous order; the last continues its bearer."""
     leafy = bearers.length_m * (1 - twigs.start)
     count = np.maximum(2, np.round(leafy * twigs.per_m).astype(np.int64))
     bearer = np.repeat(np.arange(len(count)), count)
@@ -149,9 +148,9 @@ def side_branches(rng: np.random.Generator, twigs: Twigs, bearers: Branches, ord
     share = twigs.length_share * (1 - 0.7 * at_share) * rng.uniform(0.7, 1.2, n)
     length = np.clip(bearers.length_m[bearer] * share, *twigs.length_m)
     nodes = curves(rng, base, azimuth, elevation, length, 0.0)
-    together = np.sqrt(np.bincount(bearer, np.square(length)))[bearer]
+    all_twigs = np.sqrt(np.bincount(bearer, np.square(length)))[bearer]
     thickest = bearers.radius_m[bearer]
-    radius = np.minimum(thickest * length / together, thickest * _taper(at_share))
+    radius = np.minimum(thickest * length / all_twigs, thickest * _taper(at_share))
     return Branches(nodes, azimuth, length, np.maximum(radius, THINNEST_M))
 
 
@@ -193,8 +192,8 @@ def volume_m3(branches: Branches) -> float:
     return float((np.pi / 3 * step_m * (np.square(low) + low * high + np.square(high))).sum())
 
 
-def joined(*parts: Branches) -> Branches:
-    """Concatenation of branches of one order."""
+def join(*parts: Branches) -> Branches:
+    """Concatenate branches of one order."""
     return Branches(*(np.concatenate([getattr(part, name) for part in parts]) for name in Branches.__slots__))
 
 
@@ -208,12 +207,11 @@ def points_along(nodes_m: F8, branch: I8, share: F8) -> tuple[F8, F8]:
 
 
 def tubes(branches: Branches, sides: int, *, every: int = 1) -> Mesh:
-    """Tapering tubes through every `every`-th node of the curves.
+    """Make tapering tubes through every `every`-th node of the curves.
 
-    They are open at the base, inside the bearer, and pointed at the tip.
-
-    A section has the perimeter of the round branch, so that the width of its silhouette, averaged over all
-    directions, equals the branch's diameter for any number of sides (Cauchy).
+    They are open at the base, inside the bearer, and pointed at the tip. A section has the perimeter of the
+    round branch, so that the width of its silhouette, averaged over all directions, equals the branch's
+    diameter for any number of sides (Cauchy).
     """
     nodes = branches.nodes_m[:, ::every]
     n = nodes.shape[0]
@@ -221,11 +219,11 @@ def tubes(branches: Branches, sides: int, *, every: int = 1) -> Mesh:
     tangent = unit(np.gradient(nodes, axis=1)[:, :rings])
     across = np.stack([-sin(branches.azimuth), cos(branches.azimuth), np.zeros(n)], axis=-1)[:, None]
     across = unit(across - (across * tangent).sum(axis=-1, keepdims=True) * tangent)
-    other = np.cross(tangent, across)
+    outward = np.cross(tangent, across)
     half = np.pi / sides
     corner = branches.radius_m[:, None] * _taper(np.arange(rings) / rings) * half / sin(half)
     angle = 2 * half * np.arange(sides)[:, None]
-    round_about = cos(angle) * across[:, :, None] + sin(angle) * other[:, :, None]
+    round_about = cos(angle) * across[:, :, None] + sin(angle) * outward[:, :, None]
     ring = nodes[:, :rings, None] + corner[..., None, None] * round_about
     vertices = np.concatenate([ring.reshape(n, rings * sides, 3), nodes[:, -1:]], axis=1)
     faces_of_tube = pipe_faces(sides, rings, bottom=False).astype(np.int64)
@@ -319,15 +317,14 @@ _DEAD_TWIG_ORDER = 3
 def bole_branches(
     rng: np.random.Generator, habit: Habit, crown_base_m: float, longest_m: float, stem_m: F8
 ) -> tuple[Branches, Branches, Branches]:
-    """Branches below the crown, in the crown frame.
+    """Grow the branches below the crown, in the crown frame.
 
     The probability that a branch lives falls with the light, by a factor of e for each `living_depth_m` below
     the crown base. The crown base has risen at a constant rate past the dead branches, so the time since
-    their death is proportional to their
+    their death is proportional to their depth below it.
 
-    depth below it. `longest_m` is the length of branches at the crown base, and `stem_m` (s,) are radii from
-    there to the ground, evenly spaced. Returns living first-order branches, dead ones, and the twigs of the
-    dead ones.
+    `longest_m` is the length of branches at the crown base, and `stem_m` (s,) are radii from there to the
+    ground, evenly spaced. Returns living first-order branches, dead ones, and the twigs of the dead ones.
     """
     below_m = max(crown_base_m - _FREE_M, 0.0)
     reach_m = max(habit.dead_reach * below_m, _LEAST_REACH_M)
@@ -336,30 +333,30 @@ def bole_branches(
     age = depth_m / reach_m
     lives = rng.random(n) < exp(-depth_m / min(habit.living_depth_m, _LIVING_DEPTH * crown_base_m))
     grown = 1 - (1 - _LENGTH_AT_FOOT) * depth_m / max(below_m, 1e-9)
-    whole_m = longest_m * grown * rng.uniform(*_LENGTHS, n)
+    unbroken_m = longest_m * grown * rng.uniform(*_LENGTHS, n)
     bark_m = np.interp(depth_m, np.linspace(0, crown_base_m, len(stem_m)), stem_m)
     since = np.maximum(age, 1e-9)
     broken_m = bark_m + rng.rayleigh(_STUB_M / (since * np.sqrt(since)))
-    length_m = np.where(lives, whole_m, np.minimum(whole_m, broken_m))
+    length_m = np.where(lives, unbroken_m, np.minimum(unbroken_m, broken_m))
     azimuth = GOLDEN_ANGLE * np.arange(n) + rng.normal(0.0, 0.4, n)
     at = (np.arange(_BOLE_NODES - 1) + 0.5) / (_BOLE_NODES - 1)
     rise = habit.rise_deg[0] + rng.normal(0.0, 10.0, (n, 1))
     upturn = np.where(lives, habit.upturn_deg[0], 0.0)[:, None]
     elevation = np.radians(rise - habit.droop_deg[0] * at + upturn * (at * at * at))
     base = np.column_stack([np.zeros((n, 2)), -depth_m])
-    whole = curves(rng, base, azimuth, elevation, whole_m, habit.crook_deg)
+    curve_m = curves(rng, base, azimuth, elevation, unbroken_m, habit.crook_deg)
     # The inner part of a broken branch remains.
-    share = np.outer(length_m / whole_m, np.linspace(0, 1, _BOLE_NODES))
-    nodes = points_along(whole, np.repeat(np.arange(n), _BOLE_NODES), share.ravel())[0].reshape(
+    share = np.outer(length_m / unbroken_m, np.linspace(0, 1, _BOLE_NODES))
+    nodes = points_along(curve_m, np.repeat(np.arange(n), _BOLE_NODES), share.ravel())[0].reshape(
         n, _BOLE_NODES, 3
     )
-    radius_m = np.maximum(whole_m / _SLENDERNESS / 2, THINNEST_M)
+    radius_m = np.maximum(unbroken_m / _SLENDERNESS / 2, THINNEST_M)
     all_branches = Branches(nodes, azimuth, length_m, radius_m)
-    living, dead = (all_branches.of(np.flatnonzero(is_of_kind)) for is_of_kind in (lives, ~lives))
+    living, dead = (all_branches.select(np.flatnonzero(is_of_kind)) for is_of_kind in (lives, ~lives))
     twigs = side_branches(rng, habit.twigs, dead, _DEAD_TWIG_ORDER)
     twig_age = -twigs.nodes_m[:, 0, 2] / reach_m
     kept = rng.random(len(twig_age)) < _TWIGS_KEPT * exp(-twig_age / _TWIG_AGE)
-    return living, dead, twigs.of(np.flatnonzero(kept))
+    return living, dead, twigs.select(np.flatnonzero(kept))
 
 
 def _depths_m(rng: np.random.Generator, habit: Habit, span_m: float, reach_m: float) -> F8:

@@ -23,10 +23,8 @@ _MOST_LEAVES = 120_000
 """Greatest number of quads; beyond, quads become larger instead: limits the memory of very large crowns."""
 _HANG_SIGMA = np.radians(40.0)
 """One sigma of a blade's tip about the direction of steepest descent in its plane; assumption."""
-_SHOOT_ANGLE = (
-    np.radians(15.0),
-    np.radians(65.0),
-)  # range of angles between a shoot and its twig; assumption
+_SHOOT_ANGLE = np.radians(15.0), np.radians(65.0)
+"""Range of angles between a shoot and its twig; assumption."""
 
 
 def foliage_mesh(rng: np.random.Generator, foliage: Foliage, twigs: Branches, leaf_area_m2: float) -> Mesh:
@@ -83,9 +81,9 @@ def _shoots(rng: np.random.Generator, base: F8, tangent: F8, length: F8, width: 
     outward = cos(roll) * first + sin(roll) * second
     along = cos(angle) * tangent + sin(angle) * outward
     across = cos(roll) * second - sin(roll) * first  # at right angles to both tangent and outward
-    other = np.cross(along, across)
+    third = np.cross(along, across)
     tip = base + length * along
-    halves = across * width / 2, other * width / 2
+    halves = across * width / 2, third * width / 2
     return np.concatenate([np.stack([base - h, base + h, tip + h, tip - h], axis=1) for h in halves])
 
 
@@ -111,10 +109,8 @@ class IvyKey:
 def ivy_tops_m(trees: Trees, share: float, height_m: tuple[float, float], *, seed: int) -> F8:
     """Height over the foot (n,) up to which ivy covers a stem, no higher than the crown base.
 
-    Stems without ivy have 0.
-
-    A `share` of the stems has ivy; the height is within the range `height_m` and depends on the tree's
-    position alone.
+    Stems without ivy have 0. A `share` of the stems has ivy; the height is within the range `height_m` and
+    depends on the tree's position alone.
     """
     places_mm = np.round(1000 * places_m(trees, "xy")).astype(np.int64) & 0xFFFFFFFF
     counters = [(x & 0x7FFFFFFF) << 32 | y for x, y in places_mm.tolist()]

@@ -14,8 +14,8 @@ from vlp16emu.forest.plants.branches import (
     bole_branches,
     first_order,
     ground_stems,
-    joined,
-    merged,
+    join,
+    merge,
     side_branches,
     tubes,
     volume_m3,
@@ -72,20 +72,20 @@ def crown_meshes(seed: int, key: CrownKey, *, table: Table | None = None) -> tup
     leaves = _NOTHING
     if species.foliage and species.foliage.is_borne(key.season):
         leaves = foliage_mesh(rng, species.foliage, orders[-1], key.leaf_area_m2)
-    first, *others = (tubes(branches, sides) for branches, sides in zip(orders, _SIDES, strict=False))
-    higher = merged(*others)
+    first, *higher_orders = (tubes(branches, sides) for branches, sides in zip(orders, _SIDES, strict=False))
+    higher = merge(*higher_orders)
     bare = [tubes(dead[0], _SIDES[1], every=4), tubes(dead[1], _SIDES[2])] if key.dead_branches else []
     if species.foliage is None:
-        return _NOTHING, _NOTHING, _NOTHING, merged(first, higher, *bare)
-    return first, higher, leaves, merged(*bare) if bare else _NOTHING
+        return _NOTHING, _NOTHING, _NOTHING, merge(first, higher, *bare)
+    return first, higher, leaves, merge(*bare) if bare else _NOTHING
 
 
 def crown_branches(seed: int, key: CrownKey, *, table: Table | None = None) -> tuple[Branches, Branches]:
     """Return the living and the dead first-order branches, in the crown frame."""
     species = (table or flora().trees)[key.species]
     (first, *_), dead = _orders(seed, key, species)[1:]
-    bare = dead[0] if key.dead_branches else dead[0].of(np.zeros(0, np.int64))
-    return (first, bare) if species.foliage else (first.of(np.zeros(0, np.int64)), joined(first, bare))
+    bare = dead[0] if key.dead_branches else dead[0].select(np.zeros(0, np.int64))
+    return (first, bare) if species.foliage else (first.select(np.zeros(0, np.int64)), join(first, bare))
 
 
 def crown_wood_m3(seed: int, key: CrownKey, *, table: Table | None = None) -> float:
@@ -122,10 +122,7 @@ def crown_placements(trees: Trees, crowns: Sequence[CrownKey]) -> F8:
 def _orders(
     seed: int, key: CrownKey, species: Species
 ) -> tuple[np.random.Generator, list[Branches], tuple[Branches, Branches]]:
-    """Random generator, branches by order, and dead branches with their twigs.
-
-    Dead branches below and their twigs.
-    """
+    """Return the random generator, branches by order, and the dead branches below with their twigs."""
     name = species.number, key.variant, round(key.dbh_m * 1e4)
     rng, bole_rng = (generator(seed, purpose, *name) for purpose in (Growth.CROWN, Growth.DEAD_BRANCH))
     at_m = np.append(*(np.linspace(key.crown_base_m, end_m, 16) for end_m in (key.height_m, 0.0)))
@@ -140,14 +137,13 @@ def _orders(
         if twigs is not None:
             crown.append(side_branches(rng, twigs, crown[-1], order))
             below.append(side_branches(bole_rng, twigs, below[-1], order))
-    return rng, [joined(*both) for both in zip(crown, below, strict=True)], (dead[0], dead[1])
+    return rng, [join(*branches) for branches in zip(crown, below, strict=True)], (dead[0], dead[1])
 
 
 SAPLING_PARTS = (PlantPart.STEM, PlantPart.BRANCH_FIRST_ORDER, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.LEAF)
 """Parts of the meshes of a sapling, in order. A missing part is a mesh without faces."""
-SLENDERNESS = (
-    80.0  # height of a sapling over its stem's diameter at the ground; the stem is a cone; assumptions
-)
+SLENDERNESS = 80.0
+"""Height of a sapling over its stem's diameter at the ground; the stem is a cone; assumptions."""
 CROWN_BASE_SHARE = 0.1
 CROWN_WIDTH_SHARE = 0.5
 """Height of the lowest branch, and width of the crown, over the height; assumptions."""

@@ -26,16 +26,15 @@ from vlp16emu.forest.plants.allometry import (
 )
 from vlp16emu.forest.settings import Season
 from vlp16emu.inputs import read_text
-from vlp16emu.settings import Fraction, Section, toml
+from vlp16emu.settings import ExpectationError, Fraction, Section, toml
 from vlp16emu.types import F8, I8
 
 Pair = Annotated[tuple[float, float], Field(strict=False)]
 Text = Annotated[str, Field(min_length=1)]
 Length = Annotated[float, Field(ge=0.005, le=20)]
 Crook = Annotated[float, Field(ge=0, le=60)]
-_BIOMASS_AT = (
-    0.3  # relative height of the upper diameter in component biomass equations (Vonderach et al. 2018)
-)
+_BIOMASS_AT = 0.3
+"""Relative height of the upper diameter in component biomass equations (Vonderach et al. 2018)."""
 
 
 _VOLUME_PER_TAPER = 0.45
@@ -68,7 +67,7 @@ class Foliage(Section):
     @classmethod
     def _check_inclination(cls, inclination: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
         if len(inclination) != 2 * (info.data.get("kind") == "leaf"):
-            raise ValueError("mu and nu for leaves, nothing for shoots")
+            raise ExpectationError("mu and nu for leaves, nothing for shoots")
         return inclination
 
 
@@ -196,7 +195,7 @@ class Plant(Section):
     def _check_number(cls, number: int, info: ValidationInfo) -> int:
         first = info.context["first_number"] if info.context else 1
         if number < first:
-            raise ValueError(f"{first} or more")
+            raise ExpectationError(f"{first} or more")
         return number
 
 
@@ -337,11 +336,11 @@ def _plants(path: Path, first_number: int) -> tuple[dict[str, Species], dict[str
         raise GeometryError(f"{path}: [{kind}]", "unknown table", "[tree.NAME] or [shrub.NAME]")
     trees = _of_kind(Species, path, "tree", tables.get("tree", {}), first_number)
     shrubs = _of_kind(Shrub, path, "shrub", tables.get("shrub", {}), first_number)
-    taken: dict[int, str] = {}
+    plant_of: dict[int, str] = {}
     for plant in (*trees.values(), *shrubs.values()):
-        if (other := taken.setdefault(plant.number, plant.name)) != plant.name:
+        if (first_plant := plant_of.setdefault(plant.number, plant.name)) != plant.name:
             where = f"{path}: {plant.name}.number"
-            raise GeometryError(where, f"found {plant.number}, the number of {other}", "one of its own")
+            raise GeometryError(where, f"found {plant.number}, the number of {first_plant}", "one of its own")
     return trees, shrubs
 
 
@@ -358,14 +357,13 @@ def _of_kind(section: type[_Kind], path: Path, kind: str, rows: Any, first_numbe
     return plants
 
 
-def known(names: Sequence[str], table: Mapping[str, _Kind], where: str) -> list[_Kind]:
-    """Rows of a species table by common or scientific name, regardless of case and white space.
+def find_species(names: Sequence[str], table: Mapping[str, _Kind], where: str) -> list[_Kind]:
+    """Return rows of a species table by common or scientific name, regardless of case and white space.
 
     Raises GeometryError for a name that is not in the table.
     """
-    latin = {
-        " ".join(_plain(row.scientific_name).split()[:2]): row for row in table.values()
-    }  # without the author
+    # The first two words of a scientific name: without the author.
+    latin = {" ".join(_plain(row.scientific_name).split()[:2]): row for row in table.values()}
     rows = latin | {_plain(row.name): row for row in table.values()}
     for name in names:
         if _plain(name) not in rows:

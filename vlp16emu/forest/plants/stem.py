@@ -1,4 +1,4 @@
-"""Stems: two meshes per tree, root flare and stem, which together are closed and exact at breast height.
+"""Stems: two meshes per tree, root flare and stem, together closed and exact at breast height.
 
 A ring of vertices lies where a stem's axis is 1.3 m above the ground at its foot. Perpendicular to the axis,
 the mesh's cross-section there has exactly the area of a circle of the recorded diameter. A second leader is a
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import atan2, cos, exp, expm1, hypot, matvec, norm, sin, tan
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M, taper_radius_m
-from vlp16emu.forest.plants.branches import merged, pipe_faces
+from vlp16emu.forest.plants.branches import merge, pipe_faces
 from vlp16emu.forest.plants.species import Table, Trees, flora, tapers
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.tiles import TileKey
@@ -24,9 +24,8 @@ from vlp16emu.world.vectors import places_m, unit
 
 _SIGMA_OVER_MEAN = np.sqrt(2 / np.pi)
 """Standard deviation of each component of a level vector over its mean length (Rayleigh's distribution)."""
-_MOST_BOW = (
-    0.5  # greatest bow over the DBH: branches start on the straight axis, which must stay within the stem
-)
+_MOST_BOW = 0.5
+"""Greatest bow over the DBH: branches start on the straight axis, which must stay within the stem."""
 _S_SHARE = 0.4  # amplitude of the S-shaped bend over the bow; assumption
 _SWEEP_M = 0.6  # height over which the sweep of the butt falls to 1/e; assumption
 _LOBES = (3, 6)
@@ -100,9 +99,9 @@ class StemForms:
         size_m = radius_m * np.sqrt(np.pi / polygon_m2(shape, step))
         return shape * size_m[..., None]
 
-    def of(self, which: I8 | slice) -> "StemForms":
+    def select(self, rows: I8 | slice) -> "StemForms":
         """Return the forms of the selected stems."""
-        return StemForms(*(getattr(self, name)[which] for name in self.__slots__))
+        return StemForms(*(getattr(self, name)[rows] for name in self.__slots__))
 
 
 def stem_forms(trees: NDArray[np.void], *, table: Table | None = None) -> StemForms:
@@ -120,7 +119,7 @@ def stem_forms(trees: NDArray[np.void], *, table: Table | None = None) -> StemFo
     butt = (tan(np.radians(butt_deg)) * _SIGMA_OVER_MEAN)[:, None] * g[:, 4:6]
     oval = ovality * _SIGMA_OVER_MEAN * hypot(g[:, 6], g[:, 7])
     turns = 2 * np.pi * u
-    least, most = _LOBES
+    least_lobes, most_lobes = _LOBES
     depth_m = bark_mm_per_cm * trees["dbh_m"] / 10
     ridges = np.pi * trees["dbh_m"] / (period_mm / 1000)
     gap_m = np.interp(u[:, 1], (0, 1), _LEADER_GAP) * trees["crown_width_m"] + trees["dbh_m"] / 2
@@ -129,7 +128,11 @@ def stem_forms(trees: NDArray[np.void], *, table: Table | None = None) -> StemFo
         bends=np.stack([bow_m[:, :2], _S_SHARE * bow_m[:, 2:], butt], axis=1),
         oval=np.column_stack([oval, turns[:, 2] / 2, 0.2 * (u[:, 3] - 0.5), turns[:, 4]]),
         lobes=np.column_stack(
-            [np.floor(least + (most + 1 - least) * u[:, 5]), lobes * (0.5 + u[:, 6]), turns[:, 7]]
+            [
+                np.floor(least_lobes + (most_lobes + 1 - least_lobes) * u[:, 5]),
+                lobes * (0.5 + u[:, 6]),
+                turns[:, 7],
+            ]
         ),
         surface_roots=roots,
         bark=np.column_stack([depth_m, ridges, turns[:, 8:12]]),
@@ -211,7 +214,7 @@ def circles_of(
 
 
 class Stems:
-    """Stems of trees (n,) `TREE`, the vertex rings of their meshes, and second leaders (m,) of forked stems.
+    """Stems of trees (n,) `TREE`: vertex rings of their meshes, and second leaders (m,) of forked stems.
 
     Attributes
     ----------
@@ -242,25 +245,25 @@ class Stems:
         self.radius_m[self.forked] *= np.sqrt(np.where(over, 1 - second_share[:, None], 1.0))
         self.sides = _SIDES[np.searchsorted(_THICKER_M, trees["dbh_m"])]
 
-    def _radius_m(self, which: I8 | slice, above_m: F8) -> F8:
-        trees = self.trees[which]
-        return taper_radius_m(self._taper[which], trees["dbh_m"], trees["height_m"], above_m)
+    def _radius_m(self, rows: I8 | slice, above_m: F8) -> F8:
+        trees = self.trees[rows]
+        return taper_radius_m(self._taper[rows], trees["dbh_m"], trees["height_m"], above_m)
 
     @property
     def tip_radius_m(self) -> F8:
         """Radius (n,) at the tip: 0 for a whole tree, greater for a broken one."""
         return self._radius_m(slice(None), self.trees["height_m"][:, None])[:, 0]
 
-    def axis_m(self, above_m: F8, which: I8 | slice = slice(None)) -> F8:
+    def axis_m(self, above_m: F8, rows: I8 | slice = slice(None)) -> F8:
         """Points (k, r, 3) of the axes of selected stems (k,) at heights (k, r), relative to their feet.
 
         By default all stems are selected.
         """
-        trees = self.trees[which]
+        trees = self.trees[rows]
         slope = tan(np.radians(trees["lean_deg"]))
         towards = np.radians(trees["lean_towards_deg"])
         lean = (slope * np.array([cos(towards), sin(towards)])).T
-        aside_m = self.forms.of(which).aside_m(above_m)
+        aside_m = self.forms.select(rows).aside_m(above_m)
         return np.concatenate([above_m[..., None] * lean[:, None] + aside_m, above_m[..., None]], axis=2)
 
     def leader_axis_m(self, above_m: F8) -> F8:
@@ -293,31 +296,31 @@ class Stems:
         radius_m = np.column_stack([self.radius_m[:, 1:], self.tip_radius_m])
         second_m, thin_m = self.leaders(np.linspace(0.0, 1.0, _LEADER_CIRCLES))
         parts = []
-        for own, leader, up_m, half_m, axis_m in (
+        for bearers, leader, up_m, half_m, axis_m in (
             (self.trees, 1, above_m, radius_m, self.axis_m(above_m)),
             (self.trees[self.forked], 2, second_m, thin_m, self.leader_axis_m(second_m)),
         ):
-            circles = circles_of(own, leader, PlantPart.STEM, places_m(own)[:, None] + axis_m, half_m)
+            circles = circles_of(bearers, leader, PlantPart.STEM, places_m(bearers)[:, None] + axis_m, half_m)
             circles["above_foot_m"] = up_m
             parts.append(circles.ravel())
         circles = np.concatenate(parts)
         return circles[np.lexsort((circles["above_foot_m"], circles["leader"], circles["tree"]))]
 
-    def angles(self, which: I8 | slice, sides: int) -> F8:
+    def angles(self, rows: I8 | slice, sides: int) -> F8:
         """Angles (k, sides) of a ring's vertices around the axes of selected stems (k,).
 
         They count from east, counter-clockwise.
         """
         return (
-            np.radians(self.trees["crown_azimuth_deg"][which])[:, None] + np.arange(sides) * 2 * np.pi / sides
+            np.radians(self.trees["crown_azimuth_deg"][rows])[:, None] + np.arange(sides) * 2 * np.pi / sides
         )
 
-    def outlines(self, which: I8 | slice, sides: int) -> F8:
+    def outlines(self, rows: I8 | slice, sides: int) -> F8:
         """Distances (k, r, sides) of the ring vertices of selected stems (k,) from their axes."""
-        above_m = self.above_ground_m[which]
-        radius_m = self.radius_m[which]
-        breast_m = self.trees["dbh_m"][which] / 2
-        return self.forms.of(which).outline(self.angles(which, sides), above_m, radius_m, breast_m)
+        above_m = self.above_ground_m[rows]
+        radius_m = self.radius_m[rows]
+        breast_m = self.trees["dbh_m"][rows] / 2
+        return self.forms.select(rows).outline(self.angles(rows, sides), above_m, radius_m, breast_m)
 
 
 _STATIONS = np.array([0.0, 0.08, 0.2, 0.4, 0.65, 1.0])
@@ -445,7 +448,7 @@ def stem_meshes(
     meshes = _meshes(stems, foot_m)
     for stem, root_m in zip(*root_points(stems, height_m), strict=True):
         root = Mesh((root_m + foot_m[stem]).astype(np.float32), pipe_faces(ROOT_SIDES, ROOT_RINGS))
-        meshes[len(STEM_PARTS) * stem] = merged(meshes[len(STEM_PARTS) * stem], root)
+        meshes[len(STEM_PARTS) * stem] = merge(meshes[len(STEM_PARTS) * stem], root)
     return meshes
 
 
@@ -478,7 +481,7 @@ def _meshes(stems: Stems, foot_m: F8) -> list[Mesh]:
         above_m = stems.above_ground_m[with_sides]
         away_m = stems.outlines(with_sides, sides)
         pipes_m = _pipes(
-            partial(stems.axis_m, which=with_sides), above_m, away_m, stems.angles(with_sides, sides)
+            partial(stems.axis_m, rows=with_sides), above_m, away_m, stems.angles(with_sides, sides)
         )
         flare = pipe_faces(sides, stems.flare_rings, top=False)
         upper = pipe_faces(sides, above_m.shape[1] - stems.flare_rings + 1, bottom=False)
@@ -488,7 +491,7 @@ def _meshes(stems: Stems, foot_m: F8) -> list[Mesh]:
             stem = [*([(second[tree], leader)] if tree in second else []), (top_m, upper)]
             pieces = (Mesh((at_m + foot_m[tree]).astype(np.float32), faces) for at_m, faces in stem)
             below = (points_m[: shared + sides] + foot_m[tree]).astype(np.float32)
-            meshes[tree] = Mesh(below, flare), merged(*pieces)
+            meshes[tree] = Mesh(below, flare), merge(*pieces)
     return [mesh for tree in range(len(trees)) for mesh in meshes[tree]]
 
 
@@ -497,7 +500,7 @@ def _leaders(stems: Stems) -> F8:
     above_m, radius_m = stems.leaders(np.array([*_LEADER_RINGS, 1.0]))
     angle = stems.angles(stems.forked, _LEADER_SIDES)
     breast_m = stems.trees["dbh_m"][stems.forked] / 2
-    away_m = stems.forms.of(stems.forked).outline(angle, above_m[:, :-1], radius_m[:, :-1], breast_m)
+    away_m = stems.forms.select(stems.forked).outline(angle, above_m[:, :-1], radius_m[:, :-1], breast_m)
     pipes_m = _pipes(stems.leader_axis_m, above_m[:, :-1], away_m, angle)
     return np.concatenate([pipes_m, stems.leader_axis_m(above_m[:, -1:])], axis=1)
 

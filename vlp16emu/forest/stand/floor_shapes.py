@@ -1,9 +1,8 @@
-"""Shapes and labels of things on the ground.
+"""Shapes and labels of things on the ground: stones, dead wood, tufts of grass and low plants.
 
-Stones, dead wood, tufts of grass and low plants, all of unit size.
-
-They are grown once per variant and scaled where they are placed. Numbers and labels of each kind are rows of
-`floor.toml`. Leaves are kites, two triangles each.
+They have unit size, are grown once per variant and scaled
+where they are placed. Numbers and labels of each kind are rows of `floor.toml`. Leaves are kites, two
+triangles each.
 """
 
 import tomllib
@@ -18,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, hypot, matvec, norm, sin
-from vlp16emu.forest.plants.branches import merged
+from vlp16emu.forest.plants.branches import merge
 from vlp16emu.forest.plants.species import GROUND_MATERIALS
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.placement import PlacedThings
@@ -172,12 +171,12 @@ def _moss_cushion(rng: Generator, row: Row) -> Mesh:
     z = high[:, None] + 0.1 * rng.uniform(-1, 1, (3, sides)) * [[1.0], [1.0], [0.0]]
     ring = np.stack([away[:, None] * rim * cos(angle), away[:, None] * rim * sin(angle), z], axis=-1)
     vertices = np.concatenate([[[0.0, 0.0, 1.0]], ring.reshape(-1, 3)])
-    here = np.arange(sides)
+    corner = np.arange(sides)
     after = np.roll(np.arange(sides), -1)
-    faces = [np.column_stack([np.zeros(sides, int), 1 + here, 1 + after])]
+    faces = [np.column_stack([np.zeros(sides, int), 1 + corner, 1 + after])]
     for low in (1, 1 + sides):
-        faces += [np.column_stack([low + here, low + sides + here, low + sides + after])]
-        faces += [np.column_stack([low + here, low + sides + after, low + after])]
+        faces += [np.column_stack([low + corner, low + sides + corner, low + sides + after])]
+        faces += [np.column_stack([low + corner, low + sides + after, low + after])]
     return _unit(vertices, np.concatenate(faces))
 
 
@@ -258,8 +257,8 @@ def _icosphere(splits: int) -> tuple[F8, NDArray[np.uint32]]:
         edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
         pairs, index = np.unique(edges, axis=0, return_inverse=True)
         middle = len(vertices) + index.reshape(-1, 3)
-        between = vertices[pairs].sum(axis=1)
-        vertices = np.concatenate([vertices, unit(between)])
+        midpoints = vertices[pairs].sum(axis=1)
+        vertices = np.concatenate([vertices, unit(midpoints)])
         (a, b, c) = faces.T
         (ab, bc, ca) = middle.T
         quarters = np.array([(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)])
@@ -313,7 +312,7 @@ def _root_plate(rng: Generator, row: Row) -> Mesh:
         pieces.append(
             closed_body(ends[::-1, None] + np.array([0.01, 0.03])[:, None, None] * corners, ends[::-1])
         )
-    plate = merged(*pieces)
+    plate = merge(*pieces)
     return Mesh(np.ascontiguousarray(plate.vertices_m[:, [2, 0, 1]]), plate.faces)
 
 

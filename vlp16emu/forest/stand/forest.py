@@ -167,7 +167,7 @@ class ForestWorld:
         edge_m = np.arange(-2, 83) * 0.25
         x, y = np.meshgrid(origin_m[0] + edge_m, origin_m[1] + edge_m, indexing="ij")
         far = np.flatnonzero(tile.far)[1:]  # without the first, the tile's own shape
-        keys, shape = distinct([tile.keys[which] for which in tile.shape[far].tolist()])
+        keys, shape = distinct([tile.keys[number] for number in tile.shape[far].tolist()])
         begins = np.append(np.unique(tile.first_surface), len(tile.surfaces))
         rows = tile.first_surface[far]
         # One placement of each shape, for the number of its parts.

@@ -12,7 +12,7 @@ from vlp16emu.elementary import log
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.polyline import Corridor, Polyline
 from vlp16emu.forest.plants.prototypes import CrownKey
-from vlp16emu.forest.plants.species import BARK_SPREAD, LEAF_SPREAD, Species, Trees, flora, known
+from vlp16emu.forest.plants.species import BARK_SPREAD, LEAF_SPREAD, Species, Trees, find_species, flora
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import LEAST_SLENDERNESS, Plot
 from vlp16emu.forest.stand.points import Land
@@ -76,7 +76,9 @@ def read_stem_list(
     if not len(table):
         raise GeometryError(str(path), "no tree below line 1", "one tree to a line")
     names = table.texts("species")
-    species = [known([name], all_species, table.where(row, "species"))[0] for row, name in enumerate(names)]
+    species = [
+        find_species([name], all_species, table.where(row, "species"))[0] for row, name in enumerate(names)
+    ]
     trees = np.zeros(len(table), TREE)
     trees["species"] = [kind.number for kind in species]
     trees["list_line"] = table.lines
@@ -176,10 +178,8 @@ def _check(table: Table, trees: Trees) -> None:
         raise GeometryError(table.where(second), found, f"trees at least {_APART_M:g} m apart")
 
 
-_CROWN_RATIOS = (
-    0.4,
-    0.6,
-)  # limits between the variants of a class, so that no crown is stretched much along its stem
+_CROWN_RATIOS = 0.4, 0.6
+"""Limits between the variants of a class, so that no crown is stretched much along its stem."""
 _CLASS_BASE_M = 0.3
 _CLASS_RATIO = 1.25
 """Base of crown classes: class c has a DBH of about _CLASS_BASE_M * _CLASS_RATIO**c."""
@@ -190,11 +190,10 @@ _log = logging.getLogger(__name__)
 class GivenStand:
     """Trees of a list, tile by tile.
 
-    Missing values, such as the azimuth of a crown about its stem, are drawn by the seed.
-
-    A crown is a prototype for the list's trees of that species and diameter class, scaled to the tree. Each
-    tree has the leaf area index of its species on its own crown projection, as the ground area of a tree does
-    not follow from a list.
+    Missing values, such as the azimuth of a crown about its stem, are drawn by the seed. A crown is a
+    prototype for the list's trees of that species and diameter class, scaled to the tree. Each tree has the
+    leaf area index of its species on its own crown projection, as the ground area of a tree does not follow
+    from a list.
 
     Raises GeometryError for a faulty list, and for trees on the path unless they are dropped.
     """

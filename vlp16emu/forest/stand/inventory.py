@@ -1,6 +1,6 @@
-"""Ground truth of standing trees: one row per tree, computed from the scanned meshes.
+"""Ground truth of standing trees, computed from the scanned meshes: inventory and circles.
 
-Circles along stems and branches.
+An inventory has one row per tree. Circles lie along stems and along branches of the first order.
 """
 
 import csv
@@ -153,11 +153,13 @@ def _measure_crowns(
     trees_of: dict[CrownKey, list[int]] = {}
     for i, key in enumerate(crowns):
         trees_of.setdefault(key, []).append(i)
-    for key, which in trees_of.items():
-        rows["wood_m3"][which] += crown_wood_m3(seed, key, table=table) * np.square(wide[which]) * long[which]
+    for key, rows_of_key in trees_of.items():
+        rows["wood_m3"][rows_of_key] += (
+            crown_wood_m3(seed, key, table=table) * np.square(wide[rows_of_key]) * long[rows_of_key]
+        )
         meshes = crown_meshes(seed, key, table=table)
         corners_m = hull_m(np.concatenate([mesh.vertices_m for mesh in meshes]).astype(np.float64))
-        for i in which:
+        for i in rows_of_key:
             at_m = matvec(foot_T_crown[i, :, :3], corners_m) + foot_T_crown[i, :, 3]
             span_m[i, 0] = at_m.min(axis=0, initial=np.inf).clip(max=span_m[i, 0])
             span_m[i, 1] = at_m.max(axis=0, initial=-np.inf).clip(min=span_m[i, 1])
@@ -169,9 +171,9 @@ def _measure_crowns(
             x, y, z = (np.cross(c - a, d - b) / 2).T
             level = np.square(z)
             steep = np.square(x) + np.square(y)
-            stretches = zip(wide[which], long[which], strict=True)
+            stretches = zip(wide[rows_of_key], long[rows_of_key], strict=True)
             areas_m2 = [w * np.sqrt(level * w * w + steep * h * h).sum() for w, h in stretches]
-            rows["leaf_m2"][which] = foliage.clumping * np.array(areas_m2)
+            rows["leaf_m2"][rows_of_key] = foliage.clumping * np.array(areas_m2)
 
 
 def hull_m(points_m: F8) -> F8:
@@ -190,17 +192,15 @@ def branch_circles(
 ) -> NDArray[np.void]:
     """Circles (k,) `STEM_CIRCLE` along the branches of the first order, tree by tree.
 
-    Each goes from the stem's axis to its tip.
-
-    The crowns of trees (n,) `TREE` are prototypes grown from the seed and scaled; a circle has the area of
-    the scaled branch's section.
+    Each goes from the stem's axis to its tip. The crowns of trees (n,) `TREE` are prototypes grown from the
+    seed and scaled; a circle has the area of the scaled branch's section.
     """
     prototypes = {key: crown_branches(seed, key, table=table) for key in dict.fromkeys(crowns)}
     found = [np.zeros(0, STEM_CIRCLE)]
     for tree, key, world_T_crown in zip(trees[:, None], crowns, crown_placements(trees, crowns), strict=True):
         number = 1
-        both = PlantPart.BRANCH_FIRST_ORDER, PlantPart.DEAD_BRANCH
-        for part, branches in zip(both, prototypes[key], strict=True):
+        parts = PlantPart.BRANCH_FIRST_ORDER, PlantPart.DEAD_BRANCH
+        for part, branches in zip(parts, prototypes[key], strict=True):
             world_A = world_T_crown[:, :3]
             nodes_m = branches.nodes_m
             along = np.gradient(nodes_m, axis=1)

@@ -29,8 +29,8 @@ class PlacedThings:
     is_exact: bool = False  # True if they are cast as faces at any distance and are not part of the `FarTile`
 
 
-def between(limits: tuple[float, float], draw: F8) -> F8:
-    """Map draws in [0, 1) to limits[0] .. limits[1]."""
+def in_range(limits: tuple[float, float], draw: F8) -> F8:
+    """Return the numbers in a range, limits[0] to limits[1], that draws in [0, 1) stand for."""
     return limits[0] + (limits[1] - limits[0]) * draw
 
 
@@ -45,8 +45,8 @@ def placements(place_m: F8, world_R_thing: F8, size: F8) -> F8:
     return np.concatenate([world_R_thing * size[:, None, :], place_m[:, :, None]], axis=2)
 
 
-def concatenated(groups: Sequence[PlacedThings]) -> PlacedThings:
-    """Join groups of things of one layer, in order; none of them are trees."""
+def concatenate(groups: Sequence[PlacedThings]) -> PlacedThings:
+    """Concatenate groups of things of one layer, none of them trees."""
     keys = [key for group in groups for key in group.keys]
     world_T_shape = np.concatenate([group.world_T_shape for group in groups])
     return PlacedThings(keys, world_T_shape, np.concatenate([group.surfaces for group in groups]))

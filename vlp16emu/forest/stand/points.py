@@ -38,9 +38,8 @@ class Land:
     trails: Trails | None = None  # trails without trees and shrubs
 
 
-_SPACING_SHARE = (
-    0.4  # hard-core distance over 1 / sqrt(density); assumption, gives a Clark-Evans index near 1.25
-)
+_SPACING_SHARE = 0.4
+"""Hard-core distance over 1 / sqrt(density); assumption, gives a Clark-Evans index near 1.25."""
 _JITTER_M = 0.15  # half-range of the error of planting along and across a row; assumption
 _LARGEST_DISTANCE_M = 5.0  # upper limit of the hard-core distance; assumption
 _TILES_KEPT = 1024  # tiles whose points are kept for their neighbours: more than a window with its border has
@@ -60,22 +59,20 @@ class PointPattern:
     points: TilePoints  # points (n, 2) of a tile (ix, iy), x and y in m
 
 
-def scattered(*, seed: int, purpose: Growth, per_ha: float) -> PointPattern:
-    """Scatter independent points (Poisson process)."""
+def poisson_pattern(*, seed: int, purpose: Growth, per_ha: float) -> PointPattern:
+    """Return a pattern of independent points (Poisson process)."""
     mean = per_ha * TILE_M * TILE_M / 10_000
     return PointPattern(
         per_ha, lambda ix, iy: _poisson_points(generator(seed, purpose, ix, iy), ix, iy, mean)
     )
 
 
-def patchy(*, seed: int, purpose: Growth, even_per_ha: float, patchy_per_ha: float) -> PointPattern:
-    """Scatter points, a part of them in patches (Cox process).
+def cox_pattern(*, seed: int, purpose: Growth, even_per_ha: float, patchy_per_ha: float) -> PointPattern:
+    """Return a pattern of points, a part of them in patches (Cox process).
 
-    Plants that spread by runners or follow light stand like that.
-
-    The density in patches follows the square of normal noise: a quarter of the ground has less than a tenth
-    of the mean, and a twelfth more than three times the mean. `even_per_ha` points are independent of
-    patches, `patchy_per_ha` are in them.
+    Plants that spread by runners or follow light stand like that. The density in patches follows the square
+    of normal noise: a quarter of the ground has less than a tenth of the mean, and a twelfth more than three
+    times the mean. `even_per_ha` points are independent of patches, `patchy_per_ha` are in them.
     """
     band = waves(generator(seed, purpose, 0, 0, 2), _PATCH_WAVELENGTHS_M, 1.0)
     most_per_ha = even_per_ha + _DENSEST_PATCH * patchy_per_ha
@@ -93,12 +90,11 @@ def patchy(*, seed: int, purpose: Growth, even_per_ha: float, patchy_per_ha: flo
     return PointPattern(even_per_ha + patchy_per_ha, points)
 
 
-def hard_core(*, seed: int, purpose: Growth, per_ha: float) -> PointPattern:
-    """Thin Poisson candidates with random priorities by a hard-core distance.
+def hard_core_pattern(*, seed: int, purpose: Growth, per_ha: float) -> PointPattern:
+    """Return a pattern of Poisson candidates with random priorities, thinned by a hard-core distance.
 
-    This is Matern's second process (Matern 1960).
-
-    A candidate survives if no candidate of higher priority is within the hard-core distance.
+    This is Matern's second process (Matern 1960). A candidate survives if no candidate of higher priority is
+    within the hard-core distance.
     """
     density = per_ha / 10_000
     distance_m = min(_SPACING_SHARE / math.sqrt(density), _LARGEST_DISTANCE_M) if density else 0.0
@@ -124,8 +120,8 @@ def hard_core(*, seed: int, purpose: Growth, per_ha: float) -> PointPattern:
     return PointPattern(per_ha, points)
 
 
-def clustered(section: Clusters, *, seed: int, purpose: Growth, per_ha: float) -> PointPattern:
-    """Scatter clumps by a Poisson process, with members around a centre (Thomas process).
+def cluster_pattern(section: Clusters, *, seed: int, purpose: Growth, per_ha: float) -> PointPattern:
+    """Return a pattern of clumps (Thomas process): centres of a Poisson process, members around each.
 
     Members beyond the neighbouring tile, at most one in 1e4, are lost.
     """
@@ -134,17 +130,17 @@ def clustered(section: Clusters, *, seed: int, purpose: Growth, per_ha: float) -
     def members(ix: int, iy: int) -> F8:
         rng = generator(seed, purpose, ix, iy)
         middles = _poisson_points(rng, ix, iy, per_ha / section.per_cluster * TILE_M * TILE_M / 10_000)
-        each = rng.poisson(section.per_cluster, len(middles))
-        return np.repeat(middles, each, axis=0) + rng.normal(0.0, section.sigma_m, (each.sum(), 2))
+        counts = rng.poisson(section.per_cluster, len(middles))
+        return np.repeat(middles, counts, axis=0) + rng.normal(0.0, section.sigma_m, (counts.sum(), 2))
 
     # Members in a tile, of clumps in this and other tiles.
     return PointPattern(per_ha, lambda ix, iy: _inside(around(ix, iy, members), ix, iy))
 
 
-def planted(
+def plantation_pattern(
     section: Plantation, *, seed: int, purpose: Growth, per_ha: float, free_share: float = 1.0
 ) -> PointPattern:
-    """Plant rows and keep a random share of the trees; `free_share` of the ground is off trails.
+    """Return a pattern of planted rows, thinned at random; `free_share` of the ground is off trails.
 
     Raises GeometryError if the density off trails exceeds the planted density.
     """
@@ -186,11 +182,11 @@ def pattern_of(section: Pattern, land: Land, *, purpose: Growth, per_ha: float) 
     options: Tree = {"seed": land.seed, "purpose": purpose, "per_ha": per_ha / share}
     match section:
         case Clusters():
-            pattern = clustered(section, **options)
+            pattern = cluster_pattern(section, **options)
         case Plantation():
-            pattern = planted(section, free_share=share, **options)
+            pattern = plantation_pattern(section, free_share=share, **options)
         case Scattered(kind=kind):
-            pattern = hard_core(**options) if kind == "hard_core" else scattered(**options)
+            pattern = hard_core_pattern(**options) if kind == "hard_core" else poisson_pattern(**options)
     if (trails := land.trails) is None or share == 1:
         return pattern
     off_trails = pattern.per_ha * share

@@ -27,19 +27,19 @@ from vlp16emu.forest.plants.prototypes import (
     SaplingKey,
     ShrubKey,
 )
-from vlp16emu.forest.plants.species import BARK_SPREAD, LEAF_SPREAD, known
+from vlp16emu.forest.plants.species import BARK_SPREAD, LEAF_SPREAD, find_species
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.floor_shapes import FloorKind, Row, floor, floor_things, is_ground, shape_row
 from vlp16emu.forest.stand.placement import (
     PlacedThings,
     about_vertical,
     along_slope,
-    between,
-    concatenated,
+    concatenate,
+    in_range,
     placements,
     plant_surfaces,
 )
-from vlp16emu.forest.stand.points import Land, PointPattern, patchy, pattern_of, scattered
+from vlp16emu.forest.stand.points import Land, PointPattern, cox_pattern, pattern_of, poisson_pattern
 from vlp16emu.forest.stand.stand import REGENERATION, TREE, class_scale
 from vlp16emu.forest.tiles import tile_distance_m
 from vlp16emu.random import generator
@@ -77,11 +77,11 @@ class Layer:
                 if section.stems_per_ha and not names:
                     found = "found none, and only dead trees above"
                     raise GeometryError("regeneration.species", found, "names of species")
-                self.species = known(names, plants.trees, "regeneration.species")
+                self.species = find_species(names, plants.trees, "regeneration.species")
             case settings.Shrubs():
-                self.species = known(section.species, plants.shrubs, "shrubs.species")
+                self.species = find_species(section.species, plants.shrubs, "shrubs.species")
             case settings.Logs() | settings.Stumps():
-                self.species = known(section.species or canopy, plants.trees, f"{self.name}.species")
+                self.species = find_species(section.species or canopy, plants.trees, f"{self.name}.species")
         self.pattern = self._pattern()  # before things on the path and in trunks are left out
 
     def place(self, ix: int, iy: int, trunks: F8) -> PlacedThings:
@@ -103,7 +103,7 @@ class Layer:
                 spread = self.row["spread"]
                 even, in_patches = plants_per_ha(self.section, spread, patches=not self.is_ground)
                 if in_patches:
-                    return patchy(**where, even_per_ha=even, patchy_per_ha=in_patches)
+                    return cox_pattern(**where, even_per_ha=even, patchy_per_ha=in_patches)
             case settings.Grass(tufts_per_m2=per_m2):
                 even = 10_000 * per_m2
             case settings.Stones(cover=cover):
@@ -112,7 +112,7 @@ class Layer:
                 even = -log1p(-cover) / _stone_area_m2() * 10_000
             case settings.Logs(per_ha=per_ha) | settings.Stumps(per_ha=per_ha):
                 even = per_ha
-        return scattered(**where, per_ha=even)
+        return poisson_pattern(**where, per_ha=even)
 
     def are_clear(self, trunks: F8, xy_m: F8, reach_m: F8, foot_m: F8) -> Mask:
         """Return a mask of points (n, 2) that are clear of path and trunks.
@@ -129,7 +129,7 @@ class Layer:
 def layers_of(section: settings.Woods, land: Land, canopy: Sequence[str]) -> list[Layer]:
     """Return the layers of all plants and things under the trees, in the order of their numbers."""
     sections = (getattr(section, name) for name, _ in _LAYERS.values())
-    layers = [Layer(each, land, season=section.season, canopy=canopy) for each in sections]
+    layers = [Layer(layer_section, land, season=section.season, canopy=canopy) for layer_section in sections]
     return [layer for layer in layers if layer.pattern.per_ha]
 
 
@@ -147,7 +147,7 @@ def _lay_plants(layer: Layer, trunks: F8, xy_m: F8, rng: Generator) -> PlacedThi
         width_m = height_m * wide
         foot_m = row["foot"] * width_m
     else:
-        height_m = between(layer.section.height_m, draws[:, 0])
+        height_m = in_range(layer.section.height_m, draws[:, 0])
         width_m = CROWN_WIDTH_SHARE * height_m
         foot_m = height_m / SLENDERNESS / 2 + np.minimum(row["room"] * height_m, row["most_room_m"])
     keep = layer.are_clear(trunks, xy_m, width_m / 2, foot_m)
@@ -219,25 +219,25 @@ def _lay_logs(layer: Layer, trunks: F8, xy_m: F8, rng: Generator) -> PlacedThing
     row = layer.row
     draws = rng.random((len(xy_m), 8))
     fate = rng.random((len(xy_m), 7))
-    diameter_m = between(section.diameter_m, draws[:, 0])
+    diameter_m = in_range(section.diameter_m, draws[:, 0])
     is_uprooted = fate[:, 0] < section.uprooted
     is_broken = fate[:, 1] < section.broken
     # A log with a standing root plate is young.
     is_rotten = (fate[:, 2] < section.decayed) & ~is_uprooted
-    decay = np.where(is_rotten, between(row["decay"], fate[:, 3]), 0.0)
+    decay = np.where(is_rotten, in_range(row["decay"], fate[:, 3]), 0.0)
     plate_m = row["plate_m"] + row["plate_per_diameter"] * diameter_m
-    whole = _Pieces(
+    logs = _Pieces(
         log=np.arange(len(xy_m)),
         is_top=np.zeros(len(xy_m), np.bool_),
         xy_m=xy_m,
         towards=2 * np.pi * draws[:, 2],
-        length_m=between(section.length_m, draws[:, 1]),
+        length_m=in_range(section.length_m, draws[:, 1]),
         wide_m=diameter_m * (1 + row["decayed_wider"] * decay),
         high_m=diameter_m * (1 - row["decayed_lower"] * decay),
         sunk=row["sunk"] + row["decayed_sunk"] * decay,
         plate_m=np.where(is_uprooted, plate_m, 0.0),
     )
-    pieces = _break_in_two(whole, is_broken, fate[:, 4:], row)
+    pieces = _break_in_two(logs, is_broken, fate[:, 4:], row)
     world_T = _on_ground(pieces, layer.land.height_m, row["plate_axis"])
     along_m = pieces.along_m()
     sideways = pieces.towards + np.pi / 2
@@ -245,7 +245,7 @@ def _lay_logs(layer: Layer, trunks: F8, xy_m: F8, rng: Generator) -> PlacedThing
     keep = _are_clear(layer, trunks, along_m, pieces.wide_m / 2)
     keep &= _are_clear(layer, trunks, across_m, row["plate_thickness"] * pieces.plate_m)
     keep = np.bincount(pieces.log, ~keep, len(xy_m))[pieces.log] == 0
-    species = _sampled_species(layer, draws)[pieces.log]
+    species = _sample_species(layer, draws)[pieces.log]
     looks = draws[pieces.log]
     log_looks = np.where(pieces.is_top[:, None], looks[:, [6, 5]], looks[:, 4:6])
     in_two = is_broken[pieces.log]
@@ -255,7 +255,7 @@ def _lay_logs(layer: Layer, trunks: F8, xy_m: F8, rng: Generator) -> PlacedThing
     across = along_slope(pieces.towards, along[:, 2] / hypot(along[:, 0], along[:, 1]))
     size = pieces.plate_m[:, None] * [row["plate_thickness"], 1.0, 1.0]
     butt_T = placements(world_T[:, :, 3] - world_T[:, :, 0] / 2, across, size)
-    return concatenated(
+    return concatenate(
         [
             floor_things(FloorKind.LOG, keep & ~in_two, world_T, log_looks, species=species),
             floor_things(FloorKind.BROKEN_LOG, keep & in_two, world_T, log_looks, species=species),
@@ -267,47 +267,45 @@ def _lay_logs(layer: Layer, trunks: F8, xy_m: F8, rng: Generator) -> PlacedThing
 def _lay_stumps(layer: Layer, trunks: F8, xy_m: F8, rng: Generator) -> PlacedThings:
     section = layer.section
     draws = rng.random((len(xy_m), 8))
-    species = _sampled_species(layer, draws)
-    diameter_m = between(section.diameter_m, draws[:, 0])
-    height_m = between(section.height_m, draws[:, 1])
+    species = _sample_species(layer, draws)
+    diameter_m = in_range(section.diameter_m, draws[:, 0])
+    height_m = in_range(section.height_m, draws[:, 1])
     keep = layer.are_clear(trunks, xy_m, 0.8 * diameter_m, 0.8 * diameter_m)
     place_m = np.column_stack([xy_m, layer.land.height_m(*xy_m.T)])
     size = np.column_stack([diameter_m, diameter_m, height_m])
     world_T = placements(place_m, about_vertical(360 * draws[:, 2]), size)
     is_broken = draws[:, 6] < section.broken
     kinds = (FloorKind.STUMP, keep & ~is_broken), (FloorKind.BROKEN_STUMP, keep & is_broken)
-    return concatenated([floor_things(*kind, world_T, draws[:, 4:], species=species) for kind in kinds])
+    return concatenate([floor_things(*kind, world_T, draws[:, 4:], species=species) for kind in kinds])
 
 
-def _sampled_species(layer: Layer, draws: F8) -> I8:
+def _sample_species(layer: Layer, draws: F8) -> I8:
     numbers = np.array([tree.number for tree in layer.species], np.int64)
     return numbers[(len(numbers) * draws[:, 3]).astype(int)]
 
 
-def _break_in_two(whole: _Pieces, is_broken: Mask, draws: F8, row: Row) -> _Pieces:
+def _break_in_two(logs: _Pieces, is_broken: Mask, draws: F8, row: Row) -> _Pieces:
     """Break some of the logs (n,) in two; draws (n, 3) give position, gap and angle."""
-    log = np.append(whole.log, np.flatnonzero(is_broken))
-    is_top = np.arange(len(log)) >= len(whole.log)
-    towards = whole.towards[log]
-    whole_m = whole.length_m[log]
-    at = between(row["break_at"], draws[log, 0])
-    gap = between(row["break_gap"], draws[log, 1])
+    log = np.append(logs.log, np.flatnonzero(is_broken))
+    is_top = np.arange(len(log)) >= len(logs.log)
+    towards = logs.towards[log]
+    log_m = logs.length_m[log]
+    at = in_range(row["break_at"], draws[log, 0])
+    gap = in_range(row["break_gap"], draws[log, 1])
     share = np.where(is_top, 1 - at - gap, np.where(is_broken[log], at, 1.0))
     middle = np.where(is_top, at / 2, -0.5 + share / 2)
     taper = shape_row(FloorKind.LOG)["taper"]
     thick = np.where(is_broken[log], 1 - 2 * taper * middle, 1.0)
-    length_m = share * whole_m
-    xy_m = _line_m(whole.xy_m[log], towards, (np.where(is_top, at + gap - 0.5, middle) * whole_m)[:, None])[
-        :, 0
-    ]
+    length_m = share * log_m
+    xy_m = _line_m(logs.xy_m[log], towards, (np.where(is_top, at + gap - 0.5, middle) * log_m)[:, None])[:, 0]
     # The upper piece is turned about its lower end.
     turn = np.radians(row["break_turn_deg"])
     towards = towards + np.where(is_top, turn * (2 * draws[log, 2] - 1), 0.0)
     xy_m[is_top] = _line_m(xy_m[is_top], towards[is_top], length_m[is_top, None] / 2)[:, 0]
-    wide_m = thick * whole.wide_m[log]
-    high_m = thick * whole.high_m[log]
-    plate_m = np.where(is_top, 0.0, whole.plate_m[log])
-    return _Pieces(log, is_top, xy_m, towards, length_m, wide_m, high_m, whole.sunk[log], plate_m)
+    wide_m = thick * logs.wide_m[log]
+    high_m = thick * logs.high_m[log]
+    plate_m = np.where(is_top, 0.0, logs.plate_m[log])
+    return _Pieces(log, is_top, xy_m, towards, length_m, wide_m, high_m, logs.sunk[log], plate_m)
 
 
 def _on_ground(pieces: _Pieces, height_m: HeightField, plate_axis: float) -> F8:
@@ -409,12 +407,10 @@ _SLOPE_M = 0.2  # distance to either side for the slope under a cushion or heap
 def plants_per_ha(section: settings.Cover, spread: float, *, patches: bool) -> tuple[float, float]:
     """Plants per hectare, even ones and ones in patches, to cover a share c of the ground.
 
-    Overlaps count once.
-
-    Discs of area a in patches of mean density d leave (1 + 2 a d)^(-1/2) of the plane bare: the mean of
-    exp(-a d n^2) over normal noise n. It is assumed to be 1 / (1 + c (1 - c)): most plants are in patches at
-    low cover, and few at closed cover. Even ones cover the rest. Heights are uniform between least and
-    greatest, `spread` is width over height.
+    Overlaps count once. Discs of area a in patches of mean density d leave (1 + 2 a d)^(-1/2) of the plane
+    bare: the mean of exp(-a d n^2) over normal noise n. It is assumed to be 1 / (1 + c (1 - c)): most plants
+    are in patches at low cover, and few at closed cover. Even ones cover the rest. Heights are uniform
+    between least and greatest, `spread` is width over height.
     """
     (low, high) = section.height_m
     cover = section.cover
@@ -452,7 +448,7 @@ def _lay_stones(layer: Layer, trunks: F8, xy_m: F8, rng: Generator) -> PlacedThi
     length_m = _stone_length_m(draws[:, 0])
     size = length_m[:, None] * [1.0, row["width"], row["height"]]
     keep = layer.are_clear(trunks, xy_m, length_m / 2, length_m / 2)
-    z_m = layer.land.height_m(*xy_m.T) + (0.5 - between(row["buried"], draws[:, 1])) * size[:, 2]
+    z_m = layer.land.height_m(*xy_m.T) + (0.5 - in_range(row["buried"], draws[:, 1])) * size[:, 2]
     world_T = placements(np.column_stack([xy_m, z_m]), about_vertical(360 * draws[:, 2]), size)
     return floor_things(FloorKind.STONE, keep, world_T, draws[:, 3:], large=length_m >= row["large_m"])
 
@@ -462,7 +458,7 @@ def _lay_low(layer: Layer, trunks: F8, xy_m: F8, rng: Generator) -> PlacedThings
     assert layer.shape is not None
     draws = rng.random((len(xy_m), 6))
     spread = layer.row["spread"]
-    height_m = between(layer.section.height_m, draws[:, 0])
+    height_m = in_range(layer.section.height_m, draws[:, 0])
     keep = layer.land.path.distance_m(xy_m) < layer.row["reach_m"]
     world_R_thing = about_vertical(360 * draws[:, 1])
     if layer.is_ground:

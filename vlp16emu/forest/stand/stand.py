@@ -12,7 +12,7 @@ from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.polyline import Corridor
 from vlp16emu.forest.plants.allometry import taper_radius_m, truncated_weibull_cm
 from vlp16emu.forest.plants.prototypes import VARIANTS, CrownKey
-from vlp16emu.forest.plants.species import BARK_SPREAD, LEAF_SPREAD, Flora, Table, Trees, known, tapers
+from vlp16emu.forest.plants.species import BARK_SPREAD, LEAF_SPREAD, Flora, Table, Trees, find_species, tapers
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import MOST_STEMS_PER_HA, Forest, SpeciesShare, Storey
 from vlp16emu.forest.stand.points import Land, PointPattern, pattern_of
@@ -47,12 +47,10 @@ TREE = np.dtype(  # one tree
     ]
 )
 REGENERATION = 255  # storey of saplings: DBH below 5 cm, or 0 if lower than breast height
-_CLASS_RATIO = (
-    1.5  # ratio of diameters of neighbouring crown classes: no crown is scaled by more than a quarter
-)
-_OPEN_GROWN = (
-    1.5  # upper limit of the ground area whose leaves one crown carries, over its projection; assumption
-)
+_CLASS_RATIO = 1.5
+"""Ratio of diameters of neighbouring crown classes: no crown is scaled by more than a quarter."""
+_OPEN_GROWN = 1.5
+"""Upper limit of the ground area whose leaves one crown carries, over its projection; assumption."""
 RIVALS_M = 10.0
 """Distance to which trees compete. Hasenauer and Monserud (1996) use angle counts, which reach as far for 40
 cm stems."""
@@ -63,9 +61,8 @@ table."""
 _LEVELS = np.linspace(-1.2, 1.2, VARIANTS)
 """Crown ratio residuals of the prototypes of a class, in sigmas, so that no crown is stretched much along its
 stem."""
-_MOST_SIGMAS = (
-    2.5  # limit of residuals: larger ones are likely measuring errors; keeps crowns near their prototypes
-)
+_MOST_SIGMAS = 2.5
+"""Limit of residuals: larger ones are likely measuring errors; keeps crowns near their prototypes."""
 _LEAN_SIGMA_DEG = 1.5  # one sigma of lean along each horizontal axis; assumption
 _HEAD_ROOM_M = 2.5  # height up to which a leaning stem must stay clear of the path: above a walker's head
 _STEM_GAP_M = 0.05  # least gap between two stems at the ground; assumption
@@ -82,7 +79,7 @@ class _Cohort:
 
     def __init__(self, share: SpeciesShare, plants: Flora) -> None:
         self.share = share
-        self.species = known([share.species], plants.trees, "species")[0]
+        self.species = find_species([share.species], plants.trees, "species")[0]
         midpoints = (np.arange(4096) + 0.5) / 4096
         raw_cm = truncated_weibull_cm(self.species.diameters, midpoints, share.dbh_cm)
         self._scale = share.dbh_cm / math.sqrt(float(np.mean(np.square(raw_cm))))
@@ -122,19 +119,18 @@ def competition(
     area.
     """
     basal_m2, crown_m2 = rivals.T
-    return 1e4 / area_m2 * (larger * near * basal_m2).sum(axis=1), 100 / area_m2 * (near * crown_m2).sum(
-        axis=1
-    )
+    basal_m2_per_ha = 1e4 / area_m2 * (larger * near * basal_m2).sum(axis=1)
+    return basal_m2_per_ha, 100 / area_m2 * (near * crown_m2).sum(axis=1)
 
 
 def residuals(normal: F8) -> F8:
-    """Residuals (n, 4) of height, crown ratio, crown width and volume in sigmas, correlated as measured.
+    """Correlate normal numbers (n, 4) as the residuals of trees, in sigmas.
 
-    From normals.
+    They are residuals of height, crown ratio, crown width and volume.
     """
     z = np.clip(normal, -_MOST_SIGMAS, _MOST_SIGMAS)
-    rest = math.sqrt(1 - _WIDTH_BY_HEIGHT * _WIDTH_BY_HEIGHT - _WIDTH_BY_RATIO * _WIDTH_BY_RATIO)
-    z[:, 2] = _WIDTH_BY_HEIGHT * z[:, 0] + _WIDTH_BY_RATIO * z[:, 1] + rest * z[:, 2]
+    own_share = math.sqrt(1 - _WIDTH_BY_HEIGHT * _WIDTH_BY_HEIGHT - _WIDTH_BY_RATIO * _WIDTH_BY_RATIO)
+    z[:, 2] = _WIDTH_BY_HEIGHT * z[:, 0] + _WIDTH_BY_RATIO * z[:, 1] + own_share * z[:, 2]
     return z
 
 
@@ -230,13 +226,13 @@ class Stand:
         near = apart_m2 < RIVALS_M * RIVALS_M
         pressure = competition(rivals[:, 4:6], np.pi * RIVALS_M * RIVALS_M, thicker, near)
         for i, cohort in enumerate(self._all_cohorts):
-            which = trees["cohort"] == i
+            in_cohort = trees["cohort"] == i
             sizes = (
-                100 * trees["dbh_m"][which],
-                trees["height_m"][which],
-                tuple(areas[which] for areas in pressure),
+                100 * trees["dbh_m"][in_cohort],
+                trees["height_m"][in_cohort],
+                tuple(areas[in_cohort] for areas in pressure),
             )
-            trees["crown_base_m"][which] = cohort.species.crown_base_m(*sizes, values[which, 6])
+            trees["crown_base_m"][in_cohort] = cohort.species.crown_base_m(*sizes, values[in_cohort, 6])
         kinds, kind_of = np.unique(trees[["cohort", "crown_class"]], return_inverse=True)
         crowns = [self._crown(*kind, variant) for kind in kinds.tolist() for variant in range(VARIANTS)]
         ratios = np.array([1 - key.crown_base_m / key.height_m for key in crowns]).reshape(-1, VARIANTS)[
@@ -248,7 +244,7 @@ class Stand:
         return trees[~beaten & clear]
 
     def _sow(self, ix: int, iy: int) -> tuple[Trees, F8]:
-        """Trees sown on a tile, without crown bases, and (n, 7) values of each.
+        """Sow the trees of a tile, without crown bases; return them, and (n, 7) values of each.
 
         The values are x, y, radius at the ground, DBH, the two competition areas, and the residual of the
         crown ratio.
@@ -315,7 +311,7 @@ def _sample(pattern: PointPattern, cohorts: list[_Cohort]) -> tuple[F8, F8]:
 
     The areas are `competition_m2` and the crown projection.
     """
-    whole = sum(cohort.share.share for cohort in cohorts)
+    total_share = sum(cohort.share.share for cohort in cohorts)
     areas_m2 = []
     for cohort in cohorts:
         species = cohort.species
@@ -325,7 +321,7 @@ def _sample(pattern: PointPattern, cohorts: list[_Cohort]) -> tuple[F8, F8]:
         area_m2 = np.column_stack(
             [species.competition_m2(dbh_cm), wider * _projection_m2(species.crown_width_m(dbh_cm))]
         )
-        areas_m2.append(pattern.per_ha * cohort.share.share / whole / len(dbh_cm) * area_m2)
+        areas_m2.append(pattern.per_ha * cohort.share.share / total_share / len(dbh_cm) * area_m2)
     return np.concatenate([cohort.sample_cm for cohort in cohorts]), np.concatenate(areas_m2)
 
 

@@ -18,7 +18,7 @@ from vlp16emu.elementary import atan2, cos, hypot, log, matmul, matvec, norm, si
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.tiles import EXACT, STEM
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M, US_BREAST_HEIGHT_M
-from vlp16emu.forest.plants.species import Flora, Species, Trees, flora, known
+from vlp16emu.forest.plants.species import Flora, Species, Trees, find_species, flora
 from vlp16emu.forest.plants.stem import STEM_CIRCLE, STEM_PARTS, circles_of, lean_rotation
 from vlp16emu.forest.settings import Season, TreeModelFile
 from vlp16emu.forest.stand.inventory import COPIED, INVENTORY, hull_m, profiles, volume_m3
@@ -57,7 +57,7 @@ LOAD_MESH = Part[MeshLoader]("vlp16emu.extras.meshes.files:load_mesh")
 class Outline:
     """A closed section."""
 
-    middle_m: F8  # (2,).
+    middle_m: F8  # (2,) centroid
     diameter_m: float  # of the circle with its area
     tape_m: float  # diameter by a taut tape around it
 
@@ -103,7 +103,7 @@ class Cutter:
         _, loop = connected_components(graph, directed=False)
         shared = np.bincount(edge_of, minlength=len(edges))
         closed = np.setdiff1d(loop, loop[shared != 2])
-        begins = (int(np.argmax(loop == which)) for which in closed.tolist())
+        begins = (int(np.argmax(loop == number)) for number in closed.tolist())
         rings = (points_m[depth_first_order(graph, begin, directed=False)[0]] for begin in begins)
         return max(map(_outline, rings), key=lambda outline: outline.diameter_m, default=None)
 
@@ -139,20 +139,19 @@ class TreeModel:
     """A tree model from the user, with its foot at the origin.
 
     The foot is the centre of the stem at the file's height 0, or at the stem's lower end if it does not reach
-    0. Deciduous
-    leaves are left out in the leaf-off season. Raises GeometryError for a part that the file does not have,
-    or a stem without a closed section at breast height.
+    0. Deciduous leaves are left out in the leaf-off season. Raises GeometryError for a part that the file
+    does not have, or a stem without a closed section at breast height.
     """
 
     def __init__(self, section: TreeModelFile, species: Species, season: Season) -> None:
         self.path = Path(section.file)
         self.species = species
         mesh = LOAD_MESH.load()(self.path, unit=section.unit, up=section.up)
-        own = {part.name: part.part for part in section.parts}
+        part_of = {part.name: part.part for part in section.parts}
         names = [name for name, _ in mesh.parts]
-        for name in own.keys() - set(names):
+        for name in part_of.keys() - set(names):
             raise GeometryError(f"{self.path}: parts", f"found {name!r}", f"one of {', '.join(names)}")
-        parts = [PlantPart[own.get(name, "stem").upper()] for name in names]
+        parts = [PlantPart[part_of.get(name, "stem").upper()] for name in names]
         stems = [i for i, part in enumerate(parts) if part in STEM_PARTS]
         if not stems:
             raise GeometryError(f"{self.path}: parts", "no stem", "a part of the file that is the stem")
@@ -269,11 +268,11 @@ class TreeModel:
         """
         rows = list(zip(self.parts, self.meshes, strict=True))
         leaves = [mesh for part, mesh in rows if part == PlantPart.LEAF]
-        others = [mesh for part, mesh in rows if part not in (*STEM_PARTS, PlantPart.LEAF)]
-        crown = leaves if any(len(mesh.faces) for mesh in leaves) else others
+        branches = [mesh for part, mesh in rows if part not in (*STEM_PARTS, PlantPart.LEAF)]
+        crown = leaves if any(len(mesh.faces) for mesh in leaves) else branches
         self._corners_m, self._crown_corners_m = (
-            hull_m(np.concatenate([np.zeros((0, 3)), *(mesh.vertices_m for mesh in some)]))
-            for some in (self.meshes, crown)
+            hull_m(np.concatenate([np.zeros((0, 3)), *(mesh.vertices_m for mesh in meshes)]))
+            for meshes in (self.meshes, crown)
         )
         faces_m = [mesh.vertices_m.astype(np.float64)[mesh.faces] for mesh in leaves]
         sides = [np.cross(face[:, 1] - face[:, 0], face[:, 2] - face[:, 0]) / 2 for face in faces_m]
@@ -294,9 +293,9 @@ class TreeModel:
             self._stem.cut(low_m + height * (high_m - low_m))
             for height in share.clip(1e-3, 1.0 - 1e-3).tolist()
         ]
-        there = [i for i, cut in enumerate(cuts) if cut is not None]
+        with_cut = [i for i, cut in enumerate(cuts) if cut is not None]
         found = np.array([[*cut.middle_m, cut.diameter_m / 2] for cut in cuts if cut is not None])
-        x_m, y_m, radius_m = (np.interp(at_m, at_m[there], column) for column in found.T)
+        x_m, y_m, radius_m = (np.interp(at_m, at_m[with_cut], column) for column in found.T)
         return np.column_stack([x_m, y_m, at_m, radius_m])
 
     def _meshes(self, part: PlantPart, vertices_m: F8, faces: Faces) -> list[tuple[int, int, Mesh]]:
@@ -351,9 +350,10 @@ class TreeModels:
         self._plants = plants or flora()
         keys = [f"world.tree_models.{i}.species" for i in range(len(files))]
         species = [
-            known([file.species], self._plants.trees, key)[0] for file, key in zip(files, keys, strict=True)
+            find_species([file.species], self._plants.trees, key)[0]
+            for file, key in zip(files, keys, strict=True)
         ]
-        self._models = [TreeModel(file, one, season) for file, one in zip(files, species, strict=True)]
+        self._models = [TreeModel(file, kind, season) for file, kind in zip(files, species, strict=True)]
         self._species = [model.species.number for model in self._models]
 
     def has(self, trees: Trees) -> NDArray[np.bool_]:

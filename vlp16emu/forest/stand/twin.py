@@ -1,4 +1,4 @@
-"""Things near a path, and the digital twin of a part of the world: glTF with one labelled node per thing.
+"""Things near a path, and the digital twin of a part of the world, as labelled nodes of glTF.
 
 glTF has y up (glTF 2.0 specification, section 3.4), so the root node converts from the world's z up;
 programs with z up, such as Blender, convert it back.
@@ -116,12 +116,12 @@ def write_glb(
         is_tile = np.array([_has_part(key, tiles, inside) for key in window.shapes], np.bool_)
         placed = np.flatnonzero(wanted[window.first_surface] | is_tile[window.shape])
     order = placed[np.argsort(window.shape[placed], kind="stable")].tolist()
-    for which, alike in groupby(order, key=lambda placement: int(window.shape[placement])):
-        meshes = shape(window.shapes[which])  # only one shape at a time is in memory
+    for number_of_shape, alike in groupby(order, key=lambda placement: int(window.shape[placement])):
+        meshes = shape(window.shapes[number_of_shape])  # only one shape at a time is in memory
         for placement in alike:
             first = int(window.first_surface[placement])
             for number, mesh in enumerate(meshes):
-                is_ground = number == 0 and isinstance(window.shapes[which], TileKey)
+                is_ground = number == 0 and isinstance(window.shapes[number_of_shape], TileKey)
                 corner_m = window.world_T_shape[placement, :2, 3]
                 shown = _crop(mesh, corner_m, inside) if is_ground and inside else mesh
                 if len(shown.faces) and (is_ground or wanted[first + number]):
@@ -169,7 +169,7 @@ class _Twin:
         window = self._window
         surface = int(window.first_surface[placement]) + number
         row = window.surfaces[surface]
-        which = int(window.shape[placement])
+        shape = int(window.shape[placement])
         parent = _ROOT
         vertices_m = mesh.vertices_m
         world_T_shape = np.eye(4)
@@ -178,10 +178,10 @@ class _Twin:
             place_m = self._places_m.get(int(row["instance"]), window.world_T_shape[placement, :, 3])
             parent = self._instance(row, place_m)
             world_T_shape[:3, 3] -= place_m
-            if isinstance(window.shapes[which], TileKey):  # not shared: the node takes its origin
+            if isinstance(window.shapes[shape], TileKey):  # not shared: the node takes its origin
                 vertices_m = (vertices_m + world_T_shape[:3, 3]).astype(np.float32)
                 world_T_shape[:3, 3] = 0.0
-        name = f"shape_{which}_{number}"
+        name = f"shape_{shape}_{number}"
         if name not in self.scene.geometry:
             faces = mesh.faces
             if faces.shape[1] == 4:  # quads (a, b, c, d) are cut into (a, b, d) and (c, d, b) as casters do
@@ -204,8 +204,8 @@ class _Twin:
 
     def _material(self, row: np.void, colour: NDArray[np.uint8]) -> Any:
         """Shared material of a part of a species, or of another kind of thing."""
-        what = PlantPart(row["part"]).name if row["part"] else Semantic(row["semantic"]).name
-        name = f"{self._species.get(int(row['species']), '')} {what}".strip().lower()
+        part = PlantPart(row["part"]).name if row["part"] else Semantic(row["semantic"]).name
+        name = f"{self._species.get(int(row['species']), '')} {part}".strip().lower()
         if name not in self._materials:
             # Linear factors from sRGB (IEC 61966-2-1), as required for base colours in glTF (section 3.9.2).
             share = colour / 255

@@ -1,11 +1,10 @@
 """Gusts over a stand, and the response of trees that sway about their foot.
 
-Both are sums of spectral lines, for any time.
-
-A gust is a sum of cosines of time with the energies of Kaimal's spectrum. It is carried downwind with the
-mean speed (Taylor's frozen turbulence). Each line also has a random wave number across the wind, drawn from a
-Cauchy distribution, which gives Davenport's exponential coherence across the wind. A damped oscillator
-responds to a cosine with a cosine, so its state at any time is also a sum and no time steps are needed.
+Both are sums of spectral lines, for any time. A gust is a sum of cosines of time with the energies of
+Kaimal's spectrum. It is carried downwind with the mean speed (Taylor's frozen turbulence). Each line also has
+a random wave number across the wind, drawn from a Cauchy distribution, which gives Davenport's exponential
+coherence across the wind. A damped oscillator responds to a cosine with a cosine, so its state at any time is
+also a sum and no time steps are needed.
 
 A tree sways as a rigid shear: every point moves horizontally in proportion to its height over the foot. So
 the foot stays, level sections keep their area, the DBH is unchanged, and a transform describes it. A real
@@ -36,10 +35,8 @@ ALONG, ACROSS = 0, 1  # components of the gusts' speed: along the mean wind, and
 _LINES = 256
 _SLOWEST = 0.003  # reduced frequency (f L / U) below which one line represents the rest: 1.2 % of the energy
 _FASTEST_HZ = 5.0  # frequency above which one line represents the rest: no tree follows it
-_DEVIATION = (
-    1.0,
-    0.8,
-)  # standard deviations of the components along and across the wind, relative to the first
+_DEVIATION = 1.0, 0.8
+"""Standard deviations of the components along and across the wind, relative to the first."""
 _LENGTH = (1.0, 2.7 / 8.1)  # their length scales, likewise (IEC 61400-1 ed. 3, table B.1)
 _DECAY = 10.0
 """Decay of the coherence exp(-decay * frequency * distance / speed) across the wind; 8 to 16 have been
@@ -124,7 +121,7 @@ def swings(lines: Lines, speed_m_s: float, trees: Trees, t_s: F8) -> F8:
 def _follow(lines: Lines, s_per_m: float, trees: Trees, cosine: F8, sine: F8, out: F8) -> None:
     """Fill (m, k), line after line, so that each value is independent of other trees and times."""
     for tree in range(len(out)):
-        now = out[tree]
+        motion = out[tree]
         for line in range(len(lines.omega_rad_s)):
             omega = lines.omega_rad_s[line]
             ratio = omega / trees.omega_rad_s[tree]
@@ -138,20 +135,18 @@ def _follow(lines: Lines, s_per_m: float, trees: Trees, cosine: F8, sine: F8, ou
                 - atan2(lag, still)
             )
             a, b = amplitude * cos(phase), amplitude * sin(phase)
-            for k in range(len(now)):
-                now[k] += a * cosine[line, k] - b * sine[line, k]
+            for k in range(len(motion)):
+                motion[k] += a * cosine[line, k] - b * sine[line, k]
 
 
 def mechanics(trees: Stand, plants: Flora, season: Season) -> tuple[F8, F8]:
     """Return undamped frequencies (n,) in Hz, and leans (n,) per Pa of shear stress on the canopy.
 
-    Leans are tangents.
-
-    Frequency: 0.0766 + 3.1219 DBH / height^2, in cm and m (Moore and Maguire, Trees 18, 195-203, 2004; 602
-    conifers), lower in leaf. Drag: the canopy absorbs the wind's shear stress, each tree over the ground
-    under its crown, acting halfway up the crown (the roughness method of Gardiner, Peltola and Kellomaki,
-    Ecol Modell 129, 2000). Stiffness: the value that gives the mass of stem and crown that frequency about
-    the foot.
+    A lean is a tangent. Frequency: 0.0766 + 3.1219 DBH / height^2, in cm and m (Moore and Maguire, Trees 18,
+    195-203, 2004; 602 conifers), lower in leaf. Drag: the canopy absorbs the wind's shear stress, each tree
+    over the ground under its crown, acting halfway up the crown (the roughness method of Gardiner, Peltola
+    and Kellomaki, Ecol Modell 129, 2000). Stiffness: the value that gives the mass of stem and crown that
+    frequency about the foot.
     """
     foliage = {species.number: species.foliage for species in plants.trees.values()}
     kinds = np.array(
@@ -198,29 +193,26 @@ class TreeSway:
         """
         frequency_hz, lean_per_stress = mechanics(trees, self._forest.plants, self._forest.section.season)
         along_m, across_m = (trees["x_m"] * east + trees["y_m"] * north for east, north in self._axes)
-        swinging = Trees(2.0 * math.pi * frequency_hz, self._section.damping_ratio, along_m, across_m)
-        mean = self._section.speed_m_s
+        oscillators = Trees(2.0 * math.pi * frequency_hz, self._section.damping_ratio, along_m, across_m)
+        mean_m_s = self._section.speed_m_s
         t_s = np.asarray((t_ns - self._start_ns) * 1e-9, np.float64)
-        along, across = (swings(lines, mean, swinging, t_s) for lines in self._lines)
+        along, across = (swings(lines, mean_m_s, oscillators, t_s) for lines in self._lines)
         per_speed2 = _AIR_KG_M3 * _FRICTION_SHARE * _FRICTION_SHARE * lean_per_stress
-        downwind = per_speed2 * mean * (mean + 2.0 * along)
-        aside = per_speed2 * mean * across
+        downwind = per_speed2 * mean_m_s * (mean_m_s + 2.0 * along)
+        aside = per_speed2 * mean_m_s * across
         east, north = (downwind * a + aside * b for a, b in self._axes.T)
         return np.stack([east, north], axis=-1)
 
     def with_sway(self, window: Window, track_m: F8, start_ns: int, stop_ns: int) -> Window:
-        """Return `window` with the sway of its trees between `start_ns` and `stop_ns`, UTC.
-
-        It is the window around positions (n, 3).
-        """
+        """Return the window around positions (n, 3) with the sway of its trees over a span, UTC."""
         trees = self._forest.trees(track_m)
         trees = trees[trees["storey"] != REGENERATION]
         trees = trees[np.argsort(trees["id"], kind="stable")]
         instance = window.surfaces["instance"][window.first_surface]
         placement = np.flatnonzero(np.isin(instance, trees["id"]))
-        which = np.searchsorted(trees["id"], instance[placement])
+        rows = np.searchsorted(trees["id"], instance[placement])
         # Knots are at the same times in all windows.
         first, last = (start_ns - self._start_ns) // KNOT_NS, -((self._start_ns - stop_ns) // KNOT_NS)
         t_ns = self._start_ns + KNOT_NS * np.arange(first, last + 1)
-        shear = self.shear(trees, t_ns)[:, which]
-        return replace(window, sway=Sway(int(t_ns[0]), KNOT_NS, placement, trees["z_m"][which].copy(), shear))
+        shear = self.shear(trees, t_ns)[:, rows]
+        return replace(window, sway=Sway(int(t_ns[0]), KNOT_NS, placement, trees["z_m"][rows].copy(), shear))

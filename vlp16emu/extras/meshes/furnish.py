@@ -191,7 +191,7 @@ def _world_T_mesh(place: MeshPlace, mesh: UserMesh, height_m: HeightField) -> F8
     return np.column_stack([turn, origin + matvec(turn, mesh.centre_m)])
 
 
-def furnished(bare: World, files: Sequence[Section], path_xy_m: F8, reach_m: float) -> World:
+def furnish(bare: World, files: Sequence[Section], path_xy_m: F8, reach_m: float) -> World:
     """Put the user's own meshes into a world, and warn of those that are out of sight along a path (n, 2).
 
     Raises GeometryError if a mesh cannot be read, or another package's world has no place for meshes.
