@@ -317,7 +317,8 @@ class Stream:
         while (packet := self._next(ahead)) is not None:
             self._send(packet, had_to_wait=had_to_wait, engine_speed=ahead.engine_speed)
             had_to_wait = ahead.first is None  # read before the wait, which would hide it
-        self._interrupted = self._interrupted or self.stop.is_set()
+        if self.stop.is_set():
+            self._interrupted = True
 
     def _next(self, ahead: LookAhead) -> Packet | None:
         """Return the next packet; None at the end, or once the world cannot be cast any more."""
