@@ -27,6 +27,7 @@ FLOORS = (
     {"packets"},
     {"motion", "sensor", "world"},
     {
+        "child",
         "cores",
         "doors",
         "elementary",
@@ -34,6 +35,7 @@ FLOORS = (
         "explain",
         "inputs",
         "kernels",
+        "libraries",
         "output",
         "random",
         "settings",

@@ -125,6 +125,7 @@ def test_events_of_the_scene_show_in_the_web_interface(each_unit):
     events = [
         {"kind": "setting", "at_s": 0.5, "return_mode": "dual", "phase_lock_deg": 90.0},
         {"kind": "http_error", "at_s": 1.5, "status": 503},
+        {"kind": "http_delay", "at_s": 1.5, "by_s": 0.01},
     ]
     with streaming(events, each_unit) as live:
         first_us = stamp_us(until(live, lambda payload: payload[1204] == 0x39))

@@ -13,16 +13,16 @@ def cases(fuzz, tmp_path_factory):
     return fuzz.Cases(3, tmp_path_factory.mktemp("cases"))
 
 
-def spin(path):
+def spin():
     while True:
         pass
 
 
-def fill(path):
+def fill():
     return str(len(bytearray(10**9)))
 
 
-def trip(path):
+def trip():
     raise ValueError("a fault of the program")
 
 
@@ -38,9 +38,10 @@ def test_a_case_that_fails_is_kept(fuzz, cases, reader, said, tmp_path, capsys, 
     """A traceback, a loop and memory without bound exit with 1, and keep the input and the reason."""
     monkeypatch.setattr(fuzz, "Cases", lambda seed, folder: cases)
     monkeypatch.setattr(fuzz, "MOST_BYTES", 100_000_000)
-    monkeypatch.setitem(fuzz.READERS, "captures", reader)
+    monkeypatch.setattr(fuzz, "read", lambda *_: reader())
     monkeypatch.setattr(
-        "sys.argv", ["fuzz", "--scenes", "0", "--captures", "1", "--out", str(tmp_path / "out")]
+        "sys.argv",
+        ["fuzz", "--scenes", "0", "--files", "0", "--captures", "1", "--out", str(tmp_path / "out")],
     )
     if reader is spin:  # only that should end by time, however busy the machine is
         monkeypatch.setattr(fuzz, "MOST_S", 0.5)

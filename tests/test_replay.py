@@ -1,6 +1,7 @@
 """Captures sent again."""
 
-from itertools import islice
+import struct
+from itertools import islice, pairwise
 
 import pytest
 from listening import opened, port_of, waiting
@@ -73,3 +74,53 @@ def test_the_present_has_its_own_speed(capture):
     """The present at another speed than its own is an error."""
     with pytest.raises(InputError, match="--now"):
         replay(capture, now=True, speed=2.0)
+
+
+def restamped(path, out, stamps_ns):
+    """Write a capture with other stamps, which `stamps_ns` makes of the number and the stamp of a record."""
+    content = bytearray(path.read_bytes())
+    at = 24
+    number = 0
+    while at < len(content):
+        seconds, micros, size, _ = struct.unpack_from("<4I", content, at)
+        t_ns = stamps_ns(number, seconds * S_NS + micros * 1000)
+        struct.pack_into("<2I", content, at, t_ns // S_NS, t_ns % S_NS // 1000)
+        at += 16 + size
+        number += 1
+    out.write_bytes(content)
+    return out
+
+
+@pytest.mark.parametrize(
+    ("stamps_ns", "words"),
+    [
+        (lambda number, _: 1_700_000_000 * S_NS + number * 1000, "us apart"),
+        (lambda _, __: 0, "equal"),
+        (lambda _, t_ns: t_ns // S_NS * S_NS, "host stamps"),
+        (lambda _, t_ns: -(-t_ns // 40_000_000) * 40_000_000, "in batches"),
+        (lambda _, t_ns: -(-t_ns // 200_000_000) * 200_000_000, "in batches"),
+    ],
+)
+def test_stamps_that_are_no_pace_are_replaced_by_the_sensors(capture, tmp_path, stamps_ns, words):
+    """With lost, rounded or bundled stamps, packets are as far apart as their own stamps are: 24 firing
+    sequences of 55.296 us (63-9243 Rev D, section 8.3)."""
+    unfit = Replay(restamped(capture, tmp_path / "unfit.pcap", stamps_ns))
+    assert words in unfit.paced_by[0]
+    data = [packet.due_ns for packet in unfit if packet.kind is PacketKind.DATA]
+    steps_ns = [after - before for before, after in pairwise(data)]
+    assert {abs(step_ns - 1_327_104) <= 1000 for step_ns in steps_ns} == {True}
+
+
+def test_good_stamps_stay_the_pace(capture):
+    """Packets of a sound capture are due at its stamps."""
+    sound = Replay(capture)
+    assert sound.paced_by == {}
+    assert [packet.due_ns for packet in sound] == [datagram.stamp_ns for datagram in Capture(capture)]
+
+
+def test_a_clock_that_is_set_back_makes_no_burst(capture, tmp_path):
+    """After the host's clock is set back by five hours, packets keep their pace."""
+    set_back = restamped(capture, tmp_path / "back.pcap", lambda n, t_ns: t_ns - (n > 90) * 5 * HOUR_NS)
+    due_ns = [packet.due_ns for packet in Replay(set_back)]
+    assert max(due_ns) - min(due_ns) == pytest.approx(0.3 * S_NS, abs=0.01 * S_NS)
+    assert due_ns == sorted(due_ns)

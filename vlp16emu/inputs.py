@@ -30,6 +30,9 @@ _KINDS = {
     stat.S_IFBLK: "is a device",
 }
 _BUFFER_BYTES = 1 << 18  # captures of hours are read in pieces of this size
+_PIECE_BYTES = (
+    1 << 22
+)  # of a file that is read whole; a buffer of its largest size would be allocated at once
 _POLL_S = 0.1
 
 
@@ -44,10 +47,12 @@ def read_bytes(
     error : class of error for a file that cannot be read, is special, or is longer than `most_bytes`
     """
     with open_input(path, expected, error, most_bytes=most_bytes) as file:
-        content = file.read(most_bytes + 1)  # it may grow
+        content = bytearray()
+        while len(content) <= most_bytes and (piece := file.read(min(_PIECE_BYTES, most_bytes + 1))):
+            content += piece
     if len(content) > most_bytes:
         raise _too_long(path, len(content), most_bytes, expected, error)
-    return content
+    return bytes(content)
 
 
 def read_text(
@@ -161,6 +166,29 @@ def _open(
 
 def _too_long(path: Path, found: int, most_bytes: int, expected: str, error: type[InputError]) -> InputError:
     return error(str(path), f"found {found} bytes", f"{expected} of at most {most_bytes} bytes")
+
+
+def what_is(head: bytes) -> str | None:
+    """Say what a file is that came in the place of another one, from its first bytes, and what to do.
+
+    Parameters
+    ----------
+    head : some hundred bytes, or all of a shorter file
+
+    Returns
+    -------
+    None for a file of any other kind
+    """
+    if not head:
+        return "an empty file: copy or download it again"
+    if head.startswith(
+        b"version https://git-lfs.github.com/spec/"
+    ):  # specification of Git LFS, "The Pointer"
+        return "a pointer of Git LFS in place of the file: `git lfs pull` fetches it"
+    text = head.removeprefix(b"\xef\xbb\xbf").lstrip().lower()
+    if text.startswith((b"<!doctype html", b"<html")):
+        return "a page of HTML in place of the file: download the file itself"
+    return None
 
 
 class _Pipe(RawIOBase):

@@ -6,7 +6,7 @@ separate columns, a decimal comma is accepted as well as a point.
 
 import csv
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from decimal import Decimal
@@ -26,8 +26,8 @@ LARGEST = 1e8
 overflow."""
 _LARGEST_NS = 2**62
 _MARKS = (";", "\t", ",", " ")  # column separators; if two fit equally well, the first is taken
-_MISSING = frozenset(("", "na", "n/a", "#n/a", "<na>", "nan", "null", "none", "#nv"))
-"""Cells without a value, in lower case, as R, pandas and Excel write them (`#NV` in German)."""
+_MISSING = frozenset(("", "na", "n/a", "#n/a", "<na>", "nan", "null", "none", "#nv", "non reliable"))
+"""Cells without a value, in lower case, as R, pandas, Excel (`#NV` in German) and 3DFin write them."""
 _ALIKE = 0.8  # least `difflib` ratio at which an unknown name counts as a misspelt known one
 
 
@@ -42,6 +42,7 @@ class Column:
     """Limits in the unit of returned values: beyond them a wrong unit is more likely."""
     is_needed: bool = True  # True if the table must have it
     is_filled: bool = True  # True if each row must have a value
+    zero_is_missing: bool = False  # True if 0 means that there is no value
 
 
 def optional(*names: str) -> Column:
@@ -130,6 +131,8 @@ class Table:
             raise self.error(
                 self.where(row, column), f"found {cell!r}", expected + " without a unit" * has_unit
             )
+        if number == 0 and self.columns[column].zero_is_missing:
+            return math.nan
         if not low <= number * factor <= high:
             meant = "".join(f"; is it {name}?" for name in units if low <= number * units[name] <= high)
             limit = f" of at most {LARGEST:g}" if high == LARGEST else ""
@@ -184,6 +187,8 @@ def read_table(
         if not known & {*names}:  # a file of another kind is not quoted
             raise error(f"{path}, line 1", "none of the columns", expected)
         called = _columns_of(names, columns, f"{path}, line {first}", error)
+        if lines[first - 1].lstrip().startswith("#"):
+            mark = _mark_of_rows(records, first, len(names), mark)
     else:
         firsts = ((mark, _header(records(mark), known)[1]) for mark in _MARKS)
         fits = (
@@ -229,6 +234,17 @@ def _records(
         raise error(where, str(fault), f"{expected}, with each quotation mark closed") from None
 
 
+def _mark_of_rows(
+    records: Callable[[str], Iterator[tuple[int, list[str]]]], header: int, columns: int, mark: str
+) -> str:
+    """Return the separator of the rows below a header of `numpy.savetxt`, which may have another: `mark`."""
+    for other in (mark, *_MARKS):
+        row = next((cells for line, cells in records(other) if line > header), [])
+        if len(row) == columns:
+            return other
+    return mark
+
+
 def _header(records: Iterator[tuple[int, list[str]]], known: AbstractSet[str]) -> tuple[int, list[str]]:
     """Return line and names of the first record with a known name.
 
@@ -236,6 +252,8 @@ def _header(records: Iterator[tuple[int, list[str]]], known: AbstractSet[str]) -
     """
     for line, (first, *others) in records:
         names = [name.lower() for name in (first.lstrip("# "), *others)]  # numpy.savetxt begins it with #
+        if first == "#":  # between blanks it is a cell of its own
+            names = names[1:]
         if known & {*names} or not first.lower().startswith(("#", "sep=")):
             return line, names
     return 0, []

@@ -61,9 +61,9 @@ def captured(path, pps, named_ns=None, past_hour_s=2747.198, host_ns=NINE + 1783
     ("pps", "past_hour_s", "clock"),
     [
         (PpsState.LOCKED, 2747.198, Clock.SENSOR),
-        (PpsState.ABSENT, 2747.198, Clock.HOST),  # velodyne#183, #524
-        (PpsState.SYNCHRONIZING, 1783.0, Clock.HOST),
-        (None, 2747.198, Clock.HOST),
+        (PpsState.ABSENT, 2747.198, Clock.FITTED),  # velodyne#183, #524
+        (PpsState.SYNCHRONIZING, 1783.0, Clock.FITTED),
+        (None, 2747.198, Clock.FITTED),
         (None, 1782.9, Clock.SENSOR),
     ],
 )

@@ -46,13 +46,7 @@ def test_a_dry_run_says_what_is_made_and_makes_nothing(cli, spec, tmp_path):
 @pytest.mark.parametrize(
     ("scheduler", "said"),
     [
-        (
-            "",
-            (
-                "error: scheduler: found ''; expected tcp://HOST:PORT of a Dask scheduler, or its scheduler "
-                "file\n"
-            ),
-        ),
+        ("", "error: --scheduler: found an empty text; expected a value, ADDRESS\n"),
         ("127.0.0.1", "error: scheduler: found '127.0.0.1'; expected tcp://HOST:PORT "),
         ("spec.toml", "error: spec.toml: is no scheduler file; expected tcp://HOST:PORT "),
         (

@@ -2,15 +2,17 @@
 
 import csv
 import signal
+from collections import Counter
 
 import numpy as np
 import pytest
 import trimesh
+import velodyne_decoder as vd
 from kit import data_payloads, real_capture
 
 from vlp16emu import Emulator
 from vlp16emu.captures import Capture, CaptureReader
-from vlp16emu.errors import CaptureError, PacketError
+from vlp16emu.errors import PacketError
 from vlp16emu.packets import data_fields, decode_data, points_in
 
 NAMES = "xyz_m", "distance_m", "azimuth_deg", "reflectivity", "ring", "laser"
@@ -116,6 +118,45 @@ def test_ply_opens_elsewhere(cli, bench, tmp_path):
     np.testing.assert_allclose(data["time"] % 3600, points.time_ns / 1e9, rtol=0, atol=3e-7)
 
 
+@pytest.mark.parametrize("suffix", [".npz", ".ply", ".csv"])
+def test_files_of_dual_return_have_each_echo_once(cli, dual, tmp_path, suffix):
+    """A single echo, which the packet has twice, is one point of every format and one point of the summary;
+    velodyne_decoder counts as many."""
+    out = tmp_path / f"x{suffix}"
+    tree = cli("decode", dual, "--out", out, "--json").tree
+    payloads = data_payloads(dual)
+    records = decode_data(payloads, keep_no_returns=False)
+    assert len(xyz_in(out)) == tree["points"] == len(records.ring) - tree["repeated_records"]
+    config = vd.Config()
+    config.min_range, config.max_range = 0, 200
+    packets = [vd.VelodynePacket(i * 1e-3, payload.tobytes()) for i, payload in enumerate(payloads)]
+    assert tree["points"] == len(vd.ScanDecoder(config).decode(packets, as_pcl_structs=True)[1])
+
+
+def test_return_numbers_of_a_capture_are_those_of_its_pulses(cli, dual, tmp_path):
+    """In LAS a pulse with one echo is 1 of 1; one with two has a nearer 1 of 2 and a farther 2 of 2."""
+    laspy = pytest.importorskip("laspy")
+    out = tmp_path / "x.las"
+    record = 100 + 4 + 3 * 5  # laser 5 of block 1, whose other echo is now at 0.5 to 1 m
+    capture = changed(dual, tmp_path / "two.pcap", record + 1, 0x01)
+    cli("decode", capture, "--out", out)
+    read = laspy.read(out)
+    pairs = decode_data(data_payloads(capture), keep_no_returns=True).distance_m.reshape(-1, 2)
+    two = int(((pairs > 0).all(axis=1) & (pairs[:, 0] != pairs[:, 1])).sum())
+    single = int((pairs > 0).any(axis=1).sum()) - two
+    numbers = zip(np.asarray(read.return_number), np.asarray(read.number_of_returns), strict=True)
+    assert two > 20
+    assert Counter((int(n), int(count)) for n, count in numbers) == {(1, 1): single, (1, 2): two, (2, 2): two}
+
+
+def test_a_capture_that_changes_its_return_mode_has_each_echo_once(bench, dual):
+    """Repeats are left out of the packets in dual return alone, in one table with others."""
+    both = np.concatenate([data_payloads(bench)[:20], data_payloads(dual)[:20]])
+    parts = [points_in(data_fields(both[part])).xyz_m for part in (slice(20), slice(20, 40))]
+    assert np.array_equal(points_in(data_fields(both)).xyz_m, np.concatenate(parts))
+    assert len(parts[0]) == len(decode_data(both[:20], keep_no_returns=False).xyz_m)
+
+
 def test_a_cut_file_is_read_to_its_last_whole_packet(cli, bench, tmp_path):
     """A file that ends in the middle of a packet is read so far, and this is said."""
     cut = tmp_path / "cut.pcap"
@@ -150,16 +191,17 @@ def test_a_broken_packet_leaves_the_points_before_it(cli, bench, tmp_path, suffi
     np.testing.assert_allclose(xyz_in(out), before.xyz_m, atol=5.1e-5)
 
 
-def test_packets_before_a_damaged_record_are_reported(bench, tmp_path):
-    """A record of an impossible length is an error that comes after the points of all packets before it."""
+def test_packets_around_a_damaged_record_are_read(cli, bench, tmp_path):
+    """Of a file that has lost 37 bytes all packets but one are read, and the report names the place."""
+    content = bench.read_bytes()
+    at = content.index(data_payloads(bench)[100].tobytes())
     damaged = tmp_path / "damaged.pcap"
-    damaged.write_bytes(bench.read_bytes() + b"\xff" * 16)
-    read = []
-    with pytest.raises(CaptureError, match="a length of 4294967295 bytes"):
-        read.extend(points_in(table).xyz_m for table in CaptureReader(damaged).tables())
-    np.testing.assert_array_equal(
-        np.concatenate(read), decode_data(data_payloads(bench), keep_no_returns=False).xyz_m
-    )
+    damaged.write_bytes(content[: at + 600] + content[at + 637 :])
+    tree = cli("decode", damaged, "--json").tree
+    assert tree["packets"] == len(data_payloads(bench)) - 1
+    (line,) = tree["damage"]
+    assert line.startswith(f"1227 bytes at byte {at - 58}")
+    assert "damaged and left out" in cli("decode", damaged).out
 
 
 def test_a_clock_that_is_set_on_the_way_adds_no_time(cli, bench, tmp_path):

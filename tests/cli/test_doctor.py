@@ -60,7 +60,7 @@ def test_what_makes_runs_fail_is_a_problem(cli, monkeypatch):
 @pytest.mark.parametrize("extra", ["data", "dem", "picture", "ros"])
 def test_a_missing_extra_names_what_needs_it(cli, monkeypatch, extra):
     """An extra that is not installed is a warning with the command that installs it."""
-    monkeypatch.setattr("vlp16emu.extras.doctor.find_spec", lambda _: None)
+    monkeypatch.setattr("vlp16emu.libraries.find_spec", lambda _: None)
     check = rows(cli("doctor", "--json"))[f"extra {extra}"]
     assert (check["finding"], check["mend"]) == ("warning", f"pip install 'vlp16emu[{extra}]'")
 

@@ -92,14 +92,15 @@ def test_the_ground_lies_where_trees_stand(written, rows):
     grid = read_grid(written[0] / "ground.asc", cell_m=None, corner_m=None)
     way_m = np.array([written[1]["path"][name][:2] for name in ("start_m", "end_m")])
     lines, columns = grid.heights_m.shape
-    low_m = np.array([grid.west_m, grid.north_m - (lines - 1) * grid.cell_m]) - grid.cell_m / 2
-    high_m = low_m + np.array([columns, lines]) * grid.cell_m
+    cell_m = np.array(grid.cell_m)
+    low_m = np.array([grid.west_m, grid.north_m - (lines - 1) * cell_m[1]]) - cell_m / 2
+    high_m = low_m + np.array([columns, lines]) * cell_m
     assert (low_m <= way_m.min(axis=0) - RADIUS_M).all()
     assert (high_m >= way_m.max(axis=0) + RADIUS_M).all()
     feet_m = np.array([[float(row[name]) for name in ("x_m", "y_m", "z_m")] for row in rows])
     feet_m = feet_m[((feet_m[:, :2] > low_m) & (feet_m[:, :2] < high_m)).all(axis=1)]
-    column = np.round((feet_m[:, 0] - grid.west_m) / grid.cell_m).astype(int)
-    row = np.round((grid.north_m - feet_m[:, 1]) / grid.cell_m).astype(int)
+    column = np.round((feet_m[:, 0] - grid.west_m) / cell_m[0]).astype(int)
+    row = np.round((grid.north_m - feet_m[:, 1]) / cell_m[1]).astype(int)
     assert len(feet_m) > 10
     assert np.median(np.abs(grid.heights_m[row, column] - feet_m[:, 2])) < 0.02
 

@@ -156,7 +156,7 @@ WITH_PATHS = {
     "--scheduler",
 }
 """Texts that may be the path of a file, a device or a folder."""
-FILES_OUT = {"OUT", "OUT.png", "--out", "--plot", "--save", "--prepare-to"}
+FILES_OUT = {"OUT", "OUT.png", "--out", "--pcap", "--plot", "--save", "--prepare-to"}
 FILES_OUT |= {("forest", name) for name in ("--inventory", "--stems", "--ground", "--glb")}
 """Files that a run writes: an earlier file of that name is replaced by a whole new one, or not at all."""
 MINE = b"mine, and of no run\n"

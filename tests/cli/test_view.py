@@ -5,6 +5,7 @@ import os
 import re
 import signal
 import socket
+import sys
 import urllib.request
 from pathlib import Path
 
@@ -68,6 +69,6 @@ def test_a_port_in_use_is_one_line(refused):
 
 def test_without_the_extra_one_line_names_it(refused, monkeypatch):
     """Without viser, --view names the extra to install."""
-    monkeypatch.setattr("vlp16emu.cli.stream.find_spec", lambda _: None)
+    monkeypatch.setitem(sys.modules, "viser", None)
     line = refused([*STREAM, "--view"])
     assert line == "error: the page in the browser needs viser: pip install 'vlp16emu[viewer]'\n"

@@ -9,7 +9,15 @@ import pytest
 import velodyne_decoder as vd
 from packets.kit import make_returns, random_returns
 
-from vlp16emu.packets import data_payloads, decode_data, pack_position, rmc, scan_starts
+from vlp16emu.packets import (
+    data_fields,
+    data_payloads,
+    decode_data,
+    pack_position,
+    points_in,
+    rmc,
+    scan_starts,
+)
 from vlp16emu.types import GnssFix, PpsState, ReturnMode, SensorModel
 
 RETURN_TYPES = {ReturnMode.STRONGEST: {1}, ReturnMode.LAST: {2}, ReturnMode.DUAL: {1, 2, 3}}
@@ -24,24 +32,14 @@ def their_points(payloads):
     return stamp.device + points["time"].astype(np.float64), points
 
 
-def our_points(payloads):
-    """Ours without the odd records of dual return that only repeat the even ones, which it leaves out."""
-    points = decode_data(payloads, keep_no_returns=True)
-    keep = points.distance_m > 0
-    if payloads[0, 1204] == 0x39:
-        twins = [(points.distance_m.reshape(-1, 2)), points.reflectivity.reshape(-1, 2)]
-        keep.reshape(-1, 2)[:, 1] &= ~np.logical_and.reduce([pair[:, 0] == pair[:, 1] for pair in twins])
-    return points, keep
-
-
 def compare(payloads, tolerance_m):
-    """Hold every point of theirs against its twin of ours."""
+    """Hold every point of theirs against its twin of ours: both have each echo once."""
     times_s, theirs = their_points(payloads)
-    ours, keep = our_points(payloads)
-    assert len(theirs) == keep.sum()
-    order = np.lexsort((ours.is_last[keep], ours.time_ns[keep]))
+    ours = points_in(data_fields(payloads))
+    assert len(theirs) == len(ours.slot)
+    index = np.lexsort((ours.is_last, ours.time_ns))
     their_order = np.lexsort((theirs["return_type"], times_s.round(7)))
-    index, theirs = np.flatnonzero(keep)[order], theirs[their_order]
+    theirs = theirs[their_order]
     np.testing.assert_array_equal(theirs["ring"], ours.ring[index])
     np.testing.assert_array_equal(theirs["intensity"], ours.reflectivity[index])
     # Their times are float32 seconds within a scan: 0.2 us at most apart.

@@ -56,12 +56,12 @@ def test_points_are_decoded_with_the_utc_of_each_pulse(mode):
     """Points of a table are those of its payloads; their UTC in whole hours is the time that the manual
     gives each pulse."""
     payloads, packets = made(mode, PacketClock())
-    points = points_in(packets)
+    points = points_in(packets, keep_repeats=True)
     expected = decode_data(payloads, keep_no_returns=False)
     for name in expected.__slots__:
         np.testing.assert_array_equal(getattr(points, name), getattr(expected, name))
     assert np.array_equal(utc_ns_of(packets, points) % HOUR_NS, expected.time_ns)
-    turned_m = points_in(packets, frame=PointFrame.MANUAL).xyz_m
+    turned_m = points_in(packets, frame=PointFrame.MANUAL, keep_repeats=True).xyz_m
     assert np.array_equal(matvec(SENSOR_R_MANUAL, turned_m.astype(np.float64)), points.xyz_m)
 
 

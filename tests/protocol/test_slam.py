@@ -18,6 +18,16 @@ from vlp16emu.extras.slam.configure import Rig, configurations, programs
 from vlp16emu.extras.slam.fitness import ROWS
 
 NAMES = tomllib.loads(Path(__file__).with_name("slam_names.toml").read_text(encoding="utf-8"))
+VALUES = tomllib.loads(Path(__file__).with_name("slam_values.toml").read_text(encoding="utf-8"))
+KINDS = {
+    "bool": lambda value: isinstance(value, bool),
+    "int": lambda value: isinstance(value, int) and not isinstance(value, bool),
+    "double": lambda value: isinstance(value, float),
+    "string": lambda value: isinstance(value, str),
+    "doubles": lambda value: isinstance(value, list) and all(isinstance(number, float) for number in value),
+}
+"""What a node of ROS 2 takes for a parameter of each type: rclcpp refuses a whole number for a double."""
+PROGRAM_OF = {name: program for program in programs().values() for name in program.files}
 FILES = [(program, name) for program in programs().values() for name in program.files]
 
 
@@ -33,6 +43,24 @@ def leaves(tree, path=""):
             yield from leaves(value, f"{path}{key}/")
         else:
             yield f"{path}{key}", value
+
+
+def pose(place_m, euler_deg):
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_euler("zyx", euler_deg, degrees=True).as_matrix(), place_m
+    return T
+
+
+def values_of(name, rig):
+    """Values of a YAML file by name, as its node reads it."""
+    read = dict(leaves(yaml_of(configurations(PROGRAM_OF[name], rig)[name])))
+    return {path.removeprefix("/**/ros__parameters/"): value for path, value in read.items()}
+
+
+def odd_rig():
+    """A rig in which no number is one of a default."""
+    imu = {"rate_hz": 100, "accel_noise_m_s2_sqrt_hz": 1e-3, "gyro_noise_rad_s_sqrt_hz": 1e-5}
+    return Rig(300.0, pose((0, 0, 1), (30, 5, -8)), pose((0, 0, -2), (-90, 0, 0)), imu, "unit_1/velodyne")
 
 
 def keys_of(name, text):
@@ -70,8 +98,90 @@ def test_names_are_those_of_the_source(program, name):
     rows = NAMES[program.name]
     keys = keys_of(name, configurations(program, Rig(300.0))[name])
     known = {f"{root}{key}" for root in rows.get("roots", [""]) for key in rows["names"]}
+    if name in VALUES:
+        declared = [key for kind in KINDS for key in VALUES[name].get(kind, [])]
+        known = {f"/**/ros__parameters/{key}" for key in declared} or known | set(VALUES[name]["values"])
     assert keys
     assert not set(keys) - known
+
+
+@pytest.mark.parametrize("name", [name for name in VALUES if "types_source" in VALUES[name]])
+def test_types_are_those_that_a_node_declares(name):
+    """Each value has the type of its parameter, for any rig, and no parameter of the node is missing."""
+    kinds = {key: kind for kind in KINDS for key in VALUES[name].get(kind, [])}
+    for rig in (Rig(), odd_rig()):
+        values = values_of(name, rig)
+        assert {key: value for key, value in values.items() if not KINDS[kinds[key]](value)} == {}
+        assert set(values) == set(kinds)
+
+
+@pytest.mark.parametrize("name", VALUES)
+def test_a_file_has_all_that_it_replaces(name):
+    """Copied over the program's own file, ours loses none of its parameters."""
+    assert set(VALUES[name]["values"]) - set(values_of(name, Rig())) == set()
+
+
+@pytest.mark.parametrize("name", VALUES)
+@pytest.mark.parametrize("rig", [Rig(), odd_rig()], ids=["default", "odd"])
+def test_each_value_that_differs_has_its_remark(name, rig):
+    """A line has a remark with the program's own value if ours is another, and else none."""
+    own = VALUES[name]["values"]
+    differ = [
+        (key.rpartition("/")[2], own[key])
+        for key, value in values_of(name, rig).items()
+        if key in own and value != own[key]
+    ]
+    lines = configurations(PROGRAM_OF[name], rig)[name].splitlines()
+    remarks = [line.partition("its own value is ") for line in lines if "its own value is" in line]
+    noted = [
+        (text.partition(":")[0].strip().rpartition("/")[2], yaml_of(value)) for text, _, value in remarks
+    ]
+    missing = {key for key, _ in noted} - {key.rpartition("/")[2] for key in own}
+    assert missing <= {"scan_rate"}  # which Point-LIO's file does not have
+    assert sorted(map(str, differ)) == sorted(str(one) for one in noted if one[0] not in missing)
+
+
+@pytest.mark.parametrize(
+    ("usual", "of_ros2"), [(name.replace("_ros2", ""), name) for name in VALUES if "ros2" in name]
+)
+def test_files_of_both_systems_say_the_same(usual, of_ros2):
+    """What a program reads on ROS 1 and on ROS 2 has one value; its own files differ in the field of view."""
+    root = re.compile("^(dlio|lio_sam)/")
+    first = {root.sub("", key): value for key, value in values_of(usual, odd_rig()).items()}
+    second = values_of(of_ros2, odd_rig())
+    assert {key for key in first.keys() & second.keys() if first[key] != second[key]} <= {
+        "mapping/fov_degree"
+    }
+
+
+def test_frames_of_glim_are_one_tree_with_and_without_a_bag():
+    """GLIM finds its base without /tf_static, which glim_rosbag does not read, and beside a played bag no
+    frame has a second parent.
+
+    It sends map to odom, odom to its base and its IMU to its lidar, and looks its base up from the IMU if
+    they are not one frame (koide3/glim_ros2 13a6bcb26e176144f65b6ecd221edfebd0a36a66, src/glim_ros/rviz_viewer.cpp,
+    odometry_new_frame).
+    """
+    glim = json.loads(configurations(programs()["glim"], Rig())["glim_ros.json"])["glim_ros"]
+    imu = glim["imu_frame_id"]
+    assert imu == glim["base_frame_id"]
+    sent = [("map", "odom"), ("odom", imu), (imu, glim["lidar_frame_id"])]
+    of_bag = [("base_link", frame) for frame in ("velodyne", "imu", "gps", "camera_optical_frame")]
+    of_bag.append(("map", "base_link_truth"))
+    children = [child for _, child in sent + of_bag]
+    assert len(children) == len(set(children))
+
+
+def test_the_page_lists_the_values_of_json(protocol):
+    """JSON has no remarks: the page has a row for each value that differs, with ours."""
+    page = (protocol / "slam" / "README.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (glim_\w+\.json) \| `(\w+)` \| (.*?) \| (.*?) \|", page, re.MULTILINE)
+    made = configurations(programs()["glim"], Rig())
+    assert rows
+    for name, key, ours, its in rows:
+        (section,) = json.loads(made[name]).values()
+        assert ours == (section[key] if isinstance(section[key], str) else json.dumps(section[key]))
+        assert ours != its
 
 
 @pytest.mark.parametrize(("program", "name"), FILES, ids=str)
@@ -167,12 +277,6 @@ def test_shell_sets_what_mola_reads(tmp_path):
         [shell, "-c", ". ./mola.sh; env"], cwd=tmp_path, capture_output=True, text=True, check=True
     )
     assert {"MOLA_LIDAR_TOPIC=/velodyne_points", "MOLA_GNSS_TOPIC=/fix"} <= set(ran.stdout.splitlines())
-
-
-def pose(place_m, euler_deg):
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = Rotation.from_euler("zyx", euler_deg, degrees=True).as_matrix(), place_m
-    return T
 
 
 def test_extrinsics_have_the_direction_that_each_program_wants():

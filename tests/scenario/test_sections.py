@@ -170,6 +170,6 @@ def test_reliefs_are_in_order_of_height_and_of_roughness():
 
 def test_axis_without_direction_is_refused():
     """A stage cannot spin about nothing, nor about what is too short or too long to have a direction."""
-    for z in (0.0, 1e-300, 1e200):
+    for x, z in ((0.0, 0.0), (0.0, 1e-300), (1e6, 1e6)):
         with pytest.raises(ValidationError, match="a spin_axis of a length from 1e-6"):
-            Mount(spin_hz=0.5, spin_axis=(0.0, 0.0, z))
+            Mount(spin_hz=0.5, spin_axis=(x, 0.0, z))

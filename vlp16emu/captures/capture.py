@@ -14,29 +14,21 @@ from pathlib import Path
 from threading import Event
 from typing import BinaryIO, NamedTuple, Protocol
 
+from vlp16emu.captures.records import EXPECTED, PCAP, Damage, Frame, Frames, pcap_frames
 from vlp16emu.doors import Part
 from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.inputs import open_input
-from vlp16emu.packets.layout import BLOCK, BLOCK_FLAG, DATA_BYTES, POSITION_BYTES
+from vlp16emu.packets.layout import (
+    BLOCK,
+    BLOCK_FLAG,
+    BLOCKS_PER_PACKET,
+    DATA_BYTES,
+    POSITION_BYTES,
+    RETURN_MODE_BYTE,
+)
 from vlp16emu.packets.table import PacketClock, PacketTable, packet_row, packet_table
-from vlp16emu.units import S_NS, US_NS
 
-EXPECTED = "a pcap or pcapng file, also as .gz, .bz2, .xz or .zst (`editcap` converts others)"
-PCAP = {
-    magic.to_bytes(4, order): ("<" if order == "little" else ">", unit_ns, record)
-    for magic, unit_ns, record in (
-        (0xA1B2C3D4, US_NS, "4I"),
-        (0xA1B23C4D, 1, "4I"),
-        (0xA1B2CD34, US_NS, "4I8x"),
-    )
-    for order in ("little", "big")
-}
-"""Byte order, nanoseconds per unit of a stamp's fraction, and format of a record's header, by the first bytes
-of a file. Source: IETF draft-ietf-opsawg-pcap; the last magic number is the "modified" pcap of routers, as
-Wireshark's wiki describes it."""
-_PCAP_HEADER_BYTES = 24
-_LONGEST_FRAME_BYTES = 262_144  # a longer record means damage (MAXIMUM_SNAPLEN of libpcap)
-_ENDING = re.compile(r"\.(pcap|pcapng|cap)\d*(\.(gz|bz2|xz|zst))?$", re.IGNORECASE)
+_ENDING = re.compile(r"\.((pcap|pcapng|cap)\d*(\.(gz|bz2|xz|zst))?|bag(\.active)?|mcap|db3)$", re.IGNORECASE)
 
 _ETHERNET = 1
 _MAC_AT = {_ETHERNET: 6, 113: 6, 276: 12}
@@ -54,17 +46,10 @@ _RECENT = 512
 milliseconds."""
 # smallest share of the data packets of the busiest unit that counts as a unit; fewer are an accident
 _STRAY = 0.02
+_BAG_FILES = (".db3", ".mcap")  # of a folder of ROS 2, in order of their numbers
+_MOST_DAMAGE = 100  # damaged parts that are reported
 _NAMED = 16  # units listed in an error line; as many as a rig may have
 _CUT_SHORT = "frames that were captured in part (capture with `tcpdump -s 0`)"
-
-
-class Frame(NamedTuple):
-    """A captured frame."""
-
-    stamp_ns: int  # UTC; 0 in simple packet blocks of pcapng, which have no stamp
-    link_type: int  # LINKTYPE_ value of tcpdump.org
-    wire_bytes: int  # Length of the frame on the wire
-    content: bytes
 
 
 class UdpFinder(Protocol):
@@ -79,9 +64,7 @@ class UdpFinder(Protocol):
 
 
 UNWRAPPER = Part[Callable[[], UdpFinder]]("vlp16emu.extras.captures.links:Unwrapper")
-FRAMES = Part[Callable[[Path, BinaryIO], Iterator[Frame | None]]](
-    "vlp16emu.extras.captures.containers:frames"
-)
+FRAMES = Part[Callable[[Path, BinaryIO], Frames]]("vlp16emu.extras.captures.containers:frames")
 
 
 class Datagram(NamedTuple):
@@ -126,9 +109,14 @@ class Datagram(NamedTuple):
 def is_capture_name(name: str | Path) -> bool:
     """Return whether a name ends in .pcap, .pcapng or .cap.
 
-    A rotation number and a compression suffix may follow.
+    A rotation number and a compression suffix may follow. Bags end in .bag, .mcap or .db3, or are folders.
     """
-    return _ENDING.search(str(name)) is not None
+    return _ENDING.search(str(name)) is not None or is_bag_folder(Path(name))
+
+
+def is_bag_folder(path: Path) -> bool:
+    """Return whether a path is a folder that ROS 2 has recorded."""
+    return (path / "metadata.yaml").is_file()
 
 
 class Capture:
@@ -143,7 +131,7 @@ class Capture:
     repeats : also yield repeated packets
     stop : an event that ends the wait for the bytes of a pipe, as if the pipe ended there
 
-    Raises CaptureError if a file cannot be read or is not a capture; while iterating, if a record is damaged.
+    Raises CaptureError if a file cannot be read or is not a capture. Damaged records are left out.
     """
 
     def __init__(self, path: Path, *, repeats: bool = False, stop: Event | None = None) -> None:
@@ -153,6 +141,7 @@ class Capture:
         self.frames = 0  # Frames read so far, of all kinds
         self.cut = False  # True if a file ended in the middle of a record; what came before it is whole
         self.repeated = 0  # Repeated packets that were skipped
+        self.damage = list[str]()  # Damaged parts that were left out, the first hundred
         self._files = _files(path)
         self._unwrapper: UdpFinder | None = None  # made for the first frame that is not plain
         self._cut_short = 0
@@ -165,6 +154,9 @@ class Capture:
                 if frame is None:
                     self.cut = True
                     break
+                if isinstance(frame, Damage):
+                    self._note_damage(path, frame)
+                    continue
                 self.frames += 1
                 for datagram in _merged(self._datagram(frame)):
                     if self._keeps_repeats or not self._is_repeat(datagram):
@@ -176,16 +168,22 @@ class Capture:
         counts = Counter(self._unwrapper.missed if self._unwrapper else ()) + Counter(
             {_CUT_SHORT: self._cut_short}
         )
-        return "; ".join(f"{number} {what}" for what, number in counts.items())
+        return "; ".join([*(f"{number} {what}" for what, number in counts.items()), *self.damage[:1]])
 
     def no_data(self) -> CaptureError:
         """Return the error for a capture without data packets, with the cause if it is known."""
         found = f"no data packet, but {self.missed}" if self.missed else "no data packet"
         return CaptureError(str(self.path), found, "UDP payloads of 1206 bytes")
 
+    def _note_damage(self, path: Path, damage: Damage) -> None:
+        if len(self.damage) < _MOST_DAMAGE:
+            file = f"{path}: " if len(self._files) > 1 else ""
+            lost = f"{damage.lost_bytes} bytes at byte {damage.at_bytes}"
+            self.damage.append(f"{file}{lost}, after packet {self.frames}, are damaged and left out")
+
     def _datagram(self, frame: Frame) -> Datagram | None:
         """Parse one frame; None if it completes no UDP datagram."""
-        _, link_type, wire_bytes, content = frame
+        _, link_type, wire_bytes, content, is_suspect = frame
         at = _IP_AT
         body = _UDP_AT
         if not _is_plain(link_type, content):
@@ -204,6 +202,8 @@ class Capture:
         lengths = (len(content), wire_bytes)
         ports = (source_port, destination_port)
         parts = content[: body + 8], content[body + 8 : end]
+        if is_suspect and len(parts[1]) == DATA_BYTES and not _is_data(parts[1]):
+            return None
         return Datagram(self.frames, frame.stamp_ns, *lengths, at, *ports, *parts, link_type)
 
     def _is_repeat(self, datagram: Datagram) -> bool:
@@ -239,6 +239,13 @@ def _is_plain(link_type: int, frame: bytes) -> bool:
     )
 
 
+def _is_data(payload: bytes) -> bool:
+    """Return whether a payload has the flags of all blocks, and ends as a data packet does."""
+    size = BLOCK.itemsize
+    flags = {payload[at : at + 2] for at in range(0, BLOCKS_PER_PACKET * size, size)}
+    return flags == {_FLAG} and payload[-2] in RETURN_MODE_BYTE.values()
+
+
 def _merged(datagram: Datagram | None) -> Iterable[Datagram]:
     """Yield a datagram, or each data packet in it.
 
@@ -259,66 +266,23 @@ def _files(path: Path) -> list[Path]:
     """Return the files of a capture, in order of their first stamps."""
     if path.is_fifo():
         return [path]  # a pipe can be read only once
+    if is_bag_folder(path):
+        inside = sorted(each for each in path.iterdir() if each.suffix in _BAG_FILES)
+        return inside or [path / "*.mcap"]
     is_pattern = not path.exists() and glob.has_magic(path.name)  # a file may have brackets in its name
     found = sorted(path.parent.glob(path.name)) if is_pattern else []
     firsts = {file: next(_frames_in(file), None) for file in found or [path]}
-    return sorted(firsts, key=lambda file: first.stamp_ns if (first := firsts[file]) else 0)
+    stamps_ns = {file: first.stamp_ns if isinstance(first, Frame) else 0 for file, first in firsts.items()}
+    return sorted(firsts, key=stamps_ns.__getitem__)
 
 
-def _frames_in(path: Path, stop: Event | None = None) -> Iterator[Frame | None]:
-    """Yield the frames of a file; a last None if the file ends in the middle of a record.
+def _frames_in(path: Path, stop: Event | None = None) -> Frames:
+    """Yield the frames of a file.
 
-    Raises CaptureError if it cannot be read, is not a capture, or a record is damaged.
+    Raises CaptureError if it cannot be read or is not a capture.
     """
     with open_input(path, EXPECTED, CaptureError, most_bytes=None, takes_pipes=True, stop=stop) as file:
         yield from pcap_frames(path, file) if file.peek(4)[:4] in PCAP else FRAMES.load()(path, file)
-
-
-def pcap_frames(path: Path, file: BinaryIO) -> Iterator[Frame | None]:
-    """Yield the frames of classic pcap, as `_frames_in`; `file` begins with one of `PCAP`."""
-    header = read(file, _PCAP_HEADER_BYTES)
-    if len(header) < _PCAP_HEADER_BYTES:
-        raise not_a_capture(path, header)
-    order, unit_ns, form = PCAP[header[:4]]
-    record = struct.Struct(order + form)
-    word = struct.Struct(f"{order}I")
-    number = 0
-    link_type = word.unpack_from(header, 20)[0] & 0xFFFF  # the upper bits describe the frame check sequence
-    while head := read(file, record.size):
-        if head.startswith(header[:8]):  # a second file appended to this one with `cat`
-            head += read(file, _PCAP_HEADER_BYTES - len(head))
-            if len(head) == _PCAP_HEADER_BYTES:
-                link_type = word.unpack_from(head, 20)[0] & 0xFFFF
-                continue
-        if len(head) < record.size:
-            yield None
-            return
-        seconds, fraction, captured, wire = record.unpack(head)
-        number += 1
-        if captured > _LONGEST_FRAME_BYTES:
-            where = f"{path}: packet {number}"
-            raise CaptureError(where, f"a length of {captured} bytes", f"at most {_LONGEST_FRAME_BYTES}")
-        content = read(file, captured)
-        if len(content) < captured:
-            yield None
-            return
-        yield Frame(seconds * S_NS + fraction * unit_ns, link_type, wire, content)
-
-
-def read(file: BinaryIO, size: int) -> bytes:
-    """Read `size` bytes, or fewer at the end of a file, a pipe or a truncated archive."""
-    content = b""
-    try:
-        while len(content) < size and (part := file.read(size - len(content))):
-            content += part
-    except EOFError:
-        return content
-    return content
-
-
-def not_a_capture(path: Path, head: bytes) -> CaptureError:
-    """Return the error for a file that does not begin as a capture does."""
-    return CaptureError(str(path), f"no capture, it begins with {head[:4].hex(' ') or 'nothing'}", EXPECTED)
 
 
 class CapturedUnit(NamedTuple):

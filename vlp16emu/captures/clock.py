@@ -1,15 +1,19 @@
 """The clock of each unit of a capture, chosen from its first packets."""
 
+from array import array
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from vlp16emu.captures.capture import Capture, CapturedUnit, Datagram, by_unit, table_of
 from vlp16emu.errors import InputError, PacketError
+from vlp16emu.packets.arrival import ArrivalFit, HostStamps, fit_arrivals
 from vlp16emu.packets.decode import decode_position
 from vlp16emu.packets.layout import DATA_BYTES, POSITION_BYTES
 from vlp16emu.packets.nmea import rmc_time
-from vlp16emu.packets.table import Clock, PacketClock
+from vlp16emu.packets.table import Clock, PacketClock, period_ns
 from vlp16emu.types import PpsState
 from vlp16emu.units import S_NS
 
@@ -23,6 +27,8 @@ class UnitClock(NamedTuple):
 
     clock: PacketClock  # For all packets of the unit, from the first
     first_ns: int  # UTC of the first data packet by the clock; 0 without data packets
+    arrived_ns: int = 0  # its stamp in the capture
+    sensor_ns: int = 0  # its UTC by the sensor's clock
 
 
 def unit_clocks(
@@ -33,9 +39,9 @@ def unit_clocks(
     Parameters
     ----------
     units : None stands for all packets
-    name : "sensor", "gps" or "host"; by default the sensor's clock if the unit is locked to GPS, or if it has
-        no position packets and is within a second of the host; else the host's clock, which stamps everything
-        else of a recording
+    name : "sensor", "gps", "fitted" or "host"; by default the sensor's clock if the unit is locked to GPS, or
+        if it has no position packets and is within a second of the host; else the host's clock, which stamps
+        everything else of a recording, fitted to the sensor's; the sensor's if the host's stamps do not go on
     where : name of the option in error lines
 
     Raises CaptureError if the file is not a capture; InputError if there is no such clock, or no valid
@@ -49,7 +55,58 @@ def unit_clocks(
             seen[unit].take(datagram)
         if all(of.is_known(wants_sentence=name == Clock.GPS) for of in seen):
             break
-    return [of.clock(path, name, where) for of in seen]
+    chosen = [of.clock(path, name, where) for of in seen]
+    wanted = [each.clock.clock is Clock.HOST and name != Clock.HOST for each in chosen]
+    arrivals = _arrivals(path, units) if any(wanted) else []
+    return [
+        _fitted(path, each, arrivals[place], name, where) if wanted[place] else each
+        for place, each in enumerate(chosen)
+    ]
+
+
+class _Arrivals:
+    """Arrivals of the data packets of a unit over its clock."""
+
+    def __init__(self) -> None:
+        self.stamps = HostStamps()
+        self._clock = PacketClock()
+        self._number = array("q")
+        self._sensor_ns = array("q")
+        self._host_ns = array("q")
+
+    def take(self, datagram: Datagram) -> None:
+        """Take a data packet."""
+        sensor_ns, _ = self._clock.packet_ns(datagram.number, datagram.stamp_ns, datagram.payload)
+        self.stamps.take(datagram.stamp_ns, sensor_ns)
+        self._number.append(datagram.number)
+        self._sensor_ns.append(sensor_ns + period_ns(datagram.payload))
+        self._host_ns.append(datagram.stamp_ns)
+
+    def fit(self) -> ArrivalFit | None:
+        """Fit the host's clock; None without packets, or if its stamps do not go on with the sensor's."""
+        if not self._number or not self.stamps.runs:
+            return None
+        return fit_arrivals(*(np.array(each) for each in (self._number, self._sensor_ns, self._host_ns)))
+
+
+def _arrivals(path: Path, units: Sequence[CapturedUnit | None]) -> list[_Arrivals]:
+    found = [_Arrivals() for _ in units]
+    for unit, datagram in by_unit(Capture(path), units):
+        if unit is not None and len(datagram.payload) == DATA_BYTES:
+            found[unit].take(datagram)
+    return found
+
+
+def _fitted(path: Path, chosen: UnitClock, arrivals: _Arrivals, name: str | None, where: str) -> UnitClock:
+    """Return the host's clock fitted to the sensor's, or the sensor's if that cannot be."""
+    fit = arrivals.fit()
+    if fit is not None:
+        first = fit.parts[0]
+        begin_ns = chosen.first_ns + first.host_ns - chosen.arrived_ns
+        return UnitClock(PacketClock(Clock.FITTED, fit=fit), begin_ns, chosen.arrived_ns, chosen.sensor_ns)
+    if name == Clock.FITTED and arrivals.stamps.steps:
+        raise InputError(where, f"found fitted, but in {path} {arrivals.stamps.fault}", "sensor")
+    return chosen._replace(clock=PacketClock(), first_ns=chosen.sensor_ns)
 
 
 def packet_clock(
@@ -57,12 +114,12 @@ def packet_clock(
 ) -> PacketClock:
     """Return the clock for the packets of one unit, as `unit_clocks`.
 
-    By default a pipe has the sensor's clock. Raises InputError for "gps" of a pipe, whose packets cannot be
-    read again after its sentences.
+    By default a pipe has the sensor's clock. Raises InputError for "gps" and "fitted" of a pipe, whose packets
+    cannot be read twice.
     """
     if path.is_fifo() and name in (None, *Clock):
-        if name == Clock.GPS:
-            raise InputError(where, f"found gps for the pipe {path}", "sensor or host, or a file")
+        if name in (Clock.GPS, Clock.FITTED):
+            raise InputError(where, f"found {name} for the pipe {path}", "sensor or host, or a file")
         return PacketClock(Clock(name or Clock.SENSOR))
     return unit_clocks(path, [unit], name, where=where)[0].clock
 
@@ -104,11 +161,17 @@ class _Seen:
         if behind_ns is None:
             raise InputError(where, f"no valid sentence of a GPS receiver in {path}", "sensor or host")
         if self.data is None:
-            return UnitClock(PacketClock(Clock(name or Clock.SENSOR), behind_ns), 0)
+            return UnitClock(PacketClock(_before_fit(name or Clock.SENSOR), behind_ns), 0)
         first = table_of([self.data], PacketClock(Clock.HOST, behind_ns))[0]
         follows_utc = self.pps is PpsState.LOCKED
         if self.pps is None:
             follows_utc = abs(first["utc_ns"] - first["sensor_ns"]) <= _CLOSE_NS
-        clock = Clock(name) if name else Clock.SENSOR if follows_utc else Clock.HOST
+        clock = _before_fit(name) if name else Clock.SENSOR if follows_utc else Clock.HOST
         first_ns = first["utc_ns"] if clock is Clock.HOST else first["sensor_ns"]
-        return UnitClock(PacketClock(clock, behind_ns), int(first_ns))
+        found = PacketClock(clock, behind_ns)
+        return UnitClock(found, int(first_ns), self.data.stamp_ns, int(first["sensor_ns"]))
+
+
+def _before_fit(name: str) -> Clock:
+    """Return a clock by its name; the host's where that is to be fitted."""
+    return Clock.HOST if name == Clock.FITTED else Clock(name)

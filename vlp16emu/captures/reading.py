@@ -20,6 +20,7 @@ from vlp16emu.packets.decode import (
     decode_position,
     faults_in,
     points_in,
+    repeats_in,
     scan_starts,
 )
 from vlp16emu.packets.table import Clock, PacketClock, PacketTable, utc_ns_of
@@ -40,8 +41,9 @@ class Summary:
     packets: int
     position_packets: int
     other_datagrams: int
-    points: int
-    no_returns: int
+    points: int  # Echoes; in dual return a single echo is in two records and counts once
+    no_returns: int  # Records without distance
+    repeated_records: int  # Records in dual return that repeat a single echo
     scans: int  # Revolutions, including the incomplete ones at both ends
     records_per_scan: (
         int | None
@@ -54,8 +56,10 @@ class Summary:
     host_ahead_s: (
         float  # Capture stamp minus the sensor's clock in the nearest hour, at the first data packet
     )
+    fit: dict[str, float] | None  # Fit of the host's clock to the sensor's, where `clock` is that
     gps: dict[str, str] | None  # Pulse and sentence of the last position packet
     cut: bool  # True if the file ends in the middle of a packet
+    damage: tuple[str, ...]  # Damaged parts of the file that were left out
     repeats: int  # Repeated packets that were skipped
 
 
@@ -104,7 +108,7 @@ class CaptureReader:
     def tables(self) -> Iterator[PacketTable]:
         """Read chunk by chunk; packets before a faulty packet or record come before its error is raised.
 
-        Raises CaptureError if a record is damaged or there is no data packet; PacketError if a packet is not
+        Raises CaptureError if there is no data packet; PacketError if a packet is not
         from a VLP-16.
         """
         for held in self._chunks():
@@ -155,6 +159,7 @@ class CaptureReader:
         whole = np.diff(starts)[1:] * _BLOCK_RECORDS
         names = {code: mode for mode, code in layout.RETURN_MODE_BYTE.items()}
         points = int(self._codes[1:].sum())
+        no_returns = int(self._codes[0])
         start = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=self.first_stamp_ns // US_NS)
         gps = self._gps
         return Summary(
@@ -168,7 +173,8 @@ class CaptureReader:
             position_packets=self._positions,
             other_datagrams=self._others,
             points=points,
-            no_returns=len(azimuth_cdeg) * layout.RECORDS_PER_PACKET - points,
+            no_returns=no_returns,
+            repeated_records=len(azimuth_cdeg) * layout.RECORDS_PER_PACKET - points - no_returns,
             scans=len(starts),
             records_per_scan=int(np.median(whole)) if len(whole) else None,
             range_m=self._ranges_m() if points else None,
@@ -176,10 +182,12 @@ class CaptureReader:
             duration_s=int(np.where(is_jump, host_step_ns, step_ns).sum()) / S_NS,
             clock=self.clock.clock,
             host_ahead_s=round((self.clock.host_ahead_ns or 0) / S_NS, 6),
+            fit=self.clock.fit.summary if self.clock.fit else None,
             gps={"pps": gps.pps.name.lower(), "sentence": gps.sentence.decode("ascii", "replace").strip()}
             if gps
             else None,
             cut=self._capture.cut,
+            damage=tuple(self._capture.damage),
             repeats=self._capture.repeated,
         )
 
@@ -210,7 +218,8 @@ class CaptureReader:
         if not self._azimuth_cdeg:
             self._hour_ns = int(table["sensor_ns"][0]) // HOUR_NS * HOUR_NS
         self._packet_ns.append(np.stack([table["sensor_ns"], table["arrival_ns"]]))
-        self._codes += np.bincount(table["blocks"]["records"]["distance_lsb"].ravel(), minlength=2**16)
+        distance_lsb = table["blocks"]["records"]["distance_lsb"]
+        self._codes += np.bincount(distance_lsb[~repeats_in(table)], minlength=2**16)
         self._azimuth_cdeg.append(table["blocks"]["azimuth_cdeg"].copy())
         self._modes.append(table["return_mode"].copy())
         self._factory = int(table["factory"][0])

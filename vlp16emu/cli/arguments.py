@@ -13,7 +13,12 @@ SceneOrCapture = Annotated[
     str, Option(f"{_SCENE}; or a capture, ours or a real sensor's.", name="SCENE|FILE.pcap")
 ]
 CaptureFile = Annotated[
-    Path, Option("Capture with VLP-16 packets: pcap or pcapng, also .gz, .bz2, .xz, .zst.", name="FILE.pcap")
+    Path,
+    Option(
+        "Capture with VLP-16 packets: pcap or pcapng, also .gz, .bz2, .xz, .zst; or a bag with "
+        "/velodyne_packets (.bag, .mcap, a folder of ROS 2).",
+        name="FILE.pcap",
+    ),
 ]
 Settings = Annotated[
     list[str] | None,
@@ -75,9 +80,9 @@ WhichClock = Annotated[
     str | None,
     Option(
         "Clock of all stamps: the sensor's, in the hour nearest to the capture's stamps (sensor) or in "
-        "the hour of the GPS sentences (gps), or the recording host's (host). By default the sensor's if "
-        "it is locked to GPS, else the host's.",
-        words=("sensor", "gps", "host"),
+        "the hour of the GPS sentences (gps), the recording host's (host), or the host's as a line over the "
+        "sensor's (fitted). By default the sensor's if it is locked to GPS, else the fitted one.",
+        words=("sensor", "gps", "fitted", "host"),
         shown=False,
     ),
 ]

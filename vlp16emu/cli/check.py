@@ -22,8 +22,8 @@ def verify(
     file: Annotated[
         Path,
         Option(
-            "Capture with VLP-16 packets: pcap or pcapng, also .gz, .bz2, .xz, .zst; with --for a bag of "
-            "any sensor.",
+            "Capture with VLP-16 packets: pcap or pcapng, also .gz, .bz2, .xz, .zst, or a bag with "
+            "/velodyne_packets; with --for a bag of any sensor.",
             name="FILE.pcap",
         ),
     ],
@@ -50,8 +50,6 @@ def verify(
     if slam is not None:
         _verify_bag(file, unit, slam, as_json=as_json)
         return
-    if file.suffix.lower() in (".mcap", ".bag") or (file / "metadata.yaml").is_file():
-        raise InputError(str(file), "a bag", "a capture, or --for with the name of a SLAM program, or all")
     from vlp16emu.captures import chosen_unit, units_in
     from vlp16emu.extras.verify.run import verify_units
 
@@ -82,7 +80,12 @@ def _verify_bag(file: Path, unit: str | None, slam: str, *, as_json: bool) -> No
     result = fitness(file, slam)
     if as_json:
         programs = {
-            name: {"fit": not result.of(name), "findings": result.of(name)} for name in result.programs
+            name: {
+                "fit": not result.of(name),
+                "configurations": result.configurations[name],
+                "findings": result.of(name),
+            }
+            for name in result.programs
         }
         print_json({"file": file, "fit": not result.findings, "bag": result.summary, "programs": programs})
     else:
@@ -90,6 +93,8 @@ def _verify_bag(file: Path, unit: str | None, slam: str, *, as_json: bool) -> No
             print_line(str(finding))
         counts = {name: len(result.of(name)) for name in result.programs}
         verdicts = {name: f"{n} finding{'s' * (n > 1)}" if n else "fit" for name, n in counts.items()}
+        for name, files in result.configurations.items():
+            verdicts[name] += f", with {', '.join(files)}" if files else ""
         summary = "fit" if not result.findings else "not fit for all" if slam == "all" else "not fit"
         print_rows(f"{file}: {summary}", verdicts)
     if result.findings:
@@ -105,6 +110,7 @@ def _tree(result: "Verification") -> Tree:
         "duration_s": result.span_s,
         "rpm": result.rpm,
         "cut": result.is_cut,
+        "damage": result.damage,
         "broken_rules": result.counts,
         "notes": result.notes,
         "findings": result.findings,

@@ -35,6 +35,7 @@ _LABELS = {
     "bytes": "size",
     "cut": "end",
     "first": "packet 0 left",
+    "fit": "host's clock",
     "gaps_s": "gaps shortened",
     "gps_in": "receiver",
     "gps_out": "sentences",
@@ -297,6 +298,16 @@ def _receiver(gps_in: "GpsInResult") -> str:
     return f"{counts} from {gps_in.port}; {gps_in.state.name.lower()}{_away(gps_in.away)}"
 
 
+def _fit(fits: "Mapping[str, float] | Sequence[Mapping[str, float]]") -> str:
+    each = [fits] if isinstance(fits, Mapping) else fits
+    return "; ".join(
+        f"{fit['rate_ppm']:+.3g} ppm, {fit['offset_s']:+.6f} s from the sensor's, packets late by "
+        f"{fit['median_delay_ms']:.3g} ms in the median and {fit['most_delay_ms']:.3g} ms at most"
+        + (f", in {fit['parts']:.0f} parts" if fit["parts"] > 1 else "")
+        for fit in each
+    )
+
+
 def _away(times: "Sequence[Away]") -> str:
     total_s = sum(time.away_s for time in times)
     return f"; the device was away {count(len(times))} times, for {total_s:.1f} s" if times else ""
@@ -309,6 +320,7 @@ _WORDS: dict[str, Callable[[Any], str]] = {
     "cut": lambda is_cut: "in the middle of a packet, which was left out" if is_cut else "",
     "delay_s": lambda late_s: f"late by {late_s:.2f} s at the end" if late_s else "",
     "first": _first,
+    "fit": _fit,
     "gaps_s": lambda gaps_s: ", ".join(f"{gap_s:.0f} s" for gap_s in gaps_s),
     "gps_in": _receiver,
     "gps_out": _outlet,

@@ -12,7 +12,7 @@ from vlp16emu.cli import arguments as args
 from vlp16emu.cli.arguments import AsJson, CaptureFile, UnitName, WhichClock
 from vlp16emu.cli.printer import finish, members
 from vlp16emu.cli.terminal import make_emulator, running, stop_on_ctrl_c
-from vlp16emu.errors import CaptureError, OutputError
+from vlp16emu.errors import CaptureError, InputError, OutputError
 from vlp16emu.run.options import Option, RecordOptions
 
 if TYPE_CHECKING:
@@ -63,6 +63,10 @@ def decode(
         Path | None,
         Option("Write the points too: .npz, .ply, .csv, .pcd, .las or .laz by its suffix.", "FILE"),
     ] = None,
+    pcap: Annotated[
+        Path | None,
+        Option("Write the packets as classic pcap, also those of a bag; no points then.", "FILE.pcap"),
+    ] = None,
     unit: UnitName = None,
     clock: WhichClock = None,
     frame: Annotated[
@@ -88,6 +92,15 @@ def decode(
     0), y left, z up, unless --frame chooses other axes. Pulses without return give no points. After Ctrl-C or
     a broken packet the file is valid and holds the points before it.
     """
+    if pcap is not None:
+        from vlp16emu.extras.replay import write_pcap
+
+        if out is not None:
+            raise InputError("--pcap", "found beside --out", "only one of the two")
+        with stop_on_ctrl_c() as stop:
+            written = write_pcap(file, pcap, unit, stop=stop)
+        finish(written, as_json=as_json)
+        return
     from vlp16emu.captures import CaptureReader, chosen_unit, packet_clock
     from vlp16emu.packets import PointFrame
     from vlp16emu.types import SensorModel
@@ -112,7 +125,7 @@ def _read(reader: "CaptureReader", file: Path, out: Path | None, axes: "PointFra
         if out:
             from vlp16emu.extras.clouds.cloud import CAPTURE_COLUMNS, CloudAbout, capture_comments, point_file
 
-            about = CloudAbout(capture_comments(axes, f"{reader.clock.clock}'s"))
+            about = CloudAbout(capture_comments(axes, reader.clock.clock.whose))
             opened = point_file(out, CAPTURE_COLUMNS, about, where=f"--out {out}", inputs=[file])
             writer = stack.enter_context(opened)
         try:

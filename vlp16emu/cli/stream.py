@@ -5,7 +5,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,7 +13,8 @@ import typer
 from vlp16emu.cli import arguments as args
 from vlp16emu.cli.printer import finish, print_line
 from vlp16emu.cli.terminal import Progress, make_emulator, stop_on_ctrl_c
-from vlp16emu.errors import InputError, MissingExtraError
+from vlp16emu.errors import InputError
+from vlp16emu.libraries import check_extra
 from vlp16emu.run.options import LAST_PORT, Http, Option, ReplayOptions, StreamOptions, TruthTo
 from vlp16emu.run.part import StreamPart
 from vlp16emu.units import S_NS
@@ -118,7 +118,8 @@ def replay(
 ) -> None:
     """Send a capture over UDP again, ours or a real sensor's.
 
-    Packets keep the intervals of their capture stamps and go to the ports of the capture. Nothing leaves this
+    Packets keep the intervals of their capture stamps, or of the sensor's stamps where those of the capture
+    cannot be its pace, and go to the ports of the capture. Nothing leaves this
     machine unless --to names another one. Ctrl-C ends it.
     """
     from vlp16emu.extras.replay import ReplayStream
@@ -131,6 +132,9 @@ def replay(
         stream.add(Terminal(progress))
         units = ", ".join(map(str, stream.replay.units))
         _announce(f"replaying {file} to {stream.host}: sensors {units}", stream.links, quiet=as_json)
+        for unit, fault in stream.replay.paced_by.items():
+            unfit = f"{stream.replay.units[unit]}: {fault}: packets are paced by the sensor's own stamps"
+            progress.say(unfit)
         stream.run()
     _close(stream.result, f"{file} to {stream.host}", strict=strict, as_json=as_json)
 
@@ -165,8 +169,7 @@ def _is_measured(*, wanted: bool | None, is_prepared: bool, is_live: bool) -> bo
 @contextmanager
 def _page(emulator: "Emulator", port: int | None, *, quiet: bool) -> Iterator["LivePage"]:
     """Start the page of a stream and print its address."""
-    if find_spec("viser") is None:
-        raise MissingExtraError("viser", "viewer", "the page in the browser")
+    check_extra("viewer", "the page in the browser", "viser", "websockets")
     from vlp16emu.extras.viewer.live import PAGE_PORT, live_page
 
     with live_page(emulator, PAGE_PORT if port is None else port) as page:

@@ -14,8 +14,9 @@ from vlp16emu.cli import arguments as args
 from vlp16emu.cli.arguments import AsJson, CaptureFile, UnitName, WhichClock
 from vlp16emu.cli.printer import count, finish, print_json, print_rows, print_table, size
 from vlp16emu.cli.terminal import Progress, compile_first, make_emulator, running, stop_on_ctrl_c
-from vlp16emu.errors import InputError, MissingExtraError, TrajectoryError
+from vlp16emu.errors import InputError, TrajectoryError
 from vlp16emu.extras.options import DatasetOptions, ImageOptions, PictureLook, PointOptions, TrajectoryErrors
+from vlp16emu.libraries import of_extra
 from vlp16emu.run.options import (
     BagOptions,
     Option,
@@ -371,10 +372,8 @@ def view(
         raise InputError("--truth", "found beside a scene", "a capture; a scene knows its own")
     if save is not None and capture is not None:
         raise InputError("--save", f"found beside the capture {scene}", "a scene, whose path can be edited")
-    try:
+    with of_extra("viewer", "the page in the browser", "viser", "websockets"):
         from vlp16emu.extras.viewer.page import capture_page, guarded_server, scene_page
-    except ImportError as error:
-        raise MissingExtraError(error.name or "viser", "viewer", "the page in the browser") from None
     opened = None if capture is not None else _open_scene(scene, settings or (), save)
     with guarded_server(host, port) as server:
         print(f"http://{host}:{server.get_port()}/  Ctrl-C ends it", flush=True)

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +17,7 @@ import numpy as np
 from vlp16emu.cores import usable_cores
 from vlp16emu.errors import Vlp16emuError
 from vlp16emu.kernels.cache import kernel_names, user_kernels
+from vlp16emu.libraries import lacking
 from vlp16emu.packets.frames import DATA_PORT, FACTORY_LINK, POSITION_PORT
 from vlp16emu.sinks import TOLERANCE_NS
 from vlp16emu.sinks.pacing import prompt
@@ -54,17 +54,17 @@ class Check:
     mend: str = ""  # a command or advice; empty if nothing is to be done
 
 
-_EXTRAS = {
-    "cloud": (("laspy", "lazrs", "pypcd4"), "points in LAS and LAZ, score of PCD"),
-    "cluster": (("distributed",), "dataset --scheduler"),
-    "data": (("pyarrow",), "--truth-returns, labels of captures"),
-    "dem": (("rasterio",), "heights from GeoTIFF files (world.dem)"),
-    "picture": (("PIL",), "picture"),
-    "plot": (("matplotlib",), "plot, --plot, score --out"),
-    "ros": (("rosbags",), "bag, record into bags"),
-    "score": (("evo",), "score"),
-    "viewer": (("tomlkit", "viser", "websockets"), "view"),
-}  # libraries of each extra in pyproject.toml, and the features that need them
+_PURPOSES = {
+    "cloud": "points in LAS and LAZ, score of PCD",
+    "cluster": "dataset --scheduler",
+    "data": "--truth-returns, labels of captures",
+    "dem": "heights from GeoTIFF files (world.dem)",
+    "picture": "picture",
+    "plot": "plot, --plot, score --out",
+    "ros": "bag, record into bags",
+    "score": "score",
+    "viewer": "view",
+}  # features that need each extra of pyproject.toml
 _WIDEST = ("avx512f", "avx2", "avx", "sse4_2", "asimd")
 """Instruction sets with kernels in Embree, by their names in /proc/cpuinfo, widest first (Embree 4 manual,
 rtcNewDevice)."""
@@ -96,10 +96,10 @@ def all_checks() -> Iterator[Check]:
     yield _check("clock resolution", f"{resolution_s * 1e9:.0f} ns", mend)
     yield _wake_ups()
     yield _buffer()
-    for extra, (libraries, purpose) in _EXTRAS.items():
-        missing = [library for library in libraries if find_spec(library) is None]
-        found = f"without {', '.join(missing)}: no {purpose}" if missing else f"installed, for {purpose}"
-        yield _check(f"extra {extra}", found, f"pip install 'vlp16emu[{extra}]'" if missing else "")
+    for extra, purpose in _PURPOSES.items():
+        faults = lacking(extra)
+        found = f"without {', '.join(faults)}: no {purpose}" if faults else f"installed, for {purpose}"
+        yield _check(f"extra {extra}", found, f"pip install 'vlp16emu[{extra}]'" if faults else "")
     yield _disk()
 
 

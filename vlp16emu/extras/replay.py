@@ -11,12 +11,13 @@ from pathlib import Path
 from threading import Event
 from typing import Unpack
 
-from vlp16emu.captures import Capture, by_unit, units_in
+from vlp16emu.captures import Capture, by_unit, chosen_unit, units_in
 from vlp16emu.errors import CaptureError, InputError, OutputError
-from vlp16emu.extras.bench.retime import moved
+from vlp16emu.extras.bench.retime import age_ns, moved, stamp_ns
 from vlp16emu.extras.free_ports import free_ports
-from vlp16emu.output import STDOUT
-from vlp16emu.packets import DATA_BYTES, FACTORY_LINK, POSITION_BYTES, Link
+from vlp16emu.output import STDOUT, spare
+from vlp16emu.packets import DATA_BYTES, FACTORY_LINK, POSITION_BYTES, Link, PacketClock
+from vlp16emu.packets.arrival import HostStamps
 from vlp16emu.packets.frames import POSITION_PORT
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.run.options import RecordOptions, ReplayKeys, ReplayOptions, StreamOptions
@@ -25,14 +26,17 @@ from vlp16emu.run.record import record
 from vlp16emu.run.report import OfUnits, UnitSent
 from vlp16emu.run.stream import Stream, StreamReport
 from vlp16emu.scenario.model import CaptureClock
-from vlp16emu.sinks import Late, Pacer, check_ending
+from vlp16emu.sinks import Late, Pacer, PcapSink, check_ending
+from vlp16emu.trees import Tree
 from vlp16emu.types import Packet, PacketKind
-from vlp16emu.units import S_NS
+from vlp16emu.units import S_NS, US_NS
 
 _KINDS = {DATA_BYTES: PacketKind.DATA, POSITION_BYTES: PacketKind.POSITION}
 _LONGEST_GAP_NS = 60 * S_NS
 """Longest gap that is kept: a rotor takes some seconds to spin up; a longer gap is a suspended host or a
 clock that was set."""
+
+_LATE_NS = S_NS // 10  # packets that come later behind others show a clock that was set back
 
 
 class Replay:
@@ -71,32 +75,81 @@ class Replay:
         self.passes = 0  # passes begun so far
         self.left_out = 0  # datagrams of the first pass that are no complete packets of a unit
         self.gaps_s = list[float]()  # gaps of the first pass that were shortened
+        self.paced_by = self._faults()  # why units are paced by their own clocks, not by the host's stamps
 
     def __iter__(self) -> Iterator[Packet]:
         later_ns = cut_ns = 0
         while True:
             self.passes += 1
-            begin_ns = end_ns = None
-            for captured in self._packets():
+            begin_ns = end_ns = last_ns = None
+            back_ns = 0
+            for packet in self._packets():
+                captured = packet
                 begin_ns = captured.due_ns if begin_ns is None else begin_ns
+                if last_ns is not None and captured.due_ns < last_ns - _LATE_NS:  # a clock that was set back
+                    back_ns += last_ns - captured.due_ns
+                last_ns = captured.due_ns
+                captured = replace(captured, due_ns=captured.due_ns + back_ns)
                 gap_ns = captured.due_ns - (captured.due_ns if end_ns is None else end_ns)
                 if gap_ns > _LONGEST_GAP_NS and not self._keeps_gaps:
                     self.gaps_s += [gap_ns / S_NS] * (self.passes == 1)
                     cut_ns += (gap_ns // S_NS - 1) * S_NS
                 end_ns = captured.due_ns + max(-gap_ns, 0)  # stamps of some captures decrease
-                packet = replace(captured, due_ns=end_ns + later_ns - cut_ns)
-                yield moved(packet, later_ns // S_NS) if later_ns else packet
+                due = replace(captured, due_ns=end_ns + later_ns - cut_ns)
+                yield moved(due, later_ns // S_NS) if later_ns else due
             if not self._loop or begin_ns is None or end_ns is None:
                 return
             later_ns += ((end_ns - begin_ns) // S_NS + 1) * S_NS
 
     def _packets(self) -> Iterator[Packet]:
+        """Yield the packets of a pass, due at their stamps, or at those of the sensor."""
+        paces = {unit: _SensorPace() for unit in self.paced_by}
+        last_ns = 0
         for unit, datagram in by_unit(Capture(self.path), self.units):
             kind = _KINDS.get(len(datagram.payload))
             if kind is None or unit is None:
                 self.left_out += self.passes == 1
-            else:
-                yield Packet(kind, datagram.stamp_ns, datagram.payload, unit)
+                continue
+            packet = Packet(kind, datagram.stamp_ns, datagram.payload, unit)
+            if unit in paces:
+                packet = replace(packet, due_ns=paces[unit].due_ns(packet, last_ns))
+            last_ns = packet.due_ns
+            yield packet
+
+    def _faults(self) -> dict[int, str]:
+        """Return why host stamps cannot be the pace, by the number of the unit, from 0."""
+        stamps = [HostStamps() for _ in self.units]
+        clocks = [PacketClock() for _ in self.units]
+        for unit, datagram in by_unit(Capture(self.path), self.units):
+            if unit is not None and len(datagram.payload) == DATA_BYTES:
+                sent = datagram.number, datagram.stamp_ns, datagram.payload
+                stamps[unit].take(datagram.stamp_ns, clocks[unit].packet_ns(*sent)[0])
+        faults = {number: each.fault for number, each in enumerate(stamps)}
+        return {number: fault for number, fault in faults.items() if fault}
+
+
+class _SensorPace:
+    """Due times of one unit's packets by the sensor's own stamps."""
+
+    def __init__(self) -> None:
+        self._clock = PacketClock()
+        self._ahead_ns: int | None = None  # due times minus the sensor's clock
+        self._sent_ns = 0
+
+    def due_ns(self, packet: Packet, last_ns: int) -> int:
+        """Return when a packet is due.
+
+        Parameters
+        ----------
+        last_ns : when the packet before it is due, of any unit; 0 before the first
+        """
+        sensor_ns = self._clock.sensor_ns(packet.due_ns, stamp_ns(packet) // US_NS) + age_ns(packet)
+        if self._ahead_ns is None:
+            self._ahead_ns = (last_ns or packet.due_ns) - sensor_ns
+        elif sensor_ns - self._sent_ns < -_LATE_NS:  # a sensor that starts again
+            self._ahead_ns += self._sent_ns - sensor_ns
+        self._sent_ns = sensor_ns
+        return sensor_ns + self._ahead_ns
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +163,7 @@ class Replayed(OfUnits):
     ]  # address of each sensor in the capture, and the ports that its packets were sent to
     left_out: int  # datagrams of the file that are no VLP-16 packets
     passes: int
+    paced_by_sensor: tuple[str, ...]  # why units were paced by their own clocks, not by the host's stamps
     gaps_s: tuple[float, ...]  # gaps of more than a minute that were shortened
     sent: StreamReport
 
@@ -176,6 +230,7 @@ class ReplayStream(Stream):
             units=units,
             left_out=replayed.left_out,
             passes=replayed.passes,
+            paced_by_sensor=tuple(replayed.paced_by.values()),
             gaps_s=tuple(replayed.gaps_s),
             sent=self.report,
         )
@@ -207,6 +262,42 @@ def replay(
         stream.add(part)
     stream.run()
     return stream.result
+
+
+def write_pcap(capture: Path, out: Path, unit: str | None = None, *, stop: Event) -> Tree:
+    """Write the packets of a capture of any kind, also a bag, as classic pcap in the frames of a real sensor.
+
+    Parameters
+    ----------
+    unit : the sensor to write, as `chosen_unit` takes it; by default all sensors
+    stop : ends the file between two packets; it is valid
+
+    Raises CaptureError as in `Replay`; InputError if there is no such unit; OutputError, RunError like
+    `PcapSink`.
+    """
+    spare([capture], out)
+    check_ending(out)
+    replayed = Replay(capture)
+    chosen = None if unit is None else chosen_unit(capture, unit, where="--unit")
+    taken = [number for number, each in enumerate(replayed.units) if chosen in (None, each)]
+    counts = dict.fromkeys(PacketKind, 0)
+    with PcapSink(out, replayed.links) as sink:
+        for number, datagram in by_unit(Capture(capture), replayed.units):
+            kind = _KINDS.get(len(datagram.payload))
+            if stop.is_set():
+                break
+            if kind is not None and number in taken:
+                sent = counts[PacketKind.POSITION]
+                sink.send(Packet(kind, datagram.stamp_ns, datagram.payload, number, number=sent))
+                counts[kind] += 1
+    return {
+        "file": str(out),
+        "packets": counts[PacketKind.DATA],
+        "position_packets": counts[PacketKind.POSITION],
+        "bytes": sink.result.bytes,
+        "sha256": sink.result.sha256,
+        "interrupted": stop.is_set(),
+    }
 
 
 def prepared(

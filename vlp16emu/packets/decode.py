@@ -112,7 +112,7 @@ def decode_data(payloads: U1, *, keep_no_returns: bool, model: SensorModel | Non
     fields = data_fields(payloads)
     if faults := faults_in(fields, None, model):
         raise PacketError(f"data packet {faults[0].packet}: {faults[0].what}", *faults[0][2:])
-    return points_in(fields, model, keep_no_returns=keep_no_returns)
+    return points_in(fields, model, keep_no_returns=keep_no_returns, keep_repeats=True)
 
 
 def points_in(
@@ -121,11 +121,20 @@ def points_in(
     frame: PointFrame = PointFrame.SENSOR,
     *,
     keep_no_returns: bool = False,
+    keep_repeats: bool = False,
 ) -> Points:
-    """Convert data packets, (n,) `DATA_PAYLOAD` without faults, into points, as `decode_data`."""
+    """Convert data packets, (n,) `DATA_PAYLOAD` without faults, into points, as `decode_data`.
+
+    In dual return a single echo is in both records of its pulse (63-9243 Rev D, section 9.3.2); it is one
+    point, of the even block, unless `keep_repeats`.
+    """
     beams = BEAM_TABLES[_model(fields, model)]
     records = fields["blocks"]["records"]
-    source = _pulse_order(fields, keep_no_returns=keep_no_returns)
+    order = _pulse_order(fields)
+    kept = np.ones(records.shape, np.bool_) if keep_no_returns else records["distance_lsb"] > 0
+    if not keep_repeats:
+        kept &= ~repeats_in(fields)
+    source = order[kept.ravel()[order]]
     packet, slot = np.divmod(source, layout.RECORDS_PER_PACKET)
     block, record = np.divmod(slot, layout.SEQUENCES_PER_BLOCK * layout.LASERS)
     sequence, laser = np.divmod(record, layout.LASERS)
@@ -258,15 +267,22 @@ def block_since_ns(fields: NDArray[np.void]) -> I8:
     return np.where(is_dual(fields)[:, None], block // 2, block) * BLOCK_PERIOD_NS
 
 
-def _pulse_order(fields: NDArray[np.void], *, keep_no_returns: bool) -> I8:
-    """Return the order of records by pulses, as indices through the bytes of all packets."""
+def repeats_in(fields: NDArray[np.void]) -> NDArray[np.bool_]:
+    """Return a mask (n, 12, 32) of records in dual return that repeat the record of the block before."""
+    distance_lsb = fields["blocks"]["records"]["distance_lsb"]
+    last_lsb = distance_lsb[:, 0::2]
+    repeated = np.zeros(distance_lsb.shape, np.bool_)
+    repeated[:, 1::2] = (distance_lsb[:, 1::2] == last_lsb) & (last_lsb > 0)
+    repeated[~is_dual(fields)] = False
+    return repeated
+
+
+def _pulse_order(fields: NDArray[np.void]) -> I8:
+    """Return the order of records by pulses, as indices through the records of all packets."""
     place = np.arange(layout.RECORDS_PER_PACKET)
-    twins = place.reshape(BLOCKS_PER_PACKET // 2, 2, -1).swapaxes(1, 2).ravel()
-    inside = np.where(is_dual(fields)[:, None], twins, place)
-    source = (np.arange(len(fields))[:, None] * layout.RECORDS_PER_PACKET + inside).ravel()
-    if keep_no_returns:
-        return source
-    return source[fields["blocks"]["records"]["distance_lsb"].ravel()[source] > 0]
+    pairs = place.reshape(BLOCKS_PER_PACKET // 2, 2, -1).swapaxes(1, 2).ravel()
+    inside = np.where(is_dual(fields)[:, None], pairs, place)
+    return (np.arange(len(fields))[:, None] * layout.RECORDS_PER_PACKET + inside).ravel()
 
 
 def _steps_cdeg(fields: NDArray[np.void]) -> F8:

@@ -24,6 +24,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.packets.arrival import ArrivalFit
 from vlp16emu.packets.decode import Points
 from vlp16emu.packets.layout import BLOCK, BLOCKS_PER_PACKET, DATA_ROW, RETURN_MODE_BYTE, SEQUENCES_PER_PACKET
 from vlp16emu.sensor.beams import SEQUENCE_NS
@@ -44,18 +45,34 @@ class Clock(StrEnum):
 
     SENSOR = "sensor"  # The sensor's clock, in the hour nearest to the capture stamp
     GPS = "gps"  # The sensor's clock, in the hour of the first valid GPS sentence
+    FITTED = "fitted"
+    """The capture stamps, smoothed: a line through the least delays over the sensor's clock."""
     HOST = "host"
     """The capture stamp minus the duration of a packet, as a ROS driver without `gps_time` computes it."""
+
+    @property
+    def whose(self) -> str:
+        """Owner of the clock, for a sentence."""
+        return "host's, fitted to the sensor's" if self is Clock.FITTED else f"{self}'s"
 
 
 class PacketClock:
     """Converts the stamps of one sensor's packets into UTC by a chosen clock, in order of arrival.
 
-    The hour is chosen as if capture stamps were behind UTC by `host_behind_ns`.
+    Parameters
+    ----------
+    clock : clock of the results
+    host_behind_ns : the hour is chosen as if capture stamps were behind UTC by it
+    fit : the host's clock over the sensor's, for `Clock.FITTED`
     """
 
-    def __init__(self, clock: Clock = Clock.SENSOR, host_behind_ns: int = 0) -> None:
+    def __init__(
+        self, clock: Clock = Clock.SENSOR, host_behind_ns: int = 0, fit: ArrivalFit | None = None
+    ) -> None:
+        assert (clock is Clock.FITTED) == (fit is not None)
         self.clock = clock
+        self.fit = fit
+        self._number = 0  # frame number of the latest data packet
         self._host_behind_ns = host_behind_ns
         self._before: tuple[int, int] | None = None
         """Arrival of the latest packet, and its UTC by the sensor's clock."""
@@ -74,18 +91,33 @@ class PacketClock:
         self._before = arrival_ns, t_ns
         return t_ns
 
-    def packet_ns(self, arrival_ns: int, payload: bytes) -> tuple[int, int]:
-        """Return UTC of a data packet's first pulse, by the sensor's clock and by the chosen one."""
+    def packet_ns(self, number: int, arrival_ns: int, payload: bytes) -> tuple[int, int]:
+        """Return UTC of a data packet's first pulse, by the sensor's clock and by the chosen one.
+
+        `number` is the number of its frame.
+        """
         timestamp_us, mode = _STAMP_AND_MODE.unpack_from(payload, _STAMP_AT)
         sensor_ns = self.sensor_ns(arrival_ns, timestamp_us)
-        fired_ns = arrival_ns - _PERIOD_NS.get(mode, 0)
+        lasts_ns = _PERIOD_NS.get(mode, 0)
+        fired_ns = arrival_ns - lasts_ns
         if self.host_ahead_ns is None:
             self.host_ahead_ns = fired_ns - sensor_ns
+        self._number = number
+        if self.fit is not None:
+            return sensor_ns, self.fit.host_at(number, sensor_ns + lasts_ns) - lasts_ns
         return sensor_ns, fired_ns if self.clock is Clock.HOST else sensor_ns
 
     def position_ns(self, arrival_ns: int, timestamp_us: int) -> int:
         """Return UTC of a position packet by the chosen clock."""
-        return arrival_ns if self.clock is Clock.HOST else self.sensor_ns(arrival_ns, timestamp_us)
+        if self.clock is Clock.HOST:
+            return arrival_ns
+        sensor_ns = self.sensor_ns(arrival_ns, timestamp_us)
+        return sensor_ns if self.fit is None else self.fit.host_at(self._number, sensor_ns)
+
+
+def period_ns(payload: bytes) -> int:
+    """Return the time from the first pulse of a data packet to its sending."""
+    return _PERIOD_NS.get(payload[_STAMP_AT + _STAMP_AND_MODE.size - 1], 0)
 
 
 def wrap_hour(difference: _Time, hour: int) -> _Time:
@@ -102,7 +134,7 @@ What takes payloads, (n,) `DATA_PAYLOAD`, takes tables too: `points_in`, `faults
 
 def packet_row(number: int, arrival_ns: int, payload: bytes, clock: PacketClock) -> bytes:
     """Return the row of a data packet that follows those which `clock` has converted."""
-    return _HEAD.pack(number, arrival_ns, *clock.packet_ns(arrival_ns, payload)) + payload
+    return _HEAD.pack(number, arrival_ns, *clock.packet_ns(number, arrival_ns, payload)) + payload
 
 
 def packet_table(rows: Iterable[bytes]) -> PacketTable:

@@ -216,7 +216,7 @@ class Scenario(Section):
     people: People | None = None
     """People beside a walking carrier; none without this table."""
     conditions: Literal["perfect", "field"] = "perfect"
-    """Preset; `field` sets the keys of a difficult real walk unless given: errors of the extrinsics, a
+    """Preset; `field` sets some keys of a real walk unless given: errors of the extrinsics, a
     bending `mast`, `imu.preset = "field"`, a light wind in a forest, and `people`."""
 
     @field_validator("start_utc")

@@ -98,8 +98,11 @@ class Client:
 def web(make, tmp_path):
     """Serve a sensor whose web interface can be made faulty."""
     engine, device = make(saved=tmp_path / "saved.json")
-    bench = SimpleNamespace(engine=engine, device=device, fault=None, file=tmp_path / "saved.json")
-    with WebServer(device, listen("127.0.0.1", 0), fault=lambda: bench.fault) as server:
+    bench = SimpleNamespace(
+        engine=engine, device=device, fault=None, delay_s=0.0, file=tmp_path / "saved.json"
+    )
+    faults = {"fault": lambda: bench.fault, "delay_s": lambda: bench.delay_s}
+    with WebServer(device, listen("127.0.0.1", 0), **faults) as server:
         bench.server, bench.address = server, server.address
         bench.client = Client(server.address)
         yield bench

@@ -262,6 +262,19 @@ def test_a_fault_of_the_web_interface(web, speak, monkeypatch):
     assert speak(get("/cgi/info.json", "Connection: close"))[0].startswith(b"HTTP/1.1 200 OK")
 
 
+def test_a_slow_web_interface(web, speak, monkeypatch):
+    """A delay comes before each answer, is not part of the time limit of a request, and does not delay the
+    end of the server."""
+    monkeypatch.setattr("vlp16emu.extras.bench.web.LONGEST_S", 0.2)
+    web.delay_s = 0.3
+    assert speak(get("/cgi/snapshot.hdl", "Connection: close"))[0].startswith(b"HTTP/1.1 200 OK")
+    web.delay_s = 60.0
+    with socket.create_connection(web.address, timeout=0.3) as line:
+        line.sendall(get("/cgi/snapshot.hdl"))
+        with pytest.raises(TimeoutError):
+            line.recv(1)
+
+
 def test_a_connection_that_is_kept_open_does_not_disturb_the_end(make, caplog):
     """A client that still has its connection when the sensor goes is cut off without a word in the log."""
     _, device = make()
@@ -280,7 +293,7 @@ def test_where_it_listens():
     assert Http("8080").address == Http(":8080").address == ("127.0.0.1", 8080)
     assert Http("0.0.0.0:80").address == ("0.0.0.0", 80)
     assert Http("[::1]:80").address == ("::1", 80)
-    for text in ("", "host", "host:", "1.2.3.4:65536", "1.2.3.4:-1", "1.2.3.4:٨٠", "http://127.0.0.1"):
+    for text in ("host", "host:", "1.2.3.4:65536", "1.2.3.4:-1", "1.2.3.4:٨٠", "http://127.0.0.1"):
         with pytest.raises(
             InputError, match=r"--http: found .* expected HOST:PORT, such as 127\.0\.0\.1:8080"
         ):

@@ -13,7 +13,14 @@ from woods import THIN
 
 from vlp16emu import Emulator
 from vlp16emu.errors import MissingExtraError
-from vlp16emu.extras.clouds.cloud import SCENE_COLUMNS, CloudAbout, label_scheme, point_file
+from vlp16emu.extras.clouds.cloud import (
+    LABEL_COLUMNS,
+    SCENE_COLUMNS,
+    TRUTH_COLUMNS,
+    CloudAbout,
+    label_scheme,
+    point_file,
+)
 from vlp16emu.extras.clouds.las import adjusted_gps_s, echoes_of, local_wkt
 from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.extras.truth.truth import write_truth
@@ -32,6 +39,7 @@ SETTINGS = THIN | {
     "beam.model": "fixed",
 }
 SUFFIXES = ("npz", "laz", "las", "pcd")
+LABELLED = SCENE_COLUMNS + TRUTH_COLUMNS + LABEL_COLUMNS
 
 
 @pytest.fixture(scope="module")
@@ -82,6 +90,24 @@ def test_las_says_which_time_and_coordinate_system_it_has(cloud):
     assert read.header.vlrs.get("WktCoordinateSystemVlr")[0].string.rstrip("\0") == local_wkt(
         62.24, 25.75, 312.5
     )
+
+
+def test_ply_has_only_types_that_its_readers_take(cloud):
+    """Open3D 0.20 takes float, double, uchar, int and uint16 and drops other scalars, also uint32 and the
+    same number of bits by the name ushort; trimesh reads the arrays themselves, also the numbers of meshes
+    near 2^32."""
+    trimesh = pytest.importorskip("trimesh")
+    folder, own = cloud
+    path = folder / "points.ply"
+    largest = {**own, "instance": own["instance"] | np.uint32(2**32 - 2**16)}
+    with point_file(path, LABELLED, CloudAbout(()), where="out") as writer:
+        writer.write(largest)
+    head = path.read_bytes().partition(b"end_header")[0].decode().splitlines()
+    kinds = {line.split()[1] for line in head if line.startswith("property")}
+    assert kinds == {"float", "double", "uchar", "uint16"}
+    data = trimesh.load(path, process=False).metadata["_ply_raw"]["vertex"]["data"]
+    for column, name in (("instance", "instance"), ("species", "species"), ("tree_id", "treeID")):
+        np.testing.assert_array_equal(data[name], largest[column])
 
 
 @pytest.mark.parametrize(

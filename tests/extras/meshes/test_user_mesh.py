@@ -66,6 +66,63 @@ def test_every_kind_of_file_gives_the_same_solid(tmp_path, caplog, kind):
 
 
 @pytest.mark.parametrize(
+    ("codec", "name"),
+    [
+        ("utf-8", "Kanzel_Süd"),
+        ("utf-8-sig", "Kanzel_Süd"),
+        ("cp1252", "Kanzel_Süd"),
+        ("cp1252", "größe"),
+        ("cp1252", "Plantações"),
+        ("utf-16", "Kanzel_Süd"),
+        ("gbk", "瞭望台"),
+        ("gbk", "高座_1"),
+    ],
+)
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+def test_a_text_mesh_may_have_any_usual_encoding(tmp_path, codec, name, newline):
+    """Names and comments of OBJ files are those of the encoding, which `parts` can name, and the geometry is
+    that of the ASCII file."""
+    plain = f"o thing\n{CORNERS}{TETRAHEDRON}"
+    text = f"# {name}\n" + plain.replace("thing", name)
+    mesh = load(tmp_path, text.replace("\n", newline).encode(codec))
+    assert [part for part, _ in mesh.parts] == [name]
+    assert np.array_equal(triangles(mesh), triangles(load(tmp_path, plain)))
+
+
+@pytest.mark.parametrize(
+    "comment", ["# C:\\models\\", "# 表".encode("shift_jis"), "# 能 ".encode("shift_jis")]
+)
+def test_a_comment_ends_with_its_line(tmp_path, comment):
+    """A backslash at the end of a comment, also as half of a character in Shift JIS, takes no vertex with
+    it."""
+    line = comment if isinstance(comment, bytes) else comment.encode()
+    mesh = load(tmp_path, line + b"\n" + (CORNERS + TETRAHEDRON).encode())
+    assert np.array_equal(triangles(mesh), triangles(load(tmp_path, CORNERS + TETRAHEDRON)))
+
+
+@pytest.mark.parametrize("codec", ["cp1252", "gbk", "utf-16"])
+def test_text_of_other_formats_may_have_any_usual_encoding(tmp_path, codec):
+    """Comments of PLY, text and binary, and names of STL are read in any usual encoding; trimesh alone stops
+    at them."""
+    word = "高座" if codec == "gbk" else "Süd"
+    text = PLY.replace("format ascii 1.0", f"format ascii 1.0\ncomment {word}")
+    plain = triangles(load(tmp_path, PLY, "plain.ply"))
+    assert np.array_equal(triangles(load(tmp_path, text.encode(codec), "thing.ply")), plain)
+    box = trimesh.creation.box((1, 2, 3))
+    stl = box.export(file_type="stl_ascii").replace("solid", f"solid {word}", 1)
+    assert np.array_equal(
+        triangles(load(tmp_path, stl.encode(codec), "thing.stl")),
+        triangles(load(tmp_path, box.export(file_type="stl_ascii"), "plain.stl")),
+    )
+    if codec != "utf-16":
+        binary = box.export(file_type="ply")
+        named = binary.replace(b"end_header", b"comment " + word.encode(codec) + b"\nend_header", 1)
+        assert np.array_equal(
+            triangles(load(tmp_path, named, "thing.ply")), triangles(load(tmp_path, binary, "plain.ply"))
+        )
+
+
+@pytest.mark.parametrize(
     ("unit", "metres"), [("m", 1), ("cm", 0.01), ("mm", 0.001), ("in", 0.0254), ("ft", 0.3048)]
 )
 def test_units_become_metres(tmp_path, unit, metres):

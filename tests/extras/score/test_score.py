@@ -383,12 +383,97 @@ def test_a_damaged_cloud_is_one_line(tmp_path, suffix):
     assert "\n" not in str(caught.value)
 
 
+def laz_file(path):
+    """A LAZ file of laspy with a thousand points, and the places of its chunk table and laszip record."""
+    laspy = pytest.importorskip("laspy")
+    pytest.importorskip("lazrs")
+    las = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
+    las.xyz = np.random.default_rng(1).uniform(0, 10, (1000, 3))
+    las.write(path, laz_backend=laspy.LazBackend.Lazrs)
+    content = bytearray(path.read_bytes())
+    points_at = int.from_bytes(content[96:100], "little")
+    table_at = int.from_bytes(content[points_at : points_at + 8], "little")
+    return content, table_at, content.find(b"laszip encoded") + 52
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "message"),
+    [
+        ("chunks", b"\xff\xff\xff\xff", "its reader ended by SIGABRT"),
+        ("chunk size", b"\xf0\xff\xff\xff", "its reader ended by SIGABRT"),
+        ("points", b"\0\0\0\0\0\1", "needs more memory than its reader may have"),
+        ("items", b"\xff\xff", "cannot be read"),
+        ("end", b"", "cannot be read"),
+    ],
+)
+def test_a_laz_file_that_ends_its_library_is_one_line(tmp_path, place, value, message):
+    """A damaged chunk table makes lazrs abort the process that reads it, with a panic of Rust over memory:
+    here it is a line, and this process goes on."""
+    path = tmp_path / "a.laz"
+    content, table_at, laszip_at = laz_file(path)
+    assert len(read_cloud(path)["xyz"]) == 1000
+    at = {"chunks": table_at + 4, "chunk size": laszip_at + 12, "points": 247, "items": laszip_at + 32}
+    if place == "end":
+        content = content[: len(content) // 2]
+    else:
+        content[at[place] : at[place] + len(value)] = value
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=rf"a\.laz: .*{message}.*; expected points as \.laz"):
+        read_cloud(path)
+
+
+def archive(path, damage):
+    """An archive of numpy with points, of which some bytes are damaged."""
+    np.savez(path, xyz=np.ones((50, 3)))
+    content = bytearray(path.read_bytes())
+    damage(content)
+    path.write_bytes(content)
+
+
+def test_a_damaged_archive_is_one_line(tmp_path, monkeypatch):
+    """An archive that is cut, whose sum is wrong, or that unpacks to more than the bound, is one line."""
+    path = tmp_path / "a.npz"
+
+    def cut(content):
+        del content[300:]
+
+    def flip(content):
+        content[400] ^= 0xFF
+
+    for damage in (cut, flip):
+        archive(path, damage)
+        with pytest.raises(InputError, match=r"a\.npz: cannot be read: .*; expected points as \.npz"):
+            read_cloud(path)
+    np.savez_compressed(path, xyz=np.ones((50, 3)))
+    monkeypatch.setattr("vlp16emu.extras.score.files._MOST_UNPACKED_BYTES", 1000)
+    with pytest.raises(InputError, match="1328 bytes when unpacked"):
+        read_cloud(path)
+
+
+@pytest.mark.parametrize(
+    ("xyz", "label", "message"),
+    [
+        (1.0, 1e300, r"a\.npz: instance: found 1e\+300; expected whole numbers"),
+        (1.0, np.nan, r"a\.npz: instance: found nan; expected whole numbers"),
+        (1.0, -np.inf, r"a\.npz: instance: found -inf"),
+        (1e200, 1.0, r"a\.npz: found 1e\+200; expected positions of at most 1e\+08 m"),
+        (np.inf, 1.0, r"a\.npz: found a NaN or infinity"),
+    ],
+)
+def test_numbers_out_of_bounds_are_one_line(tmp_path, xyz, label, message):
+    """Labels that are no whole numbers of int64 and positions off the earth are named, without a warning of
+    numpy."""
+    np.savez(tmp_path / "a.npz", xyz=np.full((3, 3), xyz), instance=np.array([1.0, label, 2.0]))
+    with pytest.raises(InputError, match=message):
+        read_cloud(tmp_path / "a.npz")
+
+
 def test_arrays_that_are_no_table_are_one_line(tmp_path):
     """Labels for other points and places in a plane are refused."""
     for xyz, instance in ((np.zeros((3, 3)), [1, 2]), (np.zeros((3, 2)), [1, 2, 3])):
         np.savez(tmp_path / "a.npz", xyz=xyz, instance=instance)
         with pytest.raises(
-            InputError, match=r"a\.npz: (cannot be read \(all the input|found positions of 2)"
+            InputError, match=r"a\.npz: (instance: found \(2,\); expected \(3,\)|found positions of 2)"
         ):
             read_cloud(tmp_path / "a.npz")
 
@@ -456,3 +541,25 @@ def test_scores_are_written_as_a_page(truth, tmp_path):
     assert "<td>trees.csv</td>" not in page.read_text()
     assert f"<td>{truth / 'trees.csv'}</td>" in page.read_text()
     assert 'id="found-path"' in picture.read_text()
+
+
+def test_stems_without_a_reliable_dbh_are_scored_without_it(tmp_path):
+    """DBH 0 and "Non Reliable", as 3DFin writes stems whose circle it rejects, are as an empty cell."""
+    path = tmp_path / "stems.csv"
+    path.write_text("TH,DBH,X,Y\n24.6,0.000,1,2\n22.4,Non Reliable,3,4\n20,,5,6\n21,0.25,7,8\n")
+    dbh_m = [stem.dbh_m for stem in read_stems(path)]
+    assert [math.isnan(value) for value in dbh_m] == [True, True, True, False]
+    path.write_text("DBH,X,Y\n-0.1,1,2\n")
+    with pytest.raises(
+        InputError, match=r"line 2, column dbh: found -0\.1; expected a number from 0.001 to 15"
+    ):
+        read_stems(path)
+
+
+@pytest.mark.parametrize("header", ["x y dbh", "x, y, dbh", "x,y,dbh", "x\ty\tdbh"])
+@pytest.mark.parametrize("delimiter", [" ", ",", "\t", ";"])
+def test_stems_of_numpy_are_read_with_any_header(tmp_path, header, delimiter):
+    """`numpy.savetxt` writes its header behind `# `, with blanks or commas, whatever separates the columns."""
+    path = tmp_path / "stems.csv"
+    np.savetxt(path, [[1.0, 2.0, 0.25], [3.0, 4.0, 0.5]], header=header, delimiter=delimiter)
+    assert [(stem.x_m, stem.y_m, stem.dbh_m) for stem in read_stems(path)] == [(1, 2, 0.25), (3, 4, 0.5)]

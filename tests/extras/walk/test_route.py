@@ -202,8 +202,7 @@ AT_MOST = "expected at most 1209600 s, with its stops"
                               "turns and starts")),
         ({"stops": [(60.1, 1.0)]}, ("stop: found 60.1 m along the path; expected from 0 to its length, "
                                    "60.00 m")),
-        ({"stops": [(20.0, 1e300)]}, f"run time: found 1e+300 s; {AT_MOST}"),
-        ({"stops": [(20.0, 2e6)]}, f"run time: found 2.00005e+06 s; {AT_MOST}"),
+        ({"stops": [(20.0, 1e6), (30.0, 1e6)]}, f"run time: found 2.00005e+06 s; {AT_MOST}"),
         ({"speed_m_s": 1e-5}, f"run time: found 6.004e+06 s; {AT_MOST}"),
         ({"speed_m_s": 1e-300}, f"run time: found inf s; {AT_MOST}"),
         ({"turn": one_bend, "yaw_rate_rad_s": 1e-300}, f"run time: found inf s; {AT_MOST}"),

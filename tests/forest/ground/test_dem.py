@@ -145,8 +145,8 @@ def test_a_gap_within_reach_is_refused_and_one_beyond_is_not(tmp_path):
 @pytest.mark.parametrize("none", ["-9999", "nan", "inf"])
 def test_a_cell_that_is_no_height_is_a_gap(tmp_path, none):
     """A cell with the grid's NODATA_value, or that is not finite, has no height."""
-    dem = read(write(tmp_path, HEADER + ROWS.replace("1 2", f"{none} 2", 1)))
-    with pytest.raises(GeometryError, match="row 1, column 1: no height"):
+    dem = read(write(tmp_path, HEADER + ROWS.replace("5 6", f"5 {none}", 1)))
+    with pytest.raises(GeometryError, match="row 2, column 2: no height"):
         dem.check(np.array([[120.0, 215.0]]), 5.0)
 
 
@@ -154,30 +154,34 @@ def test_a_cell_that_is_no_height_is_a_gap(tmp_path, none):
     ("name", "content", "cell_m", "message"),
     [
         *(("ground.asc", text, None, f"ground.asc[:,] {message}") for text, message in [
-            (HEADER + "1 2 3 4\n5 6 7\n9 10 11 12\n", "line 8: found '5 6 7'; expected 4 heights"),
-            (HEADER + "1 2 3 4\n5 6 7 8\n", "line 8: found 2 rows of 4; expected nrows = 3, ncols = 4"),
-            (HEADER + ROWS + "1 2 3 4\n", "line 10: found 4 rows of 4; expected nrows = 3"),
+            (HEADER + "1 2 3 4\n5 6 7\n9 10 11 12\n", ("line 9: found 11 heights; expected nrows = 3 times ncols "
+                                                      "= 4; line 8 has 3")),
+            (HEADER + "1 2 3 4\n5 6 7 8\n", "line 8: found 8 heights; expected nrows = 3 times ncols = 4$"),
+            (HEADER + ROWS + "1 2 3 4\n", "line 10: found more than 12 heights; expected nrows = 3 times"),
             (HEADER + ROWS.replace("7", "seven"), "line 8: found '5 6 seven 8'; expected 4 heights"),
-            (HEADER.replace("cellsize 10\n", "") + ROWS, ("line 6: found '1 2 3 4'; expected cellsize and "
-                                                         "a number")),
+            (HEADER.replace("cellsize 10\n", "") + ROWS, ("line 6: found '1 2 3 4'; expected cellsize or dx "
+                                                         "and a number")),
+            (HEADER.replace("cellsize 10", "dx 10") + ROWS, "line 7: found '1 2 3 4'; expected cellsize or dy"),
+            (HEADER.replace("cellsize 10", "dx 10\ndy 0") + ROWS, "line 6: found 'dy 0'; expected dy and a number above"),
+            (HEADER + ROWS.replace("7", "1_0"), "line 8: found '5 6 1_0 8'; expected 4 heights"),
             (HEADER.replace("cellsize 10", "cellsize -1") + ROWS, ("line 5: found 'cellsize -1'; expected "
                                                                   "cellsize and a number above 0")),
             (HEADER.replace("corner 100", "corner nan") + ROWS, ("line 3: found 'xllcorner nan'; expected "
                                                                 "xllcorner and a number")),
-            (HEADER.replace("ncols 4", "ncols 3.5") + ROWS, ("line 9: found 3 rows of 4; expected nrows = "
-                                                            "3, ncols = 3.5")),
+            (HEADER.replace("ncols 4", "ncols 3.5") + ROWS, ("found ncols = 3.5, nrows = 3; expected whole "
+                                                            "numbers")),
             (HEADER.replace("cellsize 10", "cellsize ten") + ROWS, ("line 5: found 'cellsize ten'; "
                                                                    "expected cellsize and a number")),
-            (HEADER.replace("cellsize", "cell") + ROWS, ("line 5: found 'cell 10'; expected cellsize and "
-                                                        "a number")),
+            (HEADER.replace("cellsize", "cell") + ROWS, ("line 5: found 'cell 10'; expected cellsize or "
+                                                        "dx and a number")),
             (HEADER.replace("yllcorner 200\n", "") + ROWS, ("line 6: found '1 2 3 4'; expected yllcorner "
                                                            "or yllcenter and a number")),
             ("ncols 4\n" + HEADER + ROWS, "line 2: found 'ncols 4'; expected nrows and a number"),
             (HEADER + "-9999 -9999 -9999 -9999\n" * 3, "no cell has a height"),
             (HEADER.replace("nrows 3", "nrows 1") + "1 2 3 4\n", ("found 1 rows of 4; expected at least 2 "
                                                                  "rows of 2")),
-            (HEADER.replace("ncols 4", "ncols 1000000000") + ROWS, (r"line 9: found 3 rows of 4; expected "
-                                                                   r"nrows = 3, ncols = 1e\+09")),
+            (HEADER.replace("ncols 4", "ncols 1000000000") + ROWS, (r"found ncols = 1e\+09, nrows = 3; "
+                                                                   r"expected whole numbers, and 50000000")),
             (HEADER, "line 6: found 'NODATA_value -9999'; expected 4 heights"),
             ("", "line 0: no header; expected ncols and a number"),
         ]),
@@ -226,5 +230,110 @@ def test_ground_that_is_written_is_read_as_it_was(tmp_path):
         write_ascii(file, plane, np.array([-10.1, 3.0]), np.array([-2.0, 7.4]), 0.25)
     grid = read_grid(path, cell_m=None, corner_m=None)
     assert (grid.west_m, grid.north_m, grid.heights_m.shape) == (-10.25 + 0.125, 7.5 - 0.125, (18, 33))
-    north_m, east_m = np.meshgrid(*(np.arange(n) * grid.cell_m for n in grid.heights_m.shape), indexing="ij")
+    north_m, east_m = np.meshgrid(*(np.arange(n) * 0.25 for n in grid.heights_m.shape), indexing="ij")
     assert grid.heights_m == pytest.approx(plane(grid.west_m + east_m, grid.north_m - north_m), abs=6e-4)
+
+
+OBLONG = HEADER.replace("cellsize 10", "dx 10.0000123\ndy 9.9999877")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        OBLONG + ROWS,
+        HEADER.replace("cellsize 10", "DY 5\nDX 10") + ROWS,
+        CENTRES.replace("cellsize 10", "dx 10\ndy 5") + ROWS,
+        HEADER + "1 2 3\n4 5 6 7\n8\n9 10 11 12\n",
+        HEADER + ROWS.replace("\n", " "),
+        HEADER + ROWS.replace(" ", "\n"),
+        HEADER + ROWS.replace(" ", "\t"),
+    ],
+)
+def test_a_text_is_read_as_gdal_reads_it(tmp_path, text):
+    """Oblong cells by `dx` and `dy`, and rows that are wrapped, joined or one height to a line, are at the
+    places and have the heights of GDAL's driver AAIGrid."""
+    rasterio = pytest.importorskip("rasterio")
+    path = write(tmp_path, text)
+    grid = read_grid(path, cell_m=None, corner_m=None)
+    with rasterio.open(path) as file:
+        width_m, _, west_m, _, minus_m, north_m = file.transform[:6]
+        np.testing.assert_array_equal(grid.heights_m, file.read(1))
+    assert grid.cell_m == pytest.approx((width_m, -minus_m), abs=1e-12)
+    assert (grid.west_m, grid.north_m) == pytest.approx((west_m + width_m / 2, north_m + minus_m / 2))
+    x_m, y_m = grid.west_m + np.arange(4) * width_m, grid.north_m + np.arange(3) * minus_m
+    assert read(path).height_m(*np.meshgrid(x_m, y_m)) == pytest.approx(grid.heights_m, abs=1e-12)
+
+
+def test_a_geotiff_with_oblong_cells_is_read_as_gdal_reads_it(tmp_path):
+    """Cells of 10 by 5 m have their heights where the file puts them."""
+    rasterio = pytest.importorskip("rasterio")
+    path = tmp_path / "ground.tif"
+    heights = np.arange(12, dtype=np.float32).reshape(3, 4)
+    size = {"width": 4, "height": 3, "transform": rasterio.Affine(10.0, 0.0, 100.0, 0.0, -5.0, 230.0)}
+    with rasterio.open(path, "w", driver="GTiff", count=1, dtype="float32", crs="EPSG:25832", **size) as file:
+        file.write(heights, 1)
+        x_m, y_m = file.xy(*np.indices(heights.shape).reshape(2, -1))
+    assert read(path).height_m(np.array(x_m), np.array(y_m)).tolist() == heights.ravel().tolist()
+
+
+@pytest.fixture
+def rimmed(tmp_path):
+    """Random heights, the same in a rim of two cells without, and the same in a disc of 25 m."""
+    heights = np.random.default_rng(2).normal(size=(60, 60)).cumsum(axis=0)
+    row, column = np.indices(heights.shape)
+    disc = np.where(np.hypot(row - 29.5, column - 29.5) <= 25.0, heights, np.nan)
+    (tmp_path / "rim").mkdir()
+    (tmp_path / "disc").mkdir()
+    rim = dem_of(np.pad(heights, 2, constant_values=np.nan), tmp_path / "rim", 1.0, (-2.5, -2.5))
+    return dem_of(heights, tmp_path), rim, dem_of(disc, tmp_path / "disc")
+
+
+def test_a_rim_without_heights_is_the_end_of_the_grid(rimmed, caplog):
+    """A grid in a rim of cells without heights has the ground and the warning of the grid alone, with the
+    rows and columns of its file."""
+    bare, rim, _ = rimmed
+    x, y = np.random.default_rng(3).uniform(-10, 70, (2, 2_000))
+    assert np.array_equal(bare.height_m(x, y), rim.height_m(x, y))
+    path = np.array([[10.0, 30.0], [50.0, 30.0]])
+    for dem, edge in ((bare, "column 1 at x = 0.0 m"), (rim, "column 3 at x = 0.0 m")):
+        caplog.clear()
+        dem.check(path, 12.0)
+        assert f"ends in {edge}" in caplog.text
+        assert "9.0 m from the path" in caplog.text
+
+
+def test_a_round_plot_is_taken_and_its_rim_is_named(rimmed, caplog):
+    """Inside a round plot the ground is that of the whole grid, two cells from its rim; a rim in sight is a
+    warning, and ground goes on with the nearest height."""
+    bare, _, disc = rimmed
+    x, y = np.random.default_rng(4).uniform(10, 50, (2, 5_000))
+    inside = np.hypot(x - 29.5, y - 29.5) < 25.0 - 3.0
+    assert np.array_equal(bare.height_m(x[inside], y[inside]), disc.height_m(x[inside], y[inside]))
+    path = np.array([[20.0, 30.0], [40.0, 30.0]])
+    disc.check(path, 8.0)
+    assert caplog.text == ""
+    disc.check(path, 20.0)
+    assert "ends in front of row " in caplog.text
+    assert "goes on level from there; the sensor sees 20 m" in caplog.text
+    assert np.isfinite(disc.height_m(np.array([1.0, -50.0]), np.array([1.0, -50.0]))).all()
+
+
+@pytest.mark.parametrize("path", [[[8.0, 8.0]], [[30.0, 30.0], [10.0, 10.0]], [[7.0, 45.0], [45.0, 7.0]]])
+def test_a_path_over_a_rim_is_refused(rimmed, path):
+    """A path that begins, ends or crosses where a plot has no heights is refused; so it is by
+    `has_heights` at its ends."""
+    disc = rimmed[2]
+    path_m = np.array(path)
+    with pytest.raises(GeometryError, match=r"no height at .* on the path; expected ground under the whole"):
+        disc.check(path_m, 5.0)
+    assert not disc.has_heights(path_m, 5.0).all()
+
+
+def test_a_hole_in_a_plot_is_no_rim(rimmed, tmp_path):
+    """A cell without a height amid the heights of a round plot is refused as before, by its row and column
+    in the file."""
+    heights = np.pad(np.zeros((20, 20)), 3, constant_values=np.nan)
+    heights[12, 9] = np.nan  # in the file row 13, column 10
+    dem = dem_of(heights, tmp_path)
+    with pytest.raises(GeometryError, match=r"row 13, column 10: no height at \(9.0, 13.0\) m, 4.0 m from"):
+        dem.check(np.array([[13.0, 13.0], [15.0, 13.0]]), 2.0)

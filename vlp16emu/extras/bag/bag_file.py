@@ -4,12 +4,12 @@ import heapq
 import logging
 import sqlite3
 from collections.abc import Iterable
-from importlib.util import find_spec
 from itertools import count
 from pathlib import Path
 from typing import Any, Self
 
-from vlp16emu.errors import MissingExtraError, OutputError, RunError
+from vlp16emu.errors import OutputError, RunError
+from vlp16emu.libraries import check_extra
 from vlp16emu.output import Staged, opening
 from vlp16emu.trees import Tree
 from vlp16emu.units import S_NS
@@ -44,8 +44,7 @@ def check_bag(path: Path) -> None:
         raise OutputError(str(path), f"found the ending {suffix!r}", ".mcap, .bag or a folder without ending")
     if path.exists() and (not suffix or not path.is_file()):
         raise OutputError(str(path), "is there already", "a new name")
-    if not find_spec("rosbags"):
-        raise MissingExtraError("rosbags", "ros", "writing bags")
+    check_extra("ros", "writing bags")
 
 
 class BagFile:

@@ -125,7 +125,7 @@ class UnitMessages:
         ]
         header = bag.header(begin_ns, self._frame, topics[0])
         bag.write(topics[0], end_ns, "velodyne_msgs/msg/VelodyneScan", header, raw)
-        found = points_in(table)
+        found = points_in(table, keep_repeats=True)  # as the driver does
         points = np.zeros(len(found.ring), _POINT)
         points["x"], points["y"], points["z"] = found.xyz_m.T
         points["intensity"] = found.reflectivity

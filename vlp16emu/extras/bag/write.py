@@ -297,8 +297,10 @@ def write_bag(
         "messages": dict(sorted(sink.bag.counts.items())),  # by topic
         "duration_s": (last_ns - first_ns) / S_NS,
         "clocks": tuple(each.clock.clock for each in clocks),  # of each unit, in the order of their topics
+        "fit": tuple(each.clock.fit.summary for each in clocks if each.clock.fit),  # of the host's clock
         "host_ahead_s": tuple((each.clock.host_ahead_ns or 0) / S_NS for each in clocks),
         "repeats": datagrams.repeated,  # packets left out as repeated
+        "damage": tuple(datagrams.damage),  # damaged parts of the capture that were left out
         "interrupted": stop.is_set(),
     }
 

@@ -89,7 +89,8 @@ class WebInterfaces(WebPart):
         assert http is not None
         control = Control(stream.feed, stream.udp, stream, http.saved)
         for number, (device, listener) in enumerate(zip(control.devices, self._listeners, strict=True)):
-            server = WebServer(device, listener, fault=partial(control.fault, number))
+            fault = partial(control.fault, number)
+            server = WebServer(device, listener, fault=fault, delay_s=partial(control.delay_s, number))
             self._open.enter_context(server)
             self.places.append(server.address)
         self._open.enter_context(control.following())
@@ -204,9 +205,17 @@ class Control:
 
     def fault(self, unit: int) -> int | None:
         """Return the HTTP status of all answers of a unit now, 0 for no answer; None without a fault."""
+        return next((error.status or 0 for error in self._web_events(unit, "http_error")), None)
+
+    def delay_s(self, unit: int) -> float:
+        """Return the time from a request to its answer now, in seconds; 0 if no event delays it."""
+        return next((event.by_s for event in self._web_events(unit, "http_delay")), 0.0)
+
+    def _web_events(self, unit: int, kind: str) -> Iterator[Event]:
         since_ns = self._since_ns()
-        own = (one for one in self._events if (one.effect, one.unit) == ("web", unit + 1))
-        return next((error.status or 0 for error in own if error.begin_ns <= since_ns < error.end_ns), None)
+        for change in self._events:
+            if (change.kind, change.unit) == (kind, unit + 1) and change.begin_ns <= since_ns < change.end_ns:
+                yield change
 
     def status(self, unit: int) -> DeviceStatus:
         """Return the state of a unit."""

@@ -99,6 +99,7 @@ KEYS: dict[str, tuple[Any, Any, str]] = {
     ),
     "characters": (_from(int, ge=1, le=60), 1, "Number of characters that are replaced."),
     "late_sentence.by_s": (_from(float, gt=0, le=60), 0.5, "Delay, beside `gps.sentence_delay_s`."),
+    "http_delay.by_s": (_from(float, gt=0, le=60), 5.0, "Time from a request to its answer."),
     "packets": (Literal["data", "position", "both"], "data", "Kinds of packets that it affects."),
     "count": (_from(int, ge=1, le=1_000_000_000) | None, None, _COUNT),
     "share": (_from(float, gt=0, le=1), 1.0, "Probability for each packet."),

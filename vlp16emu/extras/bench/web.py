@@ -10,6 +10,7 @@ import re
 import socket
 from asyncio import StreamReader, StreamWriter
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from http.client import responses
 from ipaddress import ip_address
@@ -96,16 +97,23 @@ class WebServer:
     ----------
     device : settings and status of the sensor
     listener : socket that listens, see `listen`
-    fault : returns the present fault: HTTP status of all answers, 0 for no answer, None for no fault; called
-        from the
-    server's thread, and must not wait
+    fault : returns the present fault: HTTP status of all answers, 0 for no answer, None for no fault
+    delay_s : returns the present delay of all answers, in seconds, which `LONGEST_S` does not include
+
+    `fault` and `delay_s` are called from the server's thread, and must not wait.
     """
 
     def __init__(
-        self, device: Device, listener: socket.socket, *, fault: Callable[[], int | None] = lambda: None
+        self,
+        device: Device,
+        listener: socket.socket,
+        *,
+        fault: Callable[[], int | None] = lambda: None,
+        delay_s: Callable[[], float] = lambda: 0.0,
     ) -> None:
         self.device = device
         self.fault = fault
+        self.delay_s = delay_s
         self.page = Path(__file__).with_name("page.html").read_bytes()
         self._lines = dict[StreamWriter, asyncio.Task[None] | None]()
         self._began = Event()
@@ -153,8 +161,8 @@ class WebServer:
         self._lines[line] = asyncio.current_task()
         try:
             while self.device.is_up():
-                async with asyncio.timeout(LONGEST_S):
-                    if not await self._answers(reader, line):
+                async with asyncio.timeout(LONGEST_S) as limit:
+                    if not await self._answers(reader, line, limit):
                         break
                 await asyncio.sleep(0)  # other connections get their turn, even if many requests wait here
             line.close()
@@ -165,7 +173,7 @@ class WebServer:
         finally:
             del self._lines[line]
 
-    async def _answers(self, reader: StreamReader, line: StreamWriter) -> bool:
+    async def _answers(self, reader: StreamReader, line: StreamWriter, limit: asyncio.Timeout) -> bool:
         """Answer a request; return True if another one may follow."""
         try:
             request = await _request(reader)
@@ -174,6 +182,10 @@ class WebServer:
             line.write(_said(status, "error", text).packed(is_last=True))
             return await _listen_out(reader, line)
         if request is None or not self.device.is_up():
+            return False
+        delay_s = self.delay_s()
+        limit.reschedule(self._loop.time() + LONGEST_S + delay_s)
+        if delay_s and await self._is_over_within(delay_s):
             return False
         if (status := self.fault()) == 0:
             await self._over.wait()
@@ -184,6 +196,13 @@ class WebServer:
             return await _listen_out(reader, line)
         await line.drain()
         return not request.is_last
+
+    async def _is_over_within(self, delay_s: float) -> bool:
+        """Wait for the end of the server for a time; return True if it has ended."""
+        with suppress(TimeoutError):
+            async with asyncio.timeout(delay_s):
+                await self._over.wait()
+        return self._over.is_set()
 
 
 async def _listen_out(reader: StreamReader, line: StreamWriter) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field, TypeAdapter, with_config
 from typing_extensions import TypedDict
 
-from vlp16emu.errors import InputError, MissingExtraError, OutputError, RunError
+from vlp16emu.errors import InputError, OutputError, RunError
 from vlp16emu.extras.camera.lens import Lens
 from vlp16emu.extras.camera.mount import AXES, camera_of
 from vlp16emu.extras.camera.reconstruction import reconstruction_files
@@ -24,6 +24,7 @@ from vlp16emu.extras.truth.description import PARTIAL, CameraOnRig, FileName, Ma
 from vlp16emu.extras.truth.tables import POSES, quaternions
 from vlp16emu.extras.truth.truth import rig_of
 from vlp16emu.inputs import open_input, parsing, read_text
+from vlp16emu.libraries import of_extra
 from vlp16emu.output import Staged, final_name, opening, write_json
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.trees import Table, Tree
@@ -101,10 +102,8 @@ class ImageFolder:
     """
 
     def __init__(self, path: Path, depth: str) -> None:
-        try:
+        with of_extra("picture", "writing images"):
             from PIL import Image
-        except ImportError:
-            raise MissingExtraError("pillow", "picture", "writing images") from None
         self._image = Image
         self._depth = depth
         self._where = str(path)
@@ -311,10 +310,8 @@ def read_images(folder: Path) -> tuple[Tree, Lens, Iterator[Shot]]:
     Raises InputError if a file is missing or is none of `images`; MissingExtraError if pillow is not
     installed.
     """
-    try:
+    with of_extra("picture", "reading images"):
         import PIL.Image
-    except ImportError:
-        raise MissingExtraError("pillow", "picture", "reading images") from None
     cameras = read_members(folder / "cameras.json", _EXPECTED, _CAMERAS)
     known = cameras["intrinsics"]
     focal = known["fx"], known["fy"], known["cx"], known["cy"]

@@ -7,17 +7,28 @@ wire and the link types of pcapng, and do not report a truncated last packet.
 import bz2
 import gzip
 import lzma
+import re
 import struct
-import zlib
-from collections.abc import Iterator
+from collections.abc import Mapping
 from contextlib import suppress
 from io import BufferedReader
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
-from vlp16emu.captures.capture import EXPECTED, PCAP, Frame, not_a_capture, pcap_frames, read
+from vlp16emu.captures.records import (
+    EXPECTED,
+    PCAP,
+    Damage,
+    Frame,
+    Frames,
+    Window,
+    not_a_capture,
+    pcap_frames,
+)
 from vlp16emu.errors import CaptureError
-from vlp16emu.units import FOREVER_NS, S_NS, US_NS
+from vlp16emu.extras.captures.bags import bag_frames, is_bag
+from vlp16emu.inputs import parsing
+from vlp16emu.units import S_NS, US_NS
 
 _SECTION = 0x0A0D0D0A
 _INTERFACE = 1
@@ -25,43 +36,46 @@ _OLD_PACKET = 2
 _SIMPLE_PACKET = 3
 _PACKET = 6
 """Block types of pcapng. Source of all pcapng numbers: IETF draft-ietf-opsawg-pcapng."""
+_KINDS = (_SECTION, _INTERFACE, _OLD_PACKET, _SIMPLE_PACKET, 4, 5, _PACKET)  # 4, 5: names, statistics
 _BYTE_ORDER = 0x1A2B3C4D
+_NAME: Mapping[str, Literal["little", "big"]] = {"<": "little", ">": "big"}
 _OPTION_RESOLUTION = 9
+_OPTION_CHECK = 13
 _OPTION_OFFSET = 14
 _LONGEST_BLOCK_BYTES = 16 << 20  # a longer block means damage (MAX_BLOCK_SIZE of Wireshark)
 _ARCHIVES: dict[bytes, Any] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ\0": lzma.open}
+LATEST_NS = 2**32 * S_NS  # stamps of classic pcap reach that far
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _TAR_AT = 257  # offset of the magic number of POSIX tar (IEEE 1003.1, ustar)
 _OTHERS = {b"PK\x03\x04": ("zip", "unzip -p"), b"\x04\x22\x4d\x18": ("lz4", "lz4 -dc")}
-
-Frames = Iterator[
-    Frame | None
-]  # frames of a file; the last is None if the file ends in the middle of a record
 
 
 def frames(path: Path, file: Any) -> Frames:
     """Yield the frames of a file that is no plain pcap.
 
-    Raises CaptureError if it is neither pcapng nor a readable archive with a capture in it, or a record is
-    damaged.
+    Raises CaptureError if it is neither pcapng, nor a bag, nor a readable archive with a capture in it.
     """
-    head = b""
-    try:
+    with parsing(path, EXPECTED, CaptureError):
         unpacked = _unpacked(path, file)
-        with suppress(EOFError):  # from an archive that is truncated in its first bytes
-            head = unpacked.peek(_TAR_AT + 5)
-        if head[_TAR_AT : _TAR_AT + 5] == b"ustar":
-            raise CaptureError(str(path), "a tar archive", f"{EXPECTED}: `tar xOf {path.name} > some.pcap`")
-        head = head[:4]
-        if head in PCAP:
-            yield from pcap_frames(path, unpacked)
-        elif int.from_bytes(head) == _SECTION:
-            read(unpacked, 4)
-            yield from _pcapng(path, unpacked)
-        else:
-            raise not_a_capture(path, head)
-    except (zlib.error, lzma.LZMAError) as error:
-        raise CaptureError(str(path), f"a damaged archive: {error}", EXPECTED) from error
+    head = b""
+    with suppress(EOFError), parsing(path, EXPECTED, CaptureError):  # a truncated archive
+        head = unpacked.peek(_TAR_AT + 5)
+    if head[_TAR_AT : _TAR_AT + 5] == b"ustar":
+        raise CaptureError(str(path), "a tar archive", f"{EXPECTED}: `tar xOf {path.name} > some.pcap`")
+    if head[:4] in PCAP:
+        found = pcap_frames(path, unpacked)
+    elif is_bag(head):
+        found = bag_frames(path, unpacked)
+    elif int.from_bytes(head[:4]) == _SECTION:
+        found = _pcapng(path, Window(unpacked))
+    else:
+        raise not_a_capture(path, head)
+    while True:
+        with parsing(path, EXPECTED, CaptureError):
+            frame = next(found, _END)
+        if isinstance(frame, _End):
+            return
+        yield frame
 
 
 def _unpacked(path: Path, file: Any) -> Any:
@@ -82,74 +96,106 @@ def _unpacked(path: Path, file: Any) -> Any:
     return next((opener(file) for magic, opener in _ARCHIVES.items() if head.startswith(magic)), file)
 
 
+class _End:
+    """Mark of the end of the frames."""
+
+
+_END = _End()
+
+
 class _Interface(NamedTuple):
     link_type: int
     snap_bytes: int
     units_per_s: int
     offset_s: int
+    check_bytes: int  # length of the frame check sequence
 
 
-def _pcapng(path: Path, file: Any) -> Frames:
-    """Yield the frames of pcapng; the file is read from after the type of its first block."""
+def _pcapng(path: Path, window: Window) -> Frames:
+    """Yield the frames of pcapng."""
     order = "<"
-    kind = _SECTION
     interfaces = list[_Interface]()
     blocks = 0
-    while True:
+    while window.peek(1):
         blocks += 1
-        length_at = read(file, 8 if kind == _SECTION else 4)
-        if kind == _SECTION:
-            order = "<" if int.from_bytes(length_at[4:], "little") == _BYTE_ORDER else ">"
-            interfaces = []
-        length = int.from_bytes(length_at[:4], "little" if order == "<" else "big")
-        if len(length_at) < (8 if kind == _SECTION else 4):
-            yield None
+        begin = window.at_bytes
+        order, block, is_complete = _block(window, order)
+        if not block:
+            window.skip(1)
+            if _find_block(window, order):
+                yield Damage(begin, window.at_bytes - begin)
+                continue
+            yield Damage(begin, window.at_bytes - begin) if is_complete else None
             return
-        if not 12 <= length <= _LONGEST_BLOCK_BYTES or length % 4:  # type, length, length again
-            where = f"{path}: block {blocks}"
-            expected = f"12 to {_LONGEST_BLOCK_BYTES}, in steps of 4"
-            raise CaptureError(where, f"a length of {length} bytes", expected)
-        body = read(file, rest := length - 4 - len(length_at))
-        if len(body) < rest:
-            yield None
-            return
+        window.skip(len(block))
+        kind = int.from_bytes(block[:4], _NAME[order])
+        body = block[8:]
         try:
+            if kind == _SECTION:
+                interfaces = []
             if kind == _INTERFACE:
                 interfaces.append(_interface(body, order))
             frame = _frame(body, kind, order, interfaces)
         except struct.error:
-            found = f"a block of type {kind} with {len(body) - 4} bytes"
-            expected = "its fields"
-            raise CaptureError(f"{path}: block {blocks}", found, expected) from None
-        if frame is not None:
-            if abs(frame.stamp_ns) > FOREVER_NS:
-                found = f"a stamp of {frame.stamp_ns // S_NS} s since 1970"
-                raise CaptureError(f"{path}: block {blocks}", found, "one from 1824 to 2116")
-            yield frame
-        head = read(file, 4)
-        if len(head) < 4:  # a block type
-            if head:
-                yield None
-            return
-        kind = int.from_bytes(
-            head, "little" if order == "<" else "big"
-        )  # the type of a section is a palindrome
+            yield Damage(begin, len(block))
+            continue
+        if frame is None:
+            continue
+        if not 0 <= frame.stamp_ns <= LATEST_NS:
+            found = f"a stamp of {frame.stamp_ns // S_NS} s since 1970"
+            expected = f"0 to {LATEST_NS // S_NS}, from 1970 to 2106"
+            raise CaptureError(f"{path}: block {blocks}", found, expected)
+        yield frame
+
+
+def _block(window: Window, order: str) -> tuple[str, bytes, bool]:
+    """Return the block at the window, empty if there is none that is whole, with its byte order.
+
+    The length of a block stands before and after its content. The last value is False if the file may end
+    within the block.
+    """
+    head = window.peek(12)
+    if len(head) < 12:
+        return order, b"", False
+    if int.from_bytes(head[:4]) == _SECTION:  # a palindrome
+        order = "<" if int.from_bytes(head[8:], "little") == _BYTE_ORDER else ">"
+    length = int.from_bytes(head[4:8], _NAME[order])
+    if not 12 <= length <= _LONGEST_BLOCK_BYTES or length % 4:  # type, length, length again
+        return order, b"", True
+    block = window.peek(length)
+    if len(block) < length:
+        return order, b"", False
+    return order, block if block[-4:] == head[4:8] else b"", True
+
+
+def _find_block(window: Window, order: str) -> bool:
+    """Move the window to the next whole block; False at the end of the file."""
+    kinds = (kind.to_bytes(4, _NAME[order]) for kind in _KINDS)
+    pattern = re.compile(b"|".join(re.escape(kind) for kind in kinds))
+    while window.skip_to(pattern, 3):
+        if _block(window, order)[1]:
+            return True
+        window.skip(1)
+    return False
 
 
 def _interface(body: bytes, order: str) -> _Interface:
     link_type, _, snap_bytes = struct.unpack_from(f"{order}2HI", body)
     units_per_s = S_NS // US_NS
     offset_s = 0
+    check_bytes = 0
     at = 8
     while at + 4 <= len(body):
         code, size = struct.unpack_from(f"{order}2H", body, at)
         value = body[at + 4 : at + 4 + size]
         if code == _OPTION_RESOLUTION and value:
             units_per_s = 2 ** (value[0] & 0x7F) if value[0] & 0x80 else 10 ** value[0]
+        elif code == _OPTION_CHECK and value:
+            check_bytes = value[0]
         elif code == _OPTION_OFFSET:
             offset_s = int.from_bytes(value, "little" if order == "<" else "big", signed=True)
         at += 4 + -(-size // 4) * 4
-    return _Interface(link_type, snap_bytes, units_per_s, offset_s)
+    return _Interface(link_type, snap_bytes, units_per_s, offset_s, check_bytes)
 
 
 def _frame(body: bytes, kind: int, order: str, interfaces: list[_Interface]) -> Frame | None:
@@ -158,7 +204,8 @@ def _frame(body: bytes, kind: int, order: str, interfaces: list[_Interface]) -> 
         wire = struct.unpack_from(f"{order}I", body)[0]
         interface = interfaces[0]
         captured = min(wire, interface.snap_bytes or wire)
-        return Frame(0, interface.link_type, wire, body[4 : 4 + captured])
+        whole = max(wire - interface.check_bytes, 0)
+        return Frame(0, interface.link_type, whole, body[4 : 4 + min(captured, whole)])
     if kind not in (_PACKET, _OLD_PACKET) or len(body) < 20:  # the fields before the frame
         return None
     number, high, low, captured, wire = struct.unpack_from(
@@ -168,4 +215,5 @@ def _frame(body: bytes, kind: int, order: str, interfaces: list[_Interface]) -> 
         return None
     interface = interfaces[number]
     stamp_ns = interface.offset_s * S_NS + (high << 32 | low) * S_NS // interface.units_per_s
-    return Frame(stamp_ns, interface.link_type, wire, body[20 : 20 + captured])
+    whole = max(wire - interface.check_bytes, 0)
+    return Frame(stamp_ns, interface.link_type, whole, body[20 : 20 + min(captured, whole)])

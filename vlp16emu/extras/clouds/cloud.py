@@ -227,7 +227,8 @@ class CsvFile(PointWriter):
         self.points += len(fields[0])
 
 
-_PLY_KINDS = {"<f4": "float", "<f8": "double", "|u1": "uchar", "<u2": "ushort", "<u4": "uint"}
+_PLY_KINDS = {"<f4": "float", "<f8": "double", "|u1": "uchar", "<u2": "uint16"}
+"""Types that all readers take: Open3D 0.20 drops properties of the types ushort, uint and uint32."""
 
 
 class PlyFile(PointWriter):
@@ -261,7 +262,7 @@ class PlyFile(PointWriter):
 
     @staticmethod
     def _kind(column: Column) -> str:
-        return column.kind
+        return "<f8" if column.kind == "<u4" else column.kind  # float64 holds all numbers of uint32
 
     def _header(self) -> bytes:
         kinds = ((name, _PLY_KINDS[self._vertex[name].str]) for name in self._vertex.names or ())

@@ -16,7 +16,6 @@ from vlp16emu.elementary import matmul, matvec
 from vlp16emu.errors import InputError, TrajectoryError
 from vlp16emu.extras.clouds import cloud
 from vlp16emu.extras.clouds.epochs import clock_offset
-from vlp16emu.extras.clouds.scan import twins
 from vlp16emu.extras.options import TrajectoryErrors
 from vlp16emu.extras.recorded.files import read_tum
 from vlp16emu.extras.recorded.motion import RecordedMotion
@@ -169,7 +168,7 @@ def write_deskewed(
     ----------
     truth : labels each point with its surface
     stop : ends the file between two parts of the capture
-    clock : clock of the pulses, as for `vlp16emu.packets.unit_clocks`
+    clock : clock of the pulses, as for `vlp16emu.captures.unit_clocks`
 
     Raises InputError, TrajectoryError if the ground truth belongs to another run, or no pulse has a pose;
     CaptureError, PacketError if the capture cannot be read, or is damaged; the file has the points before.
@@ -184,7 +183,7 @@ def write_deskewed(
     tables = CaptureReader(capture, known, clock=stamped).tables()
     first = next(tables)
     start_ns = int(first["utc_ns"][0])
-    comments = "x, y, z in the world by a trajectory", cloud.time_comment(f"{stamped.clock}'s")
+    comments = "x, y, z in the world by a trajectory", cloud.time_comment(stamped.clock.whose)
     start_utc = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=start_ns // 1000)
     about = cloud.CloudAbout(comments, start_utc, way.origin, way.unit)
     columns = cloud.DESKEWED_COLUMNS + (truth.columns if truth else ())
@@ -212,6 +211,7 @@ def write_deskewed(
         "clock": stamped.clock,
         "time_offset_s": way.time_offset_s,
         "clock_of_poses": way.clock,  # how the offset was found; None if it was given
+        "fit": stamped.fit.summary if stamped.fit else None,  # of the host's clock to the sensor's
         "host_ahead_s": (stamped.host_ahead_ns or 0)
         / S_NS,  # capture stamp minus sensor's clock at the first packet
         "bytes": path.stat().st_size,
@@ -244,8 +244,7 @@ def _block(
     """Return the transformed points of some data packets, each echo once, and the number without a pose."""
     points = points_in(table)
     t_ns = utc_ns_of(table, points)
-    once = np.flatnonzero(~twins(points))
-    kept = once[way.has(t_ns[once])]
+    kept = np.flatnonzero(way.has(t_ns))
     t_ns = t_ns[kept]
     sensor_m = points.xyz_m[kept]
     turn, place_m = way.poses_at(t_ns)
@@ -259,7 +258,7 @@ def _block(
     block |= {name: getattr(points, name)[kept] for name in _TAKEN}
     if truth:
         block |= truth.of(table, points, kept)
-    return block, len(once) - len(kept)
+    return block, len(points.slot) - len(kept)
 
 
 def _of_truth(folder: Path, unit: int) -> tuple[Path, tuple[float, float, float] | None, str | None]:

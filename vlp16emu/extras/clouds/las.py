@@ -14,9 +14,9 @@ from typing import IO, Any, ClassVar
 
 import numpy as np
 
-from vlp16emu.errors import MissingExtraError
 from vlp16emu.extras.clouds.cloud import Block, CloudAbout, Column, PointWriter, label_scheme
 from vlp16emu.extras.clouds.epochs import ADJUSTMENT_S, GPS_EPOCH_NS, leap_seconds
+from vlp16emu.libraries import of_extra
 from vlp16emu.types import F8, I8, U1
 from vlp16emu.units import S_NS
 
@@ -45,13 +45,12 @@ class LasFile(PointWriter):
     def __init__(
         self, file: IO[bytes], columns: Sequence[Column], about: CloudAbout, _stack: ExitStack
     ) -> None:
-        try:
+        needed = ("laspy", "lazrs") if self.compressed else ("laspy",)
+        with of_extra("cloud", "writing LAS and LAZ", *needed):
             import laspy
 
             if self.compressed:
                 import lazrs  # laspy looks for it too late
-        except ImportError:
-            raise MissingExtraError("laspy[lazrs]", "cloud", "writing LAS and LAZ") from None
         self._laspy = laspy
         self._file = file
         self._failures: tuple[type[Exception], ...] = (lazrs.LazrsError,) if self.compressed else ()

@@ -139,9 +139,10 @@ def decode(
     frame: str | PointFrame = PointFrame.SENSOR,
     clock: str | None = None,
 ) -> Iterator[Scan]:
-    """Read the scans of a capture with the formulas of the sensor's manual.
+    """Read the whole revolutions of a capture with the formulas of the sensor's manual.
 
-    The capture is from the emulator or a real sensor.
+    The capture is from the emulator or a real sensor. The parts of revolutions at its beginning and end are left
+    out: a capture of less than a revolution gives no scan.
 
     Parameters
     ----------
@@ -177,7 +178,6 @@ def chunk_of(table: PacketTable, points: Points, labels: Mapping[str, AnyArray])
     is_reading = ~is_dual(table)[:, None] | (block % 2 == 0)  # in dual return two blocks share a reading
     first = np.concatenate([[0], np.cumsum(is_reading.sum(axis=1))])
     block_ns = table["utc_ns"][:, None] + block_since_ns(table)
-    kept = ~twins(points)
     as_they_are = ("xyz_m", "distance_m", "azimuth_deg", "reflectivity", "is_last")
     ring = points.ring.astype(np.uint16)
     arrays: dict[str, AnyArray] = {"t_ns": utc_ns_of(table, points), "ring": ring, **labels}
@@ -185,8 +185,8 @@ def chunk_of(table: PacketTable, points: Points, labels: Mapping[str, AnyArray])
     return Chunk(
         t_ns=block_ns[is_reading],
         azimuth_deg=table["blocks"]["azimuth_cdeg"][is_reading] / 100,
-        reading=(first[points.packet] + points.since_ns // BLOCK_PERIOD_NS)[kept],
-        arrays={name: array[kept] for name, array in arrays.items()},
+        reading=first[points.packet] + points.since_ns // BLOCK_PERIOD_NS,
+        arrays=arrays,
     )
 
 
@@ -216,19 +216,6 @@ def chunk_of_packets(packets: Iterable[Packet]) -> Chunk | None:
         slots = np.array([packet.slots for packet in compress(whole, sound)])[points.packet, points.slot]
         labels = {name: slots[name] for name in Labels.__slots__}
     return chunk_of(table, points, labels)
-
-
-def twins(points: Points) -> NDArray[np.bool_]:
-    """Return a mask (n,) of records in dual return that repeat the record before.
-
-    The repetition marks a single return (63-9243 Rev D, section 9.3.2).
-    """
-    same = points.is_last[:-1] & ~points.is_last[1:]
-    same &= np.diff(points.packet) == 0
-    same &= np.diff(points.since_ns) == 0
-    same &= points.laser[1:] == points.laser[:-1]
-    same &= points.distance_m[1:] == points.distance_m[:-1]
-    return np.concatenate([np.zeros(min(1, len(points.laser)), np.bool_), same])
 
 
 def scans_of(engine: Engine, number: int, span_s: tuple[float, float], *, truth: bool) -> Iterator[Scan]:

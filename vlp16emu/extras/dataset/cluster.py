@@ -20,13 +20,14 @@ from platform import node, python_version_tuple
 from shutil import rmtree
 from typing import TYPE_CHECKING, Any
 
-from vlp16emu.errors import InputError, MissingExtraError, RunError
+from vlp16emu.errors import InputError, RunError
 from vlp16emu.extras.dataset.manifest import Entry, identity, is_list_of_files, read_list, write_list
 from vlp16emu.extras.dataset.parts import is_marked
 from vlp16emu.extras.dataset.processes import MOST_DEATHS, died_too_often
 from vlp16emu.extras.dataset.spec import DatasetWalk
 from vlp16emu.extras.dataset.walk import Made, forget_worlds, make_walk
 from vlp16emu.inputs import read_text
+from vlp16emu.libraries import of_extra
 from vlp16emu.trees import Table
 
 if TYPE_CHECKING:
@@ -164,14 +165,12 @@ def connect(scheduler: str) -> Iterator[Cluster]:
     Raises MissingExtraError without Dask; InputError if no scheduler answers, it has no workers, or one of
     them has no vlp16emu or Python of this version.
     """
-    try:
+    with of_extra("cluster", "a dataset made by Dask"):
         import dask
 
         dask.config.set({"logging.distributed": "critical"})  # read when distributed is imported
         from distributed import Client
         from distributed.versions import VersionMismatchWarning
-    except ImportError as error:
-        raise MissingExtraError(error.name or "distributed", "cluster", "a dataset made by Dask") from None
     address = _address(scheduler)
     _reach(address)
     with warnings.catch_warnings():

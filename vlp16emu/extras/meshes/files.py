@@ -5,11 +5,13 @@ suggest a wrong unit. Dropped and reported: triangles without area. Kept and rep
 are turned inside out, because rays hit both sides.
 """
 
+import codecs
 import logging
 import re
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -41,6 +43,15 @@ _OBJ_BAD_FACE = re.compile(
 1)."""
 _OBJ_ODD_LINE = re.compile(rb"^(?:[ \t]+[vf]|[vf][^\r\n#\t]*[#\t])[^\r\n]*", re.MULTILINE)
 """A vertex or face with a tab, a comment or leading blanks, which trimesh would skip or refuse."""
+_OBJ_COMMENT = re.compile(rb"^[ \t]*#[^\r\n]*", re.MULTILINE)
+"""A comment, which trimesh would continue in the next line after a backslash at its end."""
+_MARKS = MappingProxyType(
+    {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+)
+"""Byte order marks of text."""
+_HALF_CHARACTER = re.compile(rb"(?<=[\x80-\xff])\\(?=\r?$)", re.MULTILINE)
+"""A backslash at the end of a line that may be half a character: as a backslash it would continue the line."""
+_AMID_LETTERS = re.compile(rb"[A-Za-z][\x80-\xff]+[A-Za-z]")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,7 +122,10 @@ def _scene(path: Path) -> Any:
         raise GeometryError(str(path), f"found the ending {kind!r}", f"one of {', '.join(_KINDS)}")
     expected = "a mesh in GLB with all its data inside" if kind == ".glb" else f"a mesh in {kind[1:].upper()}"
     content = read_bytes(path, expected, GeometryError, most_bytes=LARGEST_BYTES)
+    with parsing(path, expected, GeometryError):
+        content = _in_utf8(kind, content)
     if kind == ".obj":
+        content = _OBJ_COMMENT.sub(b"", content)
         content = _OBJ_ODD_LINE.sub(lambda line: b" ".join(line[0].partition(b"#")[0].split()), content)
     if kind == ".obj" and (bad := _OBJ_BAD_FACE.search(content)):
         line = content.count(b"\n", 0, bad.start()) + 1
@@ -123,6 +137,42 @@ def _scene(path: Path) -> Any:
 
     with parsing(path, expected, GeometryError):
         return trimesh.load_scene(BytesIO(content), file_type=kind[1:], **_AS_WRITTEN)
+
+
+def _in_utf8(kind: str, content: bytes) -> bytes:
+    """Return a mesh with its text in UTF-8.
+
+    Keywords and numbers are ASCII, so an encoding that is guessed wrongly changes names of parts only.
+    """
+    if kind == ".glb" or (kind == ".stl" and _is_binary_stl(content)):
+        return content
+    marked = next((codec for mark, codec in _MARKS.items() if content.startswith(mark)), None)
+    if marked:
+        return content.decode(marked).encode()
+    head, end, body = content.partition(b"end_header") if kind == ".ply" else (content, b"", b"")
+    try:
+        head.decode()
+    except UnicodeDecodeError:
+        head = _HALF_CHARACTER.sub(b"", head).decode(_code_page(head), "replace").encode()
+    return head + end + body
+
+
+def _code_page(text: bytes) -> str:
+    """Guess the encoding of text that is no UTF-8: Chinese (GB 18030) or western (Windows-1252).
+
+    Western text is no Chinese text or one of rare characters, and its accents stand amid other letters.
+    """
+    try:
+        foreign = "".join(re.findall(r"[^\x00-\x7f]+", text.decode("gb18030")))
+    except UnicodeDecodeError:
+        return "cp1252"
+    usual = len(foreign.encode("gb2312", "ignore")) // 2  # the 6763 characters in daily use
+    return "gb18030" if 2 * usual > len(foreign) and not _AMID_LETTERS.search(text) else "cp1252"
+
+
+def _is_binary_stl(content: bytes) -> bool:
+    """Return True if the length is that of a header, the number of triangles in it, and 50 bytes for each."""
+    return len(content) >= 84 and len(content) == 84 + 50 * int.from_bytes(content[80:84], "little")
 
 
 def _checked_vertices(where: str, vertices: F8, faces: Faces, file_T_part: F8) -> F8:

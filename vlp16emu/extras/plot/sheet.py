@@ -2,16 +2,17 @@
 
 import io
 import json
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
 from typing import IO, TYPE_CHECKING, Any
 
-from vlp16emu.errors import InputError, MissingExtraError, OutputError
+from vlp16emu.errors import InputError, OutputError
 from vlp16emu.inputs import read_text
+from vlp16emu.libraries import check_extra
 from vlp16emu.output import OutputFile
 from vlp16emu.trees import Table
 
@@ -110,9 +111,8 @@ def plotting(
 
 
 def check_matplotlib() -> None:
-    """Raise MissingExtraError if matplotlib is not installed."""
-    if find_spec("matplotlib") is None:
-        raise MissingExtraError("matplotlib", "plot", "a plot")
+    """Raise MissingExtraError if matplotlib is not installed, or too old."""
+    check_extra("plot", "a plot")
 
 
 def picture_of(report: Report, suffix: str) -> bytes:
@@ -123,7 +123,8 @@ def picture_of(report: Report, suffix: str) -> bytes:
     import matplotlib.style
 
     file = io.BytesIO()
-    with matplotlib.style.context(["default", dict(_STYLE)]):
+    with matplotlib.style.context(["default", dict(_STYLE)]), _drawing(report), warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # a name may have characters that the font lacks
         figure_of(report).savefig(file, **_FORMATS[suffix.lower()])
     return _in_few_colours(file) if suffix.lower() == ".png" else file.getvalue()
 
@@ -153,12 +154,20 @@ def figure_of(report: Report) -> "Figure":
     figure = Figure(layout="constrained")
     FigureCanvasAgg(figure)  # not the canvas of a window, whatever the machine has
     draw: Callable[[Figure, Report], None] = import_module(f"vlp16emu.extras.plot.{verb}").draw
-    try:
+    with _drawing(report):
         draw(figure, report)
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+    return figure
+
+
+@contextmanager
+def _drawing(report: Report) -> Iterator[None]:
+    """Raise InputError for a report whose members cannot be drawn."""
+    verb = report.get("report")
+    try:
+        yield
+    except (ArithmeticError, AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
         expected = f"what `vlp16emu {verb} --json` prints"
         raise InputError(f"report of {verb}", f"cannot be drawn ({error!r})", expected) from error
-    return figure
 
 
 def plain_logarithm(axes: "Axes", names: str = "xy") -> None:

@@ -1,17 +1,18 @@
 """Files that are scored: point clouds and stem lists."""
 
+import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
-from vlp16emu.errors import InputError, MissingExtraError
-from vlp16emu.inputs import LARGEST_BYTES, readable
-from vlp16emu.tables import Column, optional, read_table
+from vlp16emu.child import read_in_child
+from vlp16emu.errors import InputError
+from vlp16emu.inputs import LARGEST_BYTES, parsing, readable
+from vlp16emu.libraries import check_extra
+from vlp16emu.tables import LARGEST, Column, optional, read_table
 from vlp16emu.types import AnyArray
 
 Cloud = dict[str, AnyArray]
@@ -23,6 +24,8 @@ _PLACES = [
 _INSTANCES = ("instance", "treeID", "tree_id", "treeid")
 """Names of the column of instances, ours and other tools'; the first one in the file counts."""
 _KEPT = ("semantic", "part", "leaf_wood", "instance")
+_LARGEST_LABEL = 2**53  # whole numbers below it are exact in float64
+_MOST_UNPACKED_BYTES = 8_000_000_000  # of a .npz
 _NUMBERS = ("number", "tree", "treeid", "tree_id", "id")
 _LARGEST_DBH_M = 15.0  # the largest tree known, Taxodium mucronatum at Tule, has 11.6 m
 _COLUMNS = {
@@ -32,7 +35,12 @@ _COLUMNS = {
     "y_breast_m": optional("y_breast_m"),
     "z_m": optional("z", "z_m"),
     "dbh_m": Column(
-        {"dbh_m": 1.0, "dbh": 1.0, "dbh_cm": 0.01}, 0.001, _LARGEST_DBH_M, is_needed=False, is_filled=False
+        {"dbh_m": 1.0, "dbh": 1.0, "dbh_cm": 0.01},
+        0.001,
+        _LARGEST_DBH_M,
+        is_needed=False,
+        is_filled=False,
+        zero_is_missing=True,  # of a stem that 3DFin could not fit
     ),
     **{name: optional(name) for name in (*_NUMBERS, "list_line")},
 }
@@ -59,25 +67,42 @@ def read_cloud(path: Path) -> Cloud:
     """
     if path.suffix not in _READERS:
         raise InputError(str(path), f"found the ending {path.suffix!r}", ", ".join(_READERS))
-    with readable(path, f"points as {path.suffix}", InputError, most_bytes=LARGEST_BYTES):
-        try:
+    expected = f"points as {path.suffix}"
+    library = _LIBRARIES.get(path.suffix)
+    if library is None:
+        with readable(path, expected, InputError, most_bytes=LARGEST_BYTES):
             columns = _READERS[path.suffix](path)
-            if (own := next((name for name in _INSTANCES if name in columns), None)) is not None:
-                columns["instance"] = columns[own]
-            place = next((names for names in _PLACES if all(name in columns for name in names)), None)
-            if place is None:
-                raise InputError(str(path), f"found columns {', '.join(columns)}", "x, y and z")
-            kept = [name for name in _KEPT if name in columns]
-            table = np.column_stack([np.asarray(columns[name], np.float64) for name in (*place, *kept)])
-            xyz, labels = np.hsplit(table, [table.shape[1] - len(kept)])
-        except (ValueError, KeyError, IndexError, TypeError, EOFError) as error:
-            reason = next(iter(str(error).splitlines()), type(error).__name__)
-            raise InputError(str(path), f"cannot be read ({reason})", f"points as {path.suffix}") from None
+    else:
+        check_extra("cloud", f"reading {path.suffix}", library)
+        columns = read_in_child(_READERS[path.suffix], path, expected, InputError)
+    return _checked(path, columns, expected)
+
+
+def _checked(path: Path, columns: Cloud, expected: str) -> Cloud:
+    """Return positions and labels of the columns of a file."""
+    if (instance := next((name for name in _INSTANCES if name in columns), None)) is not None:
+        columns["instance"] = columns[instance]
+    place = next((names for names in _PLACES if all(name in columns for name in names)), None)
+    if place is None:
+        raise InputError(str(path), f"found columns {', '.join(columns)}", "x, y and z")
+    kept = [name for name in _KEPT if name in columns]
+    with parsing(path, expected, InputError):
+        xyz = np.column_stack([np.asarray(columns[name], np.float64) for name in place])
+        labels = {name: np.asarray(columns[name], np.float64) for name in kept}
     if xyz.shape[1] != 3:
         raise InputError(str(path), f"found positions of {xyz.shape[1]} numbers", "x, y and z")
     if not len(xyz) or not np.isfinite(xyz).all():
         raise InputError(str(path), "found a NaN or infinity" if len(xyz) else "no points", "finite points")
-    return {"xyz": xyz} | dict(zip(kept, labels.astype(np.int64).T, strict=True))
+    if (np.abs(xyz) > LARGEST).any():
+        raise InputError(str(path), f"found {np.abs(xyz).max():g}", f"positions of at most {LARGEST:g} m")
+    for name, values in labels.items():
+        if values.shape != (len(xyz),):
+            raise InputError(f"{path}: {name}", f"found {values.shape}", f"({len(xyz)},), one for each point")
+        off = ~(np.abs(values) < _LARGEST_LABEL)  # NaN too
+        if off.any():
+            found = f"found {values[off.argmax()]:g}"
+            raise InputError(f"{path}: {name}", found, f"whole numbers below {_LARGEST_LABEL}")
+    return {"xyz": xyz} | {name: values.astype(np.int64) for name, values in labels.items()}
 
 
 def _ply(path: Path) -> Cloud:
@@ -89,45 +114,46 @@ def _ply(path: Path) -> Cloud:
 
 
 def _npz(path: Path) -> Cloud:
+    with zipfile.ZipFile(path) as archive:
+        unpacked_bytes = sum(member.file_size for member in archive.infolist())
+    if unpacked_bytes > _MOST_UNPACKED_BYTES:
+        raise ValueError(f"{unpacked_bytes} bytes when unpacked")
     with np.load(path) as arrays:
         return dict(arrays)
 
 
 def _csv(path: Path) -> Cloud:
-    with path.open(encoding="utf-8") as file:
-        names = file.readline().strip().split(",")
-    table = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
+    with path.open(encoding="utf-8-sig") as file:
+        names = [name.strip() for name in file.readline().split(",")]
+        table = np.loadtxt(file, delimiter=",", ndmin=2)
     if table.size and table.shape[1] != len(names):
         raise ValueError(f"{table.shape[1]} columns under {len(names)} names")
     return dict(zip(names, table.T, strict=False))
 
 
-def _library(name: str, path: Path) -> Any:
-    try:
-        return import_module(name)
-    except ImportError:
-        raise MissingExtraError(name, "cloud", f"reading {path.suffix}") from None
+def las_points(path: Path) -> Cloud:
+    """Read the points of a LAS or LAZ file, `xyz` (n, 3), and their labels."""
+    import laspy
 
-
-def _las(path: Path) -> Cloud:
-    laspy = _library("laspy", path)
-    try:
-        las = laspy.read(path)
-    except laspy.errors.LaspyException as error:
-        raise ValueError(str(error)) from None
+    las = laspy.read(path)
     names = [name for name in las.point_format.dimension_names if name in (*_KEPT, *_INSTANCES)]
     return {"xyz": np.asarray(las.xyz)} | {name: np.asarray(las[name]) for name in names}
 
 
-def _pcd(path: Path) -> Cloud:
-    cloud = _library("pypcd4", path).PointCloud.from_path(path)
+def pcd_points(path: Path) -> Cloud:
+    """Read the fields of a PCD file."""
+    from pypcd4.pypcd4 import PointCloud
+
+    cloud = PointCloud.from_path(path)
     data = np.atleast_1d(cloud.pc_data)
     return {name: data[name].reshape(len(data), -1)[:, 0] for name in cloud.fields}
 
 
 _READERS: Mapping[str, Callable[[Path], Cloud]] = MappingProxyType(
-    {".ply": _ply, ".npz": _npz, ".csv": _csv, ".pcd": _pcd, ".las": _las, ".laz": _las}
+    {".ply": _ply, ".npz": _npz, ".csv": _csv, ".pcd": pcd_points, ".las": las_points, ".laz": las_points}
 )
+_LIBRARIES = MappingProxyType({".pcd": "pypcd4", ".las": "laspy", ".laz": "laspy"})
+"""Compiled libraries, which read in a child process."""
 
 
 def read_stems(path: Path) -> tuple[Stem, ...]:

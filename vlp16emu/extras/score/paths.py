@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.errors import InputError, MissingExtraError
+from vlp16emu.errors import InputError
 from vlp16emu.extras.clouds.deskew import Trajectory
 from vlp16emu.extras.clouds.epochs import ClockOffset, clock_offset
 from vlp16emu.extras.recorded.files import RecordedPoses, read_kitti, read_tum
+from vlp16emu.libraries import of_extra
 from vlp16emu.types import F8
 from vlp16emu.units import MS_NS, S_NS, seconds_to_ns
 
@@ -139,10 +140,8 @@ def score_path(
     on a shorter path; `stamp_offset_s` to add to the estimate's stamps, NaN if the motion is too uniform to
     determine it.
     """
-    try:
+    with of_extra("score", "scoring a trajectory"):
         from evo.core import metrics
-    except ImportError:
-        raise MissingExtraError("evo", "score", "scoring a trajectory") from None
     found = read_tum(file) if times is None else read_kitti(file, times)
     true = Trajectory(truth, unit)
     found, clock = on_truth_clock(found, true, time_offset_s)

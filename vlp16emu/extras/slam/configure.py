@@ -173,6 +173,19 @@ def _holds(path: Path, text: str) -> bool:
         return False
 
 
+def configurations_beside(bag: Path, program: Program) -> dict[str, str]:
+    """Return the files of a configuration beside a bag, as `written_beside` names them; text by name.
+
+    Raises InputError if one of them cannot be read.
+    """
+    paths = (final_name(bag.with_name(f"{bag.stem}.{file}")) for file in program.files)
+    return {
+        path.name: read_text(path, f"a configuration of {program.name}", InputError)
+        for path in paths
+        if path.exists()
+    }
+
+
 @contextmanager
 def written_beside(bag: Path, name: str | None, rig: Callable[[], Rig]) -> Iterator[None]:
     """Write the configuration of a program, or of all, beside a bag when the block ends: `walk.lio-sam.yaml`.

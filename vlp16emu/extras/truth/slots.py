@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import matvec
 from vlp16emu.engine import Unit
-from vlp16emu.errors import InputError, MissingExtraError, RunError
+from vlp16emu.errors import InputError, RunError
 from vlp16emu.inputs import readable
+from vlp16emu.libraries import of_extra
 from vlp16emu.output import OutputFile
 from vlp16emu.packets.data import distance_lsb, odd_column
 from vlp16emu.packets.layout import DATA_BYTES, DATA_PAYLOAD, RECORDS_PER_PACKET
@@ -275,11 +276,9 @@ class SlotReader:
 
 
 def _pyarrow() -> tuple[Any, Any]:  # it has no types
-    try:
+    with of_extra("data", "truth of each return"):
         import pyarrow as pa
         from pyarrow import parquet
-    except ImportError:
-        raise MissingExtraError("pyarrow", "data", "truth of each return") from None
     return pa, parquet
 
 

@@ -14,21 +14,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.captures.capture import Datagram
+from vlp16emu.extras.verify.clocks import SILENCE_US, ClockWatch, GpsGains
 from vlp16emu.extras.verify.frames import (
     HOUR_US,
     JITTER_US,
     SENTENCE_OFFSET,
     TABLES,
-    ClockWatch,
     Findings,
     Rule,
     is_rewritten,
 )
+from vlp16emu.extras.verify.speed import SpeedRules
 from vlp16emu.packets import layout
 from vlp16emu.packets.decode import PRODUCT_BEFORE_RELEASE, is_dual
 from vlp16emu.packets.layout import POSITION_PAYLOAD
 from vlp16emu.packets.table import PacketTable, wrap_hour
-from vlp16emu.sensor.settings import LEAST_RPM, MOST_RPM, RPM_STEP
+from vlp16emu.sensor.settings import LEAST_RPM, MOST_RPM
 from vlp16emu.types import F8, I8, PpsState
 from vlp16emu.units import MS_NS, S_NS, US_NS
 
@@ -53,9 +54,6 @@ _CDEG_PER_STEP_AND_RPM = 6 * 100 * layout.BLOCK_PERIOD_NS / 1e9
 _STILL_CDEG = (
     12  # two readings differ by less than this if the rotor stands; at 300 rpm a packet turns by 220
 )
-_HELD_RPM = (
-    4.0  # error of the mean speed of a revolution: speed control, 3 rpm in sibling manuals, and two readings
-)
 
 _BY_ELEVATION = np.array([*range(0, layout.LASERS, 2), *range(1, layout.LASERS, 2)])
 """Lasers from lowest to highest. Source: 63-9243 Rev D, table 9-1, p. 53."""
@@ -77,6 +75,7 @@ class DataChunk:
     ----------
     table : the packets, at least one
     before : factory bytes of the packet before the first; empty if there is none
+    gains : times at which GPS was gained
     continues : True if the first packet was the last one of the chunk before, and is here only as a neighbour
     ends : True if no chunk follows that begins with the last packet
     """
@@ -84,9 +83,10 @@ class DataChunk:
     unequal_share = _UNEQUAL_REFLECTIVITY_SHARE
     tolerance_deg = _STEP_TOLERANCE_CDEG / 100
     jitter_ms = JITTER_US / 1e3
-    held_rpm = _HELD_RPM
 
-    def __init__(self, table: PacketTable, before: bytes, *, continues: bool, ends: bool) -> None:
+    def __init__(
+        self, table: PacketTable, before: bytes, gains: GpsGains, *, continues: bool, ends: bool
+    ) -> None:
         n = len(table)
         self.own = slice(1 if continues else 0, n)  # packets whose codes no earlier chunk has judged
         self.judged = slice(0, n if ends else n - 1)
@@ -106,7 +106,7 @@ class DataChunk:
         self._read_factory(before)
         self._read_codes()
         self._read_steps()
-        self._read_times()
+        self._read_times(gains)
         self._read_revolutions()
 
     def _read_factory(self, before: bytes) -> None:
@@ -189,7 +189,7 @@ class DataChunk:
         led_to = np.roll(np.arange(0, layout.BLOCKS_PER_PACKET, layout.BLOCKS_PER_PACKET // blocks), -1)
         self.step_block = np.broadcast_to(led_to, self.step_deg.shape)
 
-    def _read_times(self) -> None:
+    def _read_times(self, gains: GpsGains) -> None:
         """Find which of the n - 1 steps of time are regular, and excuse azimuths that time explains."""
         self.period_ns = layout.BLOCK_PERIOD_NS * self.forward_cdeg.shape[1]
         self.after = self.number[1:]
@@ -200,12 +200,16 @@ class DataChunk:
         periods = np.rint(self.step_us * US_NS / self.period_ns).astype(np.int64)
         self.missing = periods - 1
         off_us = np.abs(self.step_us - periods * self.period_ns / US_NS)
-        is_whole = (periods > 1) & (off_us <= 1 + self.step_us * _CLOCK_PPM / 1e6)
+        apart_us = np.abs(self.step_us - np.diff(self.stamp_ns) // US_NS)
+        # A step of the sensor's clock that the host does not see is no loss of packets.
+        is_whole = (periods > 1) & (off_us <= 1 + self.step_us * _CLOCK_PPM / 1e6) & (apart_us <= SILENCE_US)
         is_explained = self._explain(self.step_us - self.period_ns / US_NS)
         odd_inside = self.is_odd[:-1, :-1].any(axis=1)
         self.is_gap = ~self.is_regular & is_explained & (odd_inside | ~is_whole)
-        self.is_lost = ~self.is_regular & is_whole & ~self.is_gap
-        self.is_broken = ~(self.is_regular | self.is_gap | self.is_lost)
+        self.is_clock_set = ~self.is_regular & ~self.is_gap & (apart_us > JITTER_US)
+        self.is_clock_set &= gains.near(self.stamp_ns[1:])
+        self.is_lost = ~self.is_regular & is_whole & ~self.is_gap & ~self.is_clock_set
+        self.is_broken = ~(self.is_regular | self.is_gap | self.is_lost | self.is_clock_set)
         self.gap_number = np.where(odd_inside, self.number[:-1], self.after)
         gaps_cdeg = self.forward_cdeg[:-1][self.is_gap][self.is_odd[:-1][self.is_gap]]
         if len(gaps_cdeg):  # the last packet has no time step that would explain its gap
@@ -240,7 +244,9 @@ class DataChunk:
         after_us = np.minimum.accumulate(moved_us[::-1])[::-1]
         late_us = moved_us - np.maximum(np.minimum.accumulate(moved_us), after_us)
         self.late_ms = late_us / 1e3
-        self.is_late = (late_us > JITTER_US) & ~takes_longer & (not self.is_broken.any())
+        self.is_late = (
+            (late_us > JITTER_US) & ~takes_longer & (not (self.is_broken | self.is_clock_set).any())
+        )
         self.offset_us = int(offset_us[0]) + round(float(np.median(moved_us)))
         """Clock offset of the whole chunk: a median, which a burst does not change."""
 
@@ -255,7 +261,7 @@ class DataChunk:
         whole = self.is_regular[:rows].reshape(-1, packets).all(axis=1)
         revolution_cdeg = turned_cdeg[:rows].reshape(-1, packets).sum(axis=1)
         self.rpm = revolution_cdeg / layout.AZIMUTH_CODES / (packets * self.period_ns / S_NS) * 60.0
-        self.is_off = whole & (np.abs(self.rpm - RPM_STEP * np.rint(self.rpm / RPM_STEP)) > _HELD_RPM)
+        self.is_whole_revolution = whole
         self.revolution_number = self.number[:rows:packets]
         is_even = self.is_even.copy()
         is_even[:-1, -1] &= self.is_regular
@@ -270,6 +276,7 @@ class DataRules:
         self._findings = findings
         self._clock = ClockWatch(findings)
         self._optics = OpticsRules(findings)
+        self._speed = SpeedRules(findings)
         self.lost_packets = 0
         self.covered_us = 0.0  # time spanned by the packets, lost ones included
         self.left_out_us = 0.0  # time without packets because of a limited field of view
@@ -289,7 +296,7 @@ class DataRules:
         apply(TABLES["packets"] + TABLES["pairs"] * chunk.dual, chunk, chunk.own)
         apply(TABLES["steps"], chunk)
         apply(TABLES["azimuths"], chunk, chunk.judged)
-        if chunk.is_broken.any():
+        if (chunk.is_broken | chunk.is_clock_set).any():
             self._clock.restart()
         else:
             self._clock.check(int(chunk.number[0]), int(chunk.stamp_ns[0]), chunk.offset_us)
@@ -305,7 +312,12 @@ class DataRules:
                 found = f"{rpm:.1f} rpm from here"
                 expected = f"{LEAST_RPM} to {MOST_RPM}"
                 self._findings.add(Rule.RPM, int(chunk.number[0]), found, expected)
+        self._speed.check(chunk.revolution_number, chunk.rpm, chunk.is_whole_revolution)
         self._optics.check(chunk)
+
+    def finish(self) -> None:
+        """Judge what the end of the capture decides."""
+        self._speed.finish()
 
 
 class OpticsRules:
@@ -380,15 +392,16 @@ _SHORTEST_INTERVAL_NS = 1_400_000  # real units leave 1.47 ms or more between po
 _UNEVEN_S = 0.25  # difference between the delays of two sentences of one receiver
 _NEXT_NS = 50 * MS_NS  # position packets farther apart than this do not show the time of a sentence
 _SENTENCE_CHARACTERS = 82  # longest sentence of NMEA 0183
+_LEAP = b"235960"  # time of a leap second
 _SENTENCE = re.compile(
     rb"\$(?P<talker>[A-Z]{2})RMC,"
-    rb"((?P<time>([01]\d|2[0-3])[0-5]\d[0-5]\d)(\.\d*)?)?,"
+    rb"((?P<time>([01]\d|2[0-3])[0-5]\d[0-5]\d|%b)(\.\d*)?)?,"
     rb"(?=(?P<status>[AV]),)"
     rb"(A,\d{4}(\.\d*)?,[NS],\d{5}(\.\d*)?,[EW]|V,(\d{4}(\.\d*)?)?,[NS]?,(\d{5}(\.\d*)?)?,[EW]?),"
     rb"(\d+(\.\d*)?)?,(\d+(\.\d*)?)?,"  # speed, course
     rb"([0-3]\d[01]\d\d\d)?,"
     rb"(\d+(\.\d*)?)?,[EW]?"  # magnetic variation
-    rb"(,[ADEFMNPRS]?(,[SCUV]?)?)?"  # mode since NMEA 0183 version 2.3, navigational status since 4.1
+    rb"(,[ADEFMNPRS]?(,[SCUV]?)?)?" % _LEAP  # mode since NMEA 0183 version 2.3, navigational status since 4.1
 )
 
 
@@ -401,6 +414,7 @@ class _Sentence(NamedTuple):
     end: str = ""
     checksum: str = ""
     right: str = ""  # the correct checksum
+    is_leap: bool = False
     talker: str = ""  # talker of a receiver with more systems than GPS, which the manual does not name
 
 
@@ -453,7 +467,7 @@ class PositionChunk:
         """Read the sentences, and compare their seconds with the clock and with earlier sentences."""
         areas = [each.payload[SENTENCE_OFFSET:] for each in every]
         columns = zip(*map(_read_sentence, areas), strict=True)
-        self.second, self.status, self.malformed, self.end, self.checksum, self.right, talker = map(
+        self.second, self.status, self.malformed, self.end, self.checksum, self.right, is_leap, talker = map(
             np.array, columns
         )
         self.talker = np.where(talker == np.append("", talker[:-1]), "", talker)
@@ -467,7 +481,10 @@ class PositionChunk:
         self.said: int = said[-1]
         self.is_void = is_known & (self.status == "V") & (self.second != earlier)
         self.late_s = (self.clock_s - self.second) % 3600
-        is_old = is_known & (self.late_s >= self.latest_s)
+        # After a leap second a clock that did not take it is a second ahead.
+        is_after = np.logical_or.accumulate(is_leap) | (before.has_leapt if before else False)
+        self.has_leapt: bool = bool(is_after[-1])
+        is_old = is_known & (self.late_s >= self.latest_s + is_after)
         self.is_old, self.is_off = (
             of & ~np.append(False, of[:-1])
             for of in (is_old & is_locked, is_old & ~is_locked & (self.status == "A"))
@@ -478,7 +495,8 @@ class PositionChunk:
         self.comes_s: float = before.comes_s if before else math.nan
         if math.isnan(self.comes_s) and len(came_s):
             self.comes_s = float(came_s[0])
-        self.is_uneven = is_next & (np.abs(self.late_s - self.comes_s) > _UNEVEN_S)
+        off_s = np.abs(self.late_s - self.comes_s)
+        self.is_uneven = is_next & (off_s > _UNEVEN_S) & ~(is_after & (np.abs(off_s - 1.0) <= _UNEVEN_S))
 
 
 class PositionRules:
@@ -491,11 +509,17 @@ class PositionRules:
         self.void_sentences = 0  # seconds whose sentence has the status V
         self.lost_packets = 0
 
-    def check(self, datagrams: Sequence[Datagram]) -> None:
-        """Check packets of 512 bytes."""
+    def check(self, datagrams: Sequence[Datagram], gains: GpsGains) -> None:
+        """Check packets of 512 bytes; GPS may set their clock when it is gained."""
         chunk = self._before = PositionChunk(datagrams, self._before)
         self._findings.apply(TABLES["positions"], chunk, chunk.own)
-        for datagram, timestamp_us in zip(datagrams, chunk.timestamp_us[chunk.own].tolist(), strict=True):
+        step_us = wrap_hour(np.diff(chunk.timestamp_us, prepend=chunk.timestamp_us[0]), HOUR_US)
+        host_step_us = np.diff(chunk.stamp_ns, prepend=chunk.stamp_ns[0]) // US_NS
+        is_set = (np.abs(step_us - host_step_us) > JITTER_US) & gains.near(chunk.stamp_ns)
+        columns = chunk.timestamp_us[chunk.own].tolist(), is_set[chunk.own].tolist()
+        for datagram, timestamp_us, is_new in zip(datagrams, *columns, strict=True):
+            if is_new:
+                self._clock.restart()
             self._clock.check(datagram.number, datagram.stamp_ns, datagram.stamp_ns // US_NS - timestamp_us)
         self.void_sentences += int(chunk.is_void[chunk.own].sum())
         self.lost_packets += int(chunk.missing[chunk.own][chunk.is_lost[chunk.own]].sum())
@@ -526,7 +550,8 @@ def _read_sentence(area: bytes) -> _Sentence:
     right = f"{reduce(xor, body[1:]):02X}"
     found = checksum.decode("ascii", "replace")
     return _Sentence(
-        second=60 * int(time[2:4]) + int(time[4:]) if time else -1,
+        second=(60 * int(time[2:4]) + int(time[4:])) % 3600 if time else -1,
+        is_leap=time == _LEAP,
         status=match["status"].decode(),
         end=end,
         checksum="" if found == right else found or "of no digits",

@@ -46,7 +46,8 @@ class Rule(StrEnum):
     # return mode and product are known and the product does not change; a change of mode is a note
     FACTORY = "factory"
     TIME_RANGE = "time-range"  # time stamps lie within the hour
-    TIME_STEP = "time-step"  # time stamps increase by one packet period, across the hour too
+    TIME_STEP = "time-step"
+    """Time stamps increase by one packet period, across the hour too; a step when GPS is gained is a note."""
     LOST_PACKETS = "lost-packets"  # no packet is missing
     DUPLICATE = "duplicate"  # no packet is repeated
     PACKET_ORDER = "packet-order"  # packets come in order of their time stamps
@@ -56,6 +57,7 @@ class Rule(StrEnum):
     LATENESS = "lateness"
     """No packet is later, relative to its time stamp, than its neighbours by more than 5 ms."""
     CLOCK_DRIFT = "clock-drift"  # time stamps keep pace with the capture stamps
+    HOST_CLOCK = "host-clock"  # nobody sets the clock of the capture stamps; if somebody does, it is a note
     AZIMUTH_RANGE = "azimuth-range"  # azimuths lie in 0 .. 35999
     AZIMUTH_STEP = "azimuth-step"  # azimuths increase evenly from block to block, across 0 too
     AZIMUTH_GAP = "azimuth-gap"
@@ -64,7 +66,7 @@ class Rule(StrEnum):
     SINGLE_AS_DUAL = "single-as-dual"
     """In single return the first two blocks differ in azimuth, which some software mistakes for dual."""
     RPM = "rpm"  # the rotor makes 300 to 1200 revolutions per minute
-    SPEED = "speed"  # the rotor holds its speed, a multiple of 60 rpm
+    SPEED = "speed"  # the rotor holds its speed, a multiple of 60 rpm; a change to another one is a note
     LASER = "laser"  # every laser has returns where those beside it have
     WINDOW = "window"  # no sector turns dark suddenly
     DISTANCE_CODE = "distance-code"  # distances are 0 or at least 250 counts
@@ -179,8 +181,12 @@ HOUR_US = HOUR_NS // US_NS
 JITTER_US = (
     5 * MS_NS // US_NS
 )  # greatest delay of a capture stamp, bursts included; a quiet host stays below 0.1 ms
-_DRIFT_PPM = 150  # clocks of sensors and hosts differed by 2 to 20 ppm; a cheap oscillator may be 100 ppm off
 _LAYOUTS = {PacketKind.DATA: layout.DATA_PAYLOAD, PacketKind.POSITION: layout.POSITION_PAYLOAD}
+STAMP_AT: dict[PacketKind, int] = {
+    kind: fields.fields["timestamp_us"][1]  # type: ignore[index]  # it has fields
+    for kind, fields in _LAYOUTS.items()
+}
+"""First byte of the time stamp in a payload of each kind."""
 _MODE_AT: int = layout.DATA_PAYLOAD.fields["return_mode"][1]  # type: ignore[index]  # it has fields
 _PERIODS_NS = {
     layout.RETURN_MODE_BYTE[mode]: n * SEQUENCE_NS for mode, n in layout.SEQUENCES_PER_PACKET.items()
@@ -205,34 +211,6 @@ _HEADER = np.dtype(
         *(("source_port", ">u2"), ("destination_port", ">u2"), ("udp_bytes", ">u2"), ("udp_sum", ">u2")),
     ]
 )  # IPv4 header without options and UDP header (RFC 791, RFC 768)
-
-
-class ClockWatch:
-    """Monitor of the offset between capture stamps and time stamps of one stream."""
-
-    def __init__(self, findings: Findings) -> None:
-        self._findings = findings
-        self._reference: tuple[int, int] | None = None
-
-    def restart(self) -> None:
-        """Forget the past, because the sensor's clock has been set."""
-        self._reference = None
-
-    def check(self, packet: int, stamp_ns: int, offset_us: int) -> None:
-        """Compare the offset of a frame with the offset of the first packet.
-
-        The offset is capture stamp minus time stamp.
-        """
-        if self._reference is None:
-            self._reference = stamp_ns, offset_us
-            return
-        since_ns = abs(stamp_ns - self._reference[0])
-        moved_us = wrap_hour(offset_us - self._reference[1], HOUR_US)
-        if abs(moved_us) > JITTER_US + since_ns / US_NS * _DRIFT_PPM / 1e6:
-            found = f"time stamps {-moved_us / 1e3:+.1f} ms off the capture stamps"
-            expected = f"within {JITTER_US / 1e3:.0f} ms and {_DRIFT_PPM} ppm"
-            self._findings.add(Rule.CLOCK_DRIFT, packet, found, expected)
-            self._reference = stamp_ns, offset_us
 
 
 def kind_of(datagram: Datagram) -> PacketKind | None:
@@ -322,7 +300,8 @@ class InOrder:
     def __init__(self, kind: PacketKind, findings: Findings) -> None:
         self._kind = kind
         self._findings = findings
-        self._stamp_at: int = _LAYOUTS[kind].fields["timestamp_us"][1]  # type: ignore[index]  # it has fields
+        self._stamp_at = STAMP_AT[kind]
+        self._is_begin = True  # no packet of this stretch has been yielded
         self._held: list[tuple[int, Datagram]] = []  # packets with their time stamps, us
         self._repeats = 0
         self.duplicates = 0  # repeated packets so far, without the packets of a sensor that hangs
@@ -340,7 +319,8 @@ class InOrder:
         place = len(self._held)
         if self._held and self._since_us(stamp_us, -1) < 0:
             if self._is_late(stamp_us, datagram):
-                place = next(n for n in range(place, 0, -1) if self._since_us(stamp_us, n - 1) >= 0)
+                places = (n for n in range(place, 0, -1) if self._since_us(stamp_us, n - 1) >= 0)
+                place = next(places, 0)
                 found = f"a {self._kind} packet overtaken by {len(self._held) - place}"
                 self._findings.add(
                     Rule.PACKET_ORDER, datagram.number, found, "packets in order of their time stamps"
@@ -350,12 +330,14 @@ class InOrder:
                 place = 0
         self._held.insert(place, (stamp_us, datagram))
         if len(self._held) > _HELD:
+            self._is_begin = False
             yield self._held.pop(0)[1]
 
     def rest(self) -> Iterator[Datagram]:
         """Yield the packets that are still held."""
         held = self._held
         self._held = []
+        self._is_begin = True
         yield from (datagram for _, datagram in held)
 
     def _report_again(self, datagram: Datagram, known: Datagram) -> None:
@@ -375,7 +357,7 @@ class InOrder:
 
         It follows from the period of data packets, or the count of position packets.
         """
-        if self._since_us(stamp_us, 0) <= 0:
+        if self._since_us(stamp_us, 0) <= 0 and not self._is_begin:
             return False
         if self._kind is PacketKind.POSITION:
             return 0 < (self._held[-1][1].identification - datagram.identification) % 0x10000 <= _HELD
@@ -383,6 +365,8 @@ class InOrder:
         if period_ns is None:
             return False
         behind_ns = -self._since_us(stamp_us, -1) * US_NS
+        if behind_ns > _HELD * period_ns:
+            return False
         return abs(behind_ns - round(behind_ns / period_ns) * period_ns) <= 2 * US_NS
 
     def _since_us(self, stamp_us: int, place: int) -> int:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from vlp16emu.captures.capture import Capture, CapturedUnit, Datagram, by_unit, chosen_unit, table_of
 from vlp16emu.errors import CaptureError
+from vlp16emu.extras.verify.clocks import GpsGains, HostClock
 from vlp16emu.extras.verify.data import DataChunk, DataRules, PositionRules
 from vlp16emu.extras.verify.frames import (
     PAYLOAD_BYTES,
@@ -33,7 +34,6 @@ _MODE_AT = -2  # return mode and product end a data payload
 _DUAL_BYTE = RETURN_MODE_BYTE[ReturnMode.DUAL]
 _SHORTEST_S = 2.0  # least span to judge rates: position packets arrive at irregular intervals
 _RATE_TOLERANCE = 0.1
-_SILENCE_NS = S_NS // 2  # position packets arrive every 20 ms or faster, also with lasers off
 _POSITION_RATES_HZ = (
     146.0,
     53.8,
@@ -50,10 +50,11 @@ class Verification:
     lost_packets: int  # missing data and position packets
     void_sentences: int
     """Seconds without a GPS fix, from the status V of sentences; trees cause them too."""
-    span_s: float  # time from the first packet to the last, by the capture's stamps
+    span_s: float  # time from the first packet to the last, by the sensor's clock; by the host's if it is set
     rpm: float | None  # mean rotor speed; None without data packets
     # True if the file ends in the middle of a packet, as after a killed recorder; the rest is checked
     is_cut: bool
+    damage: tuple[str, ...]  # damaged parts of the file that were left out
     counts: Mapping[Rule, int]  # errors of each broken rule
     notes: Mapping[
         Rule, int
@@ -105,6 +106,8 @@ class _Check:
     def __init__(self, findings: Findings, chunk_packets: int) -> None:
         self._findings = findings
         self._chunk_packets = chunk_packets
+        self._clock = HostClock(findings)
+        self._gains = GpsGains()
         self._data = DataRules(findings)
         self._position = PositionRules(findings)
         self._in_order = {kind: InOrder(kind, findings) for kind in PORT}
@@ -122,26 +125,30 @@ class _Check:
     def take(self, datagram: Datagram) -> None:
         """Check one datagram, or keep it for its chunk."""
         kind = kind_of(datagram)
+        if kind is not None:
+            self._sort(self._clock.follow(datagram, kind))
+
+    def _sort(self, datagrams: Iterable[tuple[PacketKind, Datagram]]) -> None:
+        for kind, datagram in datagrams:
+            self._take(kind, datagram)
+
+    def _take(self, kind: PacketKind, datagram: Datagram) -> None:
         number = datagram.number
-        if kind is None:
-            return
         since_ns = 0 if self._stamp_ns is None else datagram.stamp_ns - self._stamp_ns
         if since_ns < 0:
             found = f"{-since_ns / US_NS:.0f} us before the packet in front of it"
             self._findings.add(Rule.STAMP_ORDER, number, found, "stamps that do not decrease")
-        elif since_ns > _SILENCE_NS:
-            found = f"no packet for {since_ns / S_NS:.2f} s before it"
-            self._findings.add(Rule.SILENCE, number, found, "data or position packets all the time")
         self._stamp_ns = datagram.stamp_ns
         self._packets[kind] += 1
         self._first.setdefault(kind, datagram)
         self._last[kind] = datagram
         if len(datagram.payload) != PAYLOAD_BYTES[kind]:
-            found = f"a {kind} payload of {len(datagram.payload)} bytes"
-            self._findings.add(Rule.FRAMING, number, found, f"{PAYLOAD_BYTES[kind]} bytes")
+            self._report_length(kind, datagram)
             if kind is PacketKind.DATA:
                 self._finish_data()
             return
+        if kind is PacketKind.POSITION:
+            self._gains.take(datagram)
         stream = kind, datagram.source_port
         if datagram.source_port != PORT[kind] and stream not in self._ports:
             self._ports.add(stream)
@@ -149,29 +156,46 @@ class _Check:
             self._findings.add(Rule.PORTS, number, found, f"from {PORT[kind]}")
         self._collect(kind, self._in_order[kind].take(datagram))
 
+    def _report_length(self, kind: PacketKind, datagram: Datagram) -> None:
+        found = f"a {kind} payload of {len(datagram.payload)} bytes"
+        expected = f"{PAYLOAD_BYTES[kind]} bytes"
+        if datagram.captured_bytes < datagram.wire_bytes:
+            found = f"a {kind} frame, {datagram.captured_bytes} of {datagram.wire_bytes} bytes captured"
+            expected = "whole frames (`tcpdump -s 0`)"
+        self._findings.add(Rule.FRAMING, datagram.number, found, expected)
+
     def finish(self, path: Path, capture: Capture) -> Verification:
         """Check the remaining packets, and return the result."""
+        self._sort(self._clock.rest())
         if not self._packets:
             found = f"no VLP-16 packets, but {capture.missed}" if capture.missed else "no VLP-16 packets"
             raise CaptureError(str(path), found, "data packets on UDP port 2368")
         self._finish_data()
+        self._data.finish()
         self._collect(PacketKind.POSITION, self._in_order[PacketKind.POSITION].rest())
         self._check_position()
         self._check_rates()
-        stamps_ns = [d.stamp_ns for ends in (self._first, self._last) for d in ends.values()]
         return Verification(
             data_packets=self._packets[PacketKind.DATA],
             position_packets=self._packets[PacketKind.POSITION],
             other_frames=capture.frames - self._packets.total(),
             lost_packets=self._data.lost_packets + self._position.lost_packets,
             void_sentences=self._position.void_sentences,
-            span_s=(max(stamps_ns) - min(stamps_ns)) / S_NS,
+            span_s=self._span_s(),
             rpm=self._data.rpm,
             is_cut=capture.cut,
+            damage=tuple(capture.damage),
             counts=dict(self._findings.counts[Level.ERROR]),
             notes=dict(self._findings.counts[Level.NOTE]),
             findings=tuple(sorted(self._findings.kept, key=lambda finding: finding.packet)),
         )
+
+    def _span_s(self) -> float:
+        """Return the duration, by capture stamps if no packet has a time stamp."""
+        if self._clock.elapsed_us:
+            return self._clock.elapsed_us * US_NS / S_NS
+        stamps_ns = [each.stamp_ns for ends in (self._first, self._last) for each in ends.values()]
+        return (max(stamps_ns) - min(stamps_ns)) / S_NS
 
     def _collect(self, kind: PacketKind, datagrams: Iterable[Datagram]) -> None:
         """Collect packets in order; a chunk of data packets ends at a change of return mode."""
@@ -196,7 +220,7 @@ class _Check:
             continues = chunk[0] is self._before
             check_frames(chunk[continues:], PacketKind.DATA, self._findings)
             table = table_of(chunk, PacketClock())
-            self._data.check(DataChunk(table, self._factory, continues=continues, ends=ends))
+            self._data.check(DataChunk(table, self._factory, self._gains, continues=continues, ends=ends))
             self._before = chunk[-1]
             self._factory = chunk[-1].payload[_MODE_AT:]
         self._chunk[PacketKind.DATA] = [] if ends else chunk[-1:]
@@ -204,7 +228,7 @@ class _Check:
     def _check_position(self) -> None:
         if chunk := self._chunk[PacketKind.POSITION]:
             check_frames(chunk, PacketKind.POSITION, self._findings)
-            self._position.check(chunk)
+            self._position.check(chunk, self._gains)
         self._chunk[PacketKind.POSITION] = []
 
     def _check_rates(self) -> None:

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from datetime import UTC, datetime
-from importlib.util import find_spec
 from itertools import chain, islice, product
 from pathlib import Path
 from threading import Event
@@ -11,12 +10,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from vlp16emu.errors import InputError, MissingExtraError, OutputError
+from vlp16emu.errors import InputError, OutputError
 from vlp16emu.extras.clouds.deskew import Trajectory
 from vlp16emu.extras.clouds.scan import decode
 from vlp16emu.extras.options import PictureLook
 from vlp16emu.extras.viewer.layers import Entries, colours_of, colours_of_scale, layers_of_scan
 from vlp16emu.extras.viewer.sweeps import Sweep, by_trajectory, species_of, sweeps_of_scene
+from vlp16emu.libraries import check_extra
 from vlp16emu.output import OutputFile, spare
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.run.options import Span
@@ -170,8 +170,7 @@ def check_suffix(path: Path) -> None:
     """Raise OutputError if a file is not .png or .gif by its suffix, and MissingExtraError without pillow."""
     if path.suffix.lower() != ".png" and not is_film(path):
         raise OutputError(str(path), f"found the ending {path.suffix.lower()!r}", ".png, or .gif for a film")
-    if find_spec("PIL") is None:
-        raise MissingExtraError("pillow", "picture", "a picture")
+    check_extra("picture", "a picture")
 
 
 class Source(NamedTuple):

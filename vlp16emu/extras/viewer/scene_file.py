@@ -7,8 +7,9 @@ from operator import getitem
 from pathlib import Path
 from typing import Any
 
-from vlp16emu.errors import MissingExtraError, OutputError, ScenarioError
+from vlp16emu.errors import OutputError, ScenarioError
 from vlp16emu.inputs import read_text
+from vlp16emu.libraries import of_extra
 from vlp16emu.output import OutputFile, spare
 from vlp16emu.scenario import load, rewrite
 from vlp16emu.settings import toml
@@ -48,10 +49,8 @@ def write_scene(
 
     Raises ScenarioError if the result is no scene; OutputError if the file cannot be written, or is an input.
     """
-    try:
+    with of_extra("viewer", "writing a scene file", "tomlkit"):
         import tomlkit
-    except ImportError:
-        raise MissingExtraError("tomlkit", "viewer", "writing a scene file") from None
 
     check_place(to, inputs)
     text = read_text(scene, "a scene file", ScenarioError)

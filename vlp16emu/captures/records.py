@@ -1,0 +1,261 @@
+"""Records of classic pcap: frames with their stamps, and where a file is damaged.
+
+A damaged record costs that record: reading goes on at the next place where records follow one another, which
+is found by their lengths and stamps as pcapfix does (github.com/Rup0rt/pcapfix, pcap.c: lengths that fit, and
+stamps within a day).
+"""
+
+import re
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from vlp16emu.errors import CaptureError
+from vlp16emu.inputs import what_is
+from vlp16emu.units import S_NS, US_NS
+
+EXPECTED = "a pcap or pcapng file, also as .gz, .bz2, .xz or .zst, or a bag with /velodyne_packets"
+PCAP = {
+    magic.to_bytes(4, order): ("<" if order == "little" else ">", unit_ns, record)
+    for magic, unit_ns, record in (
+        (0xA1B2C3D4, US_NS, "4I"),
+        (0xA1B23C4D, 1, "4I"),
+        (0xA1B2CD34, US_NS, "4I8x"),
+    )
+    for order in ("little", "big")
+}
+"""Byte order, nanoseconds per unit of a stamp's fraction, and format of a record's header, by the first bytes
+of a file. Source: IETF draft-ietf-opsawg-pcap; the last magic number is the "modified" pcap of routers, as
+Wireshark's wiki describes it."""
+_FILE_HEADER_BYTES = 24
+_HAS_CHECK = 0x0400_0000  # frames end with a frame check sequence
+_LONGEST_FRAME_BYTES = 262_144  # a longer record means damage (MAXIMUM_SNAPLEN of libpcap)
+_DAY_S = 86_400
+_SURE = 3  # records in a row that are no accident
+_PIECE_BYTES = 1 << 16
+_SEARCHED_BYTES = 1 << 20
+
+
+class Frame(NamedTuple):
+    """A captured frame."""
+
+    stamp_ns: int  # UTC; 0 in simple packet blocks of pcapng, which have no stamp
+    link_type: int  # LINKTYPE_ value of tcpdump.org
+    wire_bytes: int  # Length of the frame on the wire
+    content: bytes
+    is_suspect: bool = False  # True if what follows is damaged, so that its last bytes may be, too
+
+
+class Damage(NamedTuple):
+    """Bytes of a capture that are no whole record, and are left out."""
+
+    at_bytes: int  # offset in the file, or in what an archive holds
+    lost_bytes: int
+
+
+Frames = Iterator[Frame | Damage | None]
+"""Frames of a file and what is lost between them; None at the end if the file ends within a record."""
+
+
+class Window:
+    """The bytes of a file from a place on, which moves forward."""
+
+    def __init__(self, file: Any) -> None:
+        self._file = file
+        self._held = b""
+        self._begin = 0
+        self.at_bytes = 0  # offset of the window in the file
+
+    def peek(self, size: int, ahead: int = 0) -> bytes:
+        """Return `size` bytes that begin `ahead` bytes after the window, or fewer at the end of the file."""
+        begin = self._begin + ahead
+        while len(self._held) < begin + size:
+            try:
+                part = self._file.read1(_PIECE_BYTES)
+            except EOFError:  # an archive that is truncated
+                part = b""
+            if not part:
+                break
+            self._held = self._held[self._begin :] + part
+            self._begin = 0
+            begin = ahead
+        return self._held[begin : begin + size]
+
+    def skip(self, size: int) -> None:
+        """Move the window over bytes that have been seen."""
+        moved = min(size, len(self._held) - self._begin)
+        self._begin += moved
+        self.at_bytes += moved
+
+    def skip_to(self, pattern: re.Pattern[bytes], margin: int) -> bool:
+        """Move the window to the next match of a pattern of at most `margin` bytes; False at the end."""
+        while piece := self.peek(_SEARCHED_BYTES):
+            found = pattern.search(piece)
+            if found:
+                self.skip(found.start())
+                return True
+            self.skip(len(piece) if len(piece) < _SEARCHED_BYTES else len(piece) - margin)
+        return False
+
+
+class _Head(NamedTuple):
+    """Header of a record."""
+
+    seconds: int
+    fraction: int
+    captured: int  # bytes in the file
+    wire: int
+
+
+class _Records:
+    """Records of one file of classic pcap."""
+
+    def __init__(self, magic: bytes, window: Window) -> None:
+        self.order, self.unit_ns, form = PCAP[magic]
+        self._window = window
+        self._struct = struct.Struct(self.order + form)
+        self.size = self._struct.size
+
+    def head(self, ahead: int = 0) -> _Head | None:
+        """Return a record's header; None if the file ends before or within it."""
+        content = self._window.peek(self.size, ahead)
+        return _Head(*self._struct.unpack(content)) if len(content) == self.size else None
+
+    def is_sound(self, head: _Head, near_s: int | None, unit_ns: int | None = None) -> bool:
+        """Return whether a header is that of a record captured within a day of `near_s`."""
+        fits = head.captured <= _LONGEST_FRAME_BYTES and head.fraction * (unit_ns or self.unit_ns) < S_NS
+        return fits and (near_s is None or abs(head.seconds - near_s) <= _DAY_S)
+
+    def is_chain(self, ahead: int = 0, near_s: int | None = None, unit_ns: int | None = None) -> bool:
+        """Return whether records follow one another from a place on, some or to the end of the file."""
+        for number in range(_SURE):
+            head = self.head(ahead)
+            if head is None:
+                return number > 0 and not self._window.peek(1, ahead)
+            if not self.is_sound(head, near_s, unit_ns) or head.wire < head.captured:
+                return False
+            near_s = head.seconds
+            ahead += self.size + head.captured
+            if not self._window.peek(1, ahead - 1):  # the last record is truncated
+                return number > 1
+        return True
+
+    def goes_on(self, ahead: int, near_s: int | None, again: bytes) -> bool:
+        """Return whether there is a record or the end of the file at a place.
+
+        Parameters
+        ----------
+        near_s : seconds of the record before
+        again : first bytes of a file that is appended to this one
+        """
+        head = self.head(ahead)
+        if head is None or self.is_sound(head, near_s) or self._window.peek(len(again), ahead) == again:
+            return True
+        return self.is_chain(ahead) or self.has_nanoseconds(ahead)
+
+    def has_nanoseconds(self, ahead: int) -> bool:
+        """Return whether records have fractions in nanoseconds under the magic number of microseconds."""
+        return self.unit_ns == US_NS and self.is_chain(ahead, unit_ns=1)
+
+    def find(self, near_s: int | None) -> bool:
+        """Move the window to the next records captured within a day of `near_s`; False at the end."""
+        highs = () if near_s is None else range(max(near_s - _DAY_S, 0) >> 16, (near_s + _DAY_S >> 16) + 1)
+        words = [re.escape(high.to_bytes(2, "little" if self.order == "<" else "big")) for high in highs]
+        before = rb"[\s\S]{2}" if self.order == "<" and words else b""
+        pattern = re.compile(before + b"(?:" + b"|".join(words) + b")")
+        while self._window.skip_to(pattern, self.size):
+            if self.is_chain(near_s=near_s):
+                return True
+            self._window.skip(1)
+            if not self._window.peek(1):
+                break
+        return False
+
+
+def pcap_frames(path: Path, file: Any) -> Frames:
+    """Yield the frames of classic pcap; `file` begins with one of `PCAP`.
+
+    Raises CaptureError if the file ends in its header, or if stamps are not in the unit that it declares.
+    """
+    window = Window(file)
+    header = window.peek(_FILE_HEADER_BYTES)
+    if len(header) < _FILE_HEADER_BYTES:
+        raise not_a_capture(path, header)
+    again = header[:8]
+    records = _Records(header[:4], window)
+    link_type = 0
+    check_bytes = 0
+    near_s: int | None = None
+    number = 0
+    while start := window.peek(_FILE_HEADER_BYTES):
+        if start.startswith(again) and len(start) == _FILE_HEADER_BYTES:  # also of a file that is appended
+            link_type, check_bytes = _link_of(struct.unpack_from(f"{records.order}I", start, 20)[0])
+            window.skip(_FILE_HEADER_BYTES)
+            continue
+        head = records.head()
+        if head is None:
+            yield None
+            return
+        begin = window.at_bytes
+        if not records.goes_on(0, near_s, again):  # before the first record
+            window.skip(1)
+            records.find(near_s)
+            yield Damage(begin, window.at_bytes - begin)
+            continue
+        number += 1
+        if head.fraction * records.unit_ns >= S_NS:
+            raise _nanoseconds(path, number, head, records.order)
+        near_s = head.seconds
+        size = records.size + head.captured
+        content = window.peek(head.captured, records.size)
+        is_complete = len(content) == head.captured
+        stamp_ns = head.seconds * S_NS + head.fraction * records.unit_ns
+        wire = max(head.wire - check_bytes, 0)
+        frame = Frame(stamp_ns, link_type, wire, content[:wire])
+        if is_complete and records.goes_on(size, near_s, again):
+            window.skip(size)
+            yield frame
+            continue
+        window.skip(1)
+        if not records.find(near_s) and not is_complete:
+            yield None
+            return
+        yield from _around_damage(frame, begin, begin + size, window.at_bytes)
+
+
+def _link_of(field: int) -> tuple[int, int]:
+    """Return link type and length of the frame check sequence from the field of a pcap header.
+
+    Source: IETF draft-ietf-opsawg-pcap, section 4: bits P and FCS len, which counts words of 16 bits.
+    """
+    return field & 0xFFFF, 2 * (field >> 28) if field & _HAS_CHECK else 0
+
+
+def _around_damage(frame: Frame, begin: int, end: int, next_begin: int) -> Iterator[Frame | Damage]:
+    """Yield the frame before damage, if it is complete, and the damage up to where the next record begins.
+
+    Parameters
+    ----------
+    begin, end : offsets of the frame's record, by its header
+    """
+    if next_begin >= end:  # else the next record begins within this one
+        yield frame._replace(is_suspect=True)
+        begin = end
+    if next_begin > begin:
+        yield Damage(begin, next_begin - begin)
+
+
+def _nanoseconds(path: Path, number: int, head: _Head, order: str) -> CaptureError:
+    """Return the error for nanoseconds under the magic number of microseconds."""
+    magic = r"\x4d\x3c\xb2\xa1" if order == "<" else r"\xa1\xb2\x3c\x4d"
+    found = f"a fraction of {head.fraction} us of a second, which are nanoseconds"
+    mend = f"`printf '{magic}' | dd of=COPY conv=notrunc` writes it"
+    expected = f"less than 1000000, or the magic number of nanoseconds ({mend})"
+    return CaptureError(f"{path}: packet {number}", found, expected)
+
+
+def not_a_capture(path: Path, head: bytes) -> CaptureError:
+    """Return the error for a file that does not begin as a capture does."""
+    found = what_is(head) or f"no capture, it begins with {head[:4].hex(' ')}"
+    return CaptureError(str(path), found, EXPECTED)
