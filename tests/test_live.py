@@ -1,6 +1,7 @@
 """The closed loop: a scripted drone flies a streamed scene, and what was flown repeats the run byte for
 byte."""
 
+import logging
 import socket
 import threading
 import time
@@ -153,6 +154,46 @@ def test_a_flight_is_put_into_the_present(each_unit):
     assert abs(first.sensor_ns - first.truth_ns - streamed.sent.moved_s * S_NS) < US_NS  # stamps are whole us
     age_us = (time.time_ns() // US_NS - int.from_bytes(data.payloads[0][1200:1204], "little")) % 3_600_000_000
     assert 0 <= age_us < 60_000_000
+
+
+class Opened(logging.Handler):
+    """Calls a function at each window of the world that is opened."""
+
+    def __init__(self, act):
+        super().__init__(logging.DEBUG)
+        self.act = act
+
+    def emit(self, record):
+        if record.getMessage().startswith("opens a window"):
+            self.act()
+
+
+def test_poses_that_jump_while_the_world_is_opened_do_not_hold_up_the_run(tmp_path):
+    """A body that is 100 m further at each window that is opened, which would ask for windows without end: the
+    run begins after a few, and ends with its packets and ground truth."""
+    ports = ["sensor.data_port=9", "sensor.position_port=10"]
+    emulator = Emulator("static_bench", [*BARE, *EXACT, LIVE, *ports])
+    places = []
+
+    def jump():
+        assert len(places) < 30
+        places.append(100.0 * len(places))
+        emulator.put_pose((places[-1], 0.0, 1.5), (0.0, 0.0, 0.0, 1.0))
+
+    log = logging.getLogger("vlp16emu.engine.windows")
+    level = log.level
+    handler = Opened(jump)
+    log.addHandler(handler)
+    log.setLevel(logging.DEBUG)
+    jumping = Told(lambda line: jump() if line.startswith("waiting") else None)
+    try:
+        streamed = emulator.stream(duration_s=0.1, parts=[jumping], truth=tmp_path / "truth")
+    finally:
+        log.removeHandler(handler)
+        log.setLevel(level)
+    assert streamed.live.poses > 2
+    assert not streamed.interrupted
+    assert (tmp_path / "truth" / "trajectory.tum").exists()
 
 
 def test_a_live_scene_is_not_recorded(tmp_path):

@@ -1,6 +1,6 @@
 """Files of users that compiled libraries read, in a child process of bounded memory.
 
-Such a library may end its process in place of raising an exception: a Rust panic over memory, an abort of C++.
+Such a library may end its process in place of raising an exception: by a Rust panic, or an abort of C++.
 """
 
 import json
@@ -37,7 +37,7 @@ def read_in_child(
 
     Parameters
     ----------
-    read : function of a module, which returns arrays of numbers by name; its exceptions are errors of the file
+    read : function of a module that returns arrays of numbers by name; what it raises is an error of the file
     path : a regular file of at most `LARGEST_BYTES`
     expected : description of the file, for messages
     error : class of error for a file that cannot be read

@@ -166,7 +166,7 @@ def _entry_points(group: str) -> dict[str, "EntryPoint"]:
     for package in distributions():
         try:
             entries = package.entry_points.select(group=f"vlp16emu.{group}")
-        except Exception as error:  # noqa: BLE001  # a damaged list of entry points may lead its parser anywhere
+        except Exception as error:  # noqa: BLE001  # of the parser, for a damaged list
             _log.warning("%s: entry points that cannot be read (%s)", _name_of(package), _summary(error))
             continue
         for entry in entries:
@@ -177,7 +177,7 @@ def _entry_points(group: str) -> dict[str, "EntryPoint"]:
 
 @cache
 def _load(entry: "EntryPoint") -> Any:
-    """Return the object of an entry point; InputError if it cannot be loaded, or its group does not take it."""
+    """Return the object of an entry point; InputError if it cannot be loaded or is not of its group."""
     group = entry.group.rpartition(".")[2]
     where = f"{_name_of(entry.dist)}: entry point {entry.name} of {entry.group}"
     try:

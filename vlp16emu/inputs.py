@@ -1,7 +1,7 @@
 """One way in for files of users: regular files of bounded size, and pipes where they make sense.
 
-A file that cannot be read, a special file, and whatever a library raises while it reads one, is an input error
-of the caller's class, in one line.
+A file that cannot be read, a special file, and whatever a library raises while it reads one, is an input
+error of the caller's class, in one line.
 """
 
 import os
@@ -80,8 +80,8 @@ def open_input(
 ) -> Iterator["BufferedReader[RawIOBase]"]:
     """Open a file of a user for reading; what cannot be opened or read is an error of class `error`.
 
-    So is a file that came in the place of another one (`what_is`). Opening waits for a pipe only. Kind and size
-    are checked once more when the file is open, as its name may have changed.
+    So is a file that came in the place of another one (`what_is`). Opening waits for a pipe only. Kind and
+    size are checked once more when the file is open, as its name may have changed.
 
     Parameters
     ----------

@@ -1,4 +1,7 @@
-"""Outputs of runs: written under temporary names, renamed when complete, by one run at a time."""
+"""Outputs of runs: written under temporary names, renamed when complete, by one run at a time.
+
+Whatever waits for the outside world while it is opened or written, as a pipe for its reader, ends with `is_ending`.
+"""
 
 import errno
 import fcntl
@@ -6,16 +9,29 @@ import json
 import logging
 import os
 import re
+import select
 import shutil
+import stat
 import sys
 import weakref
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import CancelledError, Future
 from contextlib import contextmanager, suppress
+from io import BufferedWriter, FileIO
 from pathlib import Path
-from typing import BinaryIO, Self
+from threading import Event, Thread
+from typing import TYPE_CHECKING, BinaryIO, Self, TypeVar, cast
 
 from vlp16emu.errors import OutputError, RunError
 from vlp16emu.trees import Table
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
+
+T = TypeVar("T")
+
+is_ending = Event()
+"""Set by the first signal that ends the run: Python resumes calls that a signal interrupts (PEP 475)."""
 
 STDOUT = Path("-")  # stands for standard output, as for tcpdump and tshark
 
@@ -24,6 +40,8 @@ _RIGHTS = 0o777
 # Arguments of renameat2(2). Source: linux/fcntl.h and linux/fs.h.
 _AT_FDCWD = -100
 _RENAME_EXCHANGE = 2
+_POLL_S = 0.05  # interval at which what waits checks if the run ends
+_PATIENCE_S = 0.4  # time that a reader has, once the run ends, to take what is written last
 
 _log = logging.getLogger(__name__)
 
@@ -133,10 +151,11 @@ class OutputFile:
         self._staged: Staged | None = None
         spare(inputs, path)
         with opening(self._where, "a file that can be written"):
+            self.file: BinaryIO
             if path == STDOUT:
-                self.file: BinaryIO = os.fdopen(os.dup(sys.stdout.fileno()), "wb", buffering)
+                self.file = _pipe_file(os.dup(sys.stdout.fileno()), buffering)
             elif path.exists() and not path.is_file():  # opening a folder fails, with the system's reason
-                self.file = path.open("wb", buffering)
+                self.file = _pipe_file(_open_pipe(path), buffering)
             else:
                 self._staged = staged = Staged(path, self._where, _check_writable)
                 self.file = open(  # noqa: SIM115  # `Path.open` takes no opener
@@ -188,6 +207,61 @@ class OutputFile:
         if self._staged is not None:
             self._staged.discard()
         self.leave()
+
+
+class _Pipe(FileIO):
+    """A pipe or a device that is written in pieces for which there is room, so that a signal ends the wait."""
+
+    def write(self, data: "ReadableBuffer") -> int:
+        """Write some bytes; raises CancelledError if the run ends and nobody reads."""
+        while not select.select([], [self], [], _POLL_S)[1]:
+            if is_ending.is_set() and not select.select([], [self], [], _PATIENCE_S)[1]:
+                raise CancelledError
+        return super().write(memoryview(data).cast("B")[: select.PIPE_BUF])
+
+
+def _pipe_file(opened: int, buffering: int) -> BinaryIO:
+    """Return a file for standard output, a pipe or a device, by its descriptor."""
+    raw = _Pipe(opened, "wb")
+    return cast(BinaryIO, BufferedWriter(raw) if buffering else raw)
+
+
+def _open_pipe(path: Path) -> int:
+    """Open a file that is not regular for writing, and wait for the reader of a FIFO.
+
+    Raises CancelledError if the run ends before; OSError if it cannot be opened.
+    """
+    while True:
+        try:
+            opened = os.open(path, os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
+        except OSError as error:
+            if error.errno != errno.ENXIO or not stat.S_ISFIFO(path.stat().st_mode):
+                raise
+        else:
+            os.set_blocking(opened, True)
+            return opened
+        if is_ending.wait(_POLL_S):
+            raise CancelledError
+
+
+def unless_ending(call: Callable[[], T]) -> T:
+    """Return the result of a call that waits for the outside world, as for a name or a connection.
+
+    It has a thread of its own, which is abandoned if the run ends. Raises its errors, and then CancelledError.
+    """
+    result = Future[T]()
+
+    def run() -> None:
+        try:
+            result.set_result(call())
+        except BaseException as error:  # noqa: BLE001  # raised where it is waited for
+            result.set_exception(error)
+
+    Thread(target=run, name="outside", daemon=True).start()
+    while not is_ending.is_set():
+        with suppress(TimeoutError):
+            return result.result(_POLL_S)
+    raise CancelledError
 
 
 def write_json(path: Path, tree: Table) -> None:

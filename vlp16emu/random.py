@@ -220,19 +220,19 @@ class _Generator(np.random.Generator):
         """Draw standard normal numbers."""
         return _rounded_beyond(_NORMAL_TAIL, super().standard_normal(size))
 
-    def normal(self, loc: float = 0.0, scale: float = 1.0, size: _Size = None) -> _Drawn:  # type: ignore[override]  # no arrays
+    def normal(self, loc: float = 0.0, scale: float = 1.0, size: _Size = None) -> _Drawn:  # type: ignore[override]
         """Draw normal numbers."""
         return loc + scale * self.standard_normal(size)
 
-    def standard_exponential(self, size: _Size = None) -> _Drawn:  # type: ignore[override]  # by the ziggurat alone
+    def standard_exponential(self, size: _Size = None) -> _Drawn:  # type: ignore[override]
         """Draw exponential numbers of mean 1."""
         return _rounded_beyond(_EXPONENTIAL_TAIL, super().standard_exponential(size))
 
-    def rayleigh(self, scale: _Drawn = 1.0, size: _Size = None) -> _Drawn:  # type: ignore[override]  # any array
+    def rayleigh(self, scale: _Drawn = 1.0, size: _Size = None) -> _Drawn:  # type: ignore[override]
         """Draw Rayleigh-distributed numbers."""
         return scale * np.sqrt(2.0 * self.standard_exponential(np.shape(scale) if size is None else size))
 
-    def beta(self, a: _Drawn, b: _Drawn, size: _Size = None) -> _Drawn:  # type: ignore[override]  # any array
+    def beta(self, a: _Drawn, b: _Drawn, size: _Size = None) -> _Drawn:  # type: ignore[override]
         """Draw beta-distributed numbers."""
         return _rounded_beyond(0.0, super().beta(a, b, size))
 

@@ -124,3 +124,24 @@ def test_scenes_are_listed(cli):
 def test_the_schema_is_printed_whole(cli):
     """`schema` prints one JSON object, the schema of the scene file."""
     assert cli("schema").tree == schema()
+
+
+def test_a_scene_that_cannot_be_read_is_left_out_of_the_list(cli, tmp_path, monkeypatch, caplog):
+    """`scenes` names a wrong file of the user's folder in one warning, and lists the others."""
+    (tmp_path / "bad.toml").write_text("bogus = 3\n")
+    monkeypatch.setenv("VLP16EMU_SCENES", str(tmp_path))
+    outcome = cli("scenes", "--json")
+    assert outcome.code == 0
+    names = {row["name"] for row in outcome.tree["scenes"]}
+    assert "static_bench" in names
+    assert "bad" not in names
+    assert [record.message.endswith("; left out") for record in caplog.records] == [True]
+
+
+@pytest.mark.parametrize("text", ["0", "-3"])
+def test_a_number_of_threads_that_numba_refuses_is_one_line(cli, monkeypatch, text):
+    """Without the check `import numba` raises ValueError."""
+    monkeypatch.setenv("NUMBA_NUM_THREADS", text)
+    outcome = cli("plan", "static_bench")
+    expected = f"error: NUMBA_NUM_THREADS: found {text}; expected 1 or more, or no such variable\n"
+    assert (outcome.code, outcome.err) == (2, expected)

@@ -1,11 +1,18 @@
 """What all verbs have in common: a good run, one JSON object, Ctrl-C, a line for an unknown option, and files of
 the user that stay as they are."""
 
+import fcntl
 import io
 import json
+import os
+import select
 import shutil
 import signal
+import socket
 import stat
+import sys
+import threading
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -265,3 +272,164 @@ def test_an_input_is_no_output(inputs, tmp_path, monkeypatch, capsys, verb, name
         run(with_path(words, name, at, path))
         assert "Traceback" not in capsys.readouterr().err
         assert (content_of(tmp_path), content_of(inputs)) == before
+
+
+class Knock:
+    """One Ctrl-C for this thread, once an event has come; what waits after it is let go, and noted.
+
+    Parameters
+    ----------
+    let_go : ends the wait of a run that the signal has not ended
+    """
+
+    def __init__(self, let_go):
+        self.waits = threading.Event()
+        self.over = threading.Event()
+        self.ended = True
+        self._let_go = let_go
+        self._here = threading.get_ident()
+
+    def _run(self):
+        while not self.waits.wait(0.01):
+            if self.over.is_set():
+                return
+        signal.pthread_kill(self._here, signal.SIGINT)
+        if not self.over.wait(20.0):
+            self.ended = False
+            self._let_go()
+
+    @contextmanager
+    def at_door(self):
+        """Knock while the block runs."""
+        thread = threading.Thread(target=self._run)
+        thread.start()
+        try:
+            yield
+        finally:
+            self.over.set()
+            thread.join()
+
+
+class Opens:
+    """Sets events as this process opens files of these paths."""
+
+    def __init__(self):
+        self.events = {}
+        sys.addaudithook(self._note)  # it cannot be removed
+
+    def _note(self, name, arguments):
+        if self.events and name == "open" and (event := self.events.get(str(arguments[0]))):
+            event.set()
+
+
+@pytest.fixture(scope="session")
+def opens():
+    """The files that this process opens."""
+    return Opens()
+
+
+def drain(path):
+    """Read a FIFO on another thread until its writer is gone."""
+    threading.Thread(target=path.read_bytes, daemon=True).start()
+
+
+WAITING_OUT = [
+    *INPUT_AS_OUTPUT,
+    ("stream", "--flown", None),
+    ("stream", "--truth", None),
+    ("truth", "OUT", 1),
+]
+LIVE = "--set motion={kind='live'} --pose-in udp://127.0.0.1:0"
+
+
+@pytest.mark.usefixtures("ctrl_c")
+@pytest.mark.parametrize(
+    ("verb", "name", "at"), WAITING_OUT, ids=[f"{verb} {name}" for verb, name, _ in WAITING_OUT]
+)
+def test_an_output_without_a_reader_ends_with_ctrl_c(
+    inputs, tmp_path, monkeypatch, capsys, opens, verb, name, at
+):
+    """A FIFO that nobody reads, as any output of any verb: refused, or the first Ctrl-C ends the wait with 130;
+    the FIFO stays."""
+    monkeypatch.chdir(tmp_path)
+    Path("spec.toml").write_text(SPEC)
+    Path("forest.json").write_text('{"report": "forest"}')
+    pipe = tmp_path / f"pipe{Path(name).suffix or '.pcap'}"
+    os.mkfifo(pipe)
+    words = [verb, *GOOD[verb].format(inputs=inputs).split()]
+    words = with_path([*words, *(LIVE.split() if name == "--flown" else ())], name, at, pipe)
+    knock = Knock(lambda: drain(pipe))
+    opens.events = {str(pipe): knock.waits}
+    if verb == "view":
+        monkeypatch.setattr("sys.stdout", Interrupting())
+    with knock.at_door():
+        code = run(words)
+    opens.events = {}
+    assert knock.ended
+    assert code in ((130,) if knock.waits.is_set() else (0, 1, 2, 130))
+    assert "Traceback" not in capsys.readouterr().err
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
+
+
+@pytest.mark.usefixtures("ctrl_c")
+@pytest.mark.parametrize(
+    "line",
+    [
+        "record static_bench {pipe} --duration 0.5",
+        "points static_bench {pipe} --format ply --duration 0.5",
+        "decode {inputs}/bench.pcap --out {pipe}",
+        "picture static_bench {pipe} --duration 0.2 --view sweep",
+    ],
+)
+def test_a_reader_that_stalls_does_not_keep_a_verb(inputs, tmp_path, line):
+    """A FIFO whose reader takes nothing fills; the first Ctrl-C then ends the verb with 130."""
+    ending = {"record": ".pcap", "points": ".ply", "decode": ".csv", "picture": ".png"}[line.split()[0]]
+    pipe = tmp_path / f"pipe{ending}"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    fcntl.fcntl(reader, fcntl.F_SETPIPE_SZ, 4096)
+    room = os.open(pipe, os.O_WRONLY | os.O_NONBLOCK)
+    knock = Knock(lambda: drain(pipe))
+
+    def watch():
+        while not knock.over.wait(0.01):
+            if not select.select([], [room], [], 0)[1]:
+                knock.waits.set()
+                return
+
+    watching = threading.Thread(target=watch)
+    watching.start()
+    with knock.at_door():
+        code = run(line.format(pipe=pipe, inputs=inputs).replace(" --format ply", "").split())
+    watching.join()
+    assert knock.ended
+    os.close(reader)
+    os.close(room)
+    assert (code, knock.waits.is_set()) == (130, True)
+
+
+@pytest.mark.usefixtures("ctrl_c")
+@pytest.mark.parametrize("option", ["--gps-out", "--gps-in"])
+def test_a_port_elsewhere_that_does_not_answer_ends_with_ctrl_c(option):
+    """A host whose queue of connections is full answers none; the first Ctrl-C ends the wait with 130."""
+    with socket.socket() as full:
+        full.bind(("127.0.0.1", 0))
+        full.listen(0)
+        waiting = []
+        for _ in range(3):
+            waiting.append(socket.socket())
+            waiting[-1].setblocking(False)
+            waiting[-1].connect_ex(full.getsockname())
+        port = full.getsockname()[1]
+        knock = Knock(full.close)
+        sys.addaudithook(
+            lambda name, arguments: (
+                knock.waits.set() if name == "socket.connect" and arguments[1][1] == port else None
+            )
+        )
+        words = ["stream", "static_bench", "--set", "gps.connected=true", *NO_PORTS.split()]
+        with knock.at_door():
+            code = run([*words, "--no-keep-up", option, f"socket://127.0.0.1:{port}"])
+        for opened in waiting:
+            opened.close()
+    assert (code, knock.waits.is_set()) == (130, True)

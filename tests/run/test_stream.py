@@ -13,7 +13,7 @@ import pytest
 from listening import MemorySink
 from sinks.kit import PERIOD_NS, make_packets
 
-from vlp16emu.errors import RunError
+from vlp16emu.errors import GeometryError, RunError
 from vlp16emu.run.part import StreamPart
 from vlp16emu.run.stream import TRANSITIONS, State, Stream
 from vlp16emu.sinks import Pacer
@@ -134,6 +134,23 @@ def test_errors_and_ctrl_c_end_a_stream():
     assert threads() == 0
     report = stream([], MemorySink(), speed=1.0)
     assert (report.lateness.packets, report.wall_s, report.real_time_factor) == (0, 0.0, 0.0)
+
+
+def test_a_world_that_ends_during_a_run_keeps_what_was_sent():
+    """An InputError after the first packet ends the stream as an interrupt, with its line; one before it, where
+    nothing is made yet, is raised."""
+
+    def ending(count):
+        yield from make_packets(count)
+        raise GeometryError("track", "reaches the edge", "ground")
+
+    sink, lines = MemorySink(), []
+    report = stream(ending(20), sink, parts=[Notified(lines.append)])
+    assert report.interrupted
+    assert sink.packets == make_packets(20)
+    assert lines == ["ended: track: reaches the edge; expected ground"]
+    with pytest.raises(GeometryError, match="reaches the edge"):
+        stream(ending(0), MemorySink())
 
 
 def test_stop_event_ends_even_a_stream_that_waits_for_its_engine():

@@ -338,7 +338,7 @@ def by_unit(
 def searched(
     capture: Capture, units: Sequence[CapturedUnit | None], stop: Event | None
 ) -> Iterator[tuple[int | None, Datagram]]:
-    """Yield datagrams as `by_unit`, in a pass before anything is written; CancelledError once `stop` is set."""
+    """Yield datagrams as `by_unit` before anything is written; CancelledError once `stop` is set."""
     for found in by_unit(capture, units):
         if stop is not None and stop.is_set():
             raise CancelledError

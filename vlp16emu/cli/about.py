@@ -1,5 +1,6 @@
 """Verbs about scenes and this machine: scenes, schema, plan, doctor, cache, forest and accuracy."""
 
+import logging
 import os
 import time
 from pathlib import Path
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
     from vlp16emu.extras.accuracy.intervals import Interval
     from vlp16emu.extras.accuracy.sweep import Accuracy, LevelOfDetail
 
+_log = logging.getLogger(__name__)
+
 
 def scenes(*, as_json: AsJson = False) -> None:
     """List the scenes that can be called by name.
@@ -41,7 +44,12 @@ def scenes(*, as_json: AsJson = False) -> None:
     """
     from vlp16emu.scenario import load, scene_files
 
-    known = {name: (load(str(path)), path) for name, path in scene_files().items()}
+    known = {}
+    for name, path in scene_files().items():
+        try:
+            known[name] = load(str(path)), path
+        except InputError as error:
+            _log.warning("%s; left out", error)
     if not as_json:
         print_rows("scenes", {name: f"{s.duration_s:g} s  {s.title}" for name, (s, _) in known.items()})
         return

@@ -18,10 +18,12 @@ from typing import Annotated
 import typer
 
 from vlp16emu.cli.printer import INTERRUPTED
-from vlp16emu.cli.terminal import ENDINGS, was_stopped
+from vlp16emu.cli.terminal import ENDINGS
 from vlp16emu.cli.verb import command
+from vlp16emu.cores import check_numba_threads
 from vlp16emu.doors import DOORS, door, has_door
 from vlp16emu.errors import InputError, Vlp16emuError, printable
+from vlp16emu.output import is_ending
 
 _LEFT_S = 0.8  # time that an interrupted command has to remove unfinished output
 
@@ -82,6 +84,7 @@ def run(arguments: Sequence[str]) -> int:
     interrupted.
     """
     try:
+        check_numba_threads()
         first = next((word for word in arguments if not word.startswith("-")), None)
         is_verb = first is not None and has_door(first, "verbs")
         app = program([first] if first and is_verb else DOORS["verbs"])  # the others need not be loaded
@@ -184,7 +187,7 @@ def _code_of(error: OSError, code: int | None) -> int:
         where = error.filename or ("the current folder" if error.errno == errno.ENOENT else "the system")
         _print_error(f"{where}: {error.strerror or error}")
         return 1
-    if was_stopped.is_set():  # its terminal is gone
+    if is_ending.is_set():  # its terminal is gone
         return INTERRUPTED
     if code or isinstance(
         error, BrokenPipeError
@@ -197,6 +200,7 @@ def _code_of(error: OSError, code: int | None) -> int:
 def _interrupt(_signal: int, _frame: object) -> None:
     """End the command within a second; the next signal ends the process at once."""
     _was_interrupted.set()
+    is_ending.set()
     for number in ENDINGS:
         signal.signal(number, lambda *_: os._exit(INTERRUPTED))
     timer = threading.Timer(_LEFT_S, os._exit, [INTERRUPTED])

@@ -10,6 +10,7 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Self
 
 from vlp16emu.errors import printable
+from vlp16emu.output import is_ending
 from vlp16emu.run.options import Span
 from vlp16emu.trees import Tree
 
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from vlp16emu.run.emulator import Emulator
 
 ENDINGS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP  # signals that end a run
-was_stopped = threading.Event()  # set once a signal has ended a run that goes on to its report
 
 _STDERR = 2
 
@@ -30,6 +30,7 @@ def stop_on_ctrl_c() -> Iterator[threading.Event]:
     An exception could arise between writing a packet and counting it; report and file would then differ.
     """
     stop = threading.Event()
+    is_ending.clear()  # set by a run before
     before = {number: signal.getsignal(number) for number in ENDINGS}
     if before[signal.SIGHUP] is signal.SIG_IGN:  # by nohup
         del before[signal.SIGHUP]
@@ -40,7 +41,7 @@ def stop_on_ctrl_c() -> Iterator[threading.Event]:
 
     def note(_signal: int, _frame: object) -> None:
         stop.set()
-        was_stopped.set()
+        is_ending.set()
         restore()
         with suppress(OSError):  # the terminal may be gone; print is not reentrant
             if os.isatty(_STDERR):

@@ -317,7 +317,7 @@ class Live(StreamPart):
         is_over = False
         while not is_over:
             with self._changed:
-                self._wait(lane, lambda wanted=number + _AT_ONCE: wanted)  # type: ignore[misc]  # of its default
+                self._wait(lane, lambda wanted=number + _AT_ONCE: wanted)  # type: ignore[misc]
                 is_late = number < lane.count - len(lane.held)
                 packets = [] if is_late else lane.since(number)
                 number = lane.count

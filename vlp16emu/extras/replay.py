@@ -54,7 +54,7 @@ class Replay:
     times in packets do not change
     stop : ends the search for units
 
-    Raises CaptureError if the file is no capture, or has no VLP-16 packets; CancelledError once `stop` is set.
+    Raises CaptureError if the file is no capture or has no VLP-16 packets; CancelledError once `stop` is set.
     """
 
     def __init__(

@@ -135,7 +135,7 @@ class Options:
 
         Raises InputError for a name that is no field, or a value that is not valid.
         """
-        names = [field.name for field in fields(cls)]  # type: ignore[arg-type]  # derived classes are dataclasses
+        names = [field.name for field in fields(cls)]  # type: ignore[arg-type]
         if unknown := [name for name in given if name not in names]:
             raise InputError(unknown[0], "unknown option", f"one of {', '.join(names)}")
         return cls(**given)

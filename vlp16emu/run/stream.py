@@ -215,7 +215,9 @@ class Stream:
     def run(self) -> StreamReport:
         """Send packets until they end, `stop` is set, or Ctrl-C is pressed; close the stream, and report.
 
-        Raises errors of packets, parts and sinks, such as RunError if the system can no longer send.
+        Raises errors of packets, parts and sinks, such as RunError if the system can no longer send. An
+        InputError of packets after the first ends the stream as an interrupt does, with a line, and all that
+        was made is kept.
         """
         with self:
             if self.state is State.OPENED:
@@ -312,10 +314,22 @@ class Stream:
         if self._present and self._first:
             self._present.start(self._first, self.pacer, self.stop)
         had_to_wait = False
-        while (packet := ahead.take(self._watch)) is not None:
+        while (packet := self._next(ahead)) is not None:
             self._send(packet, had_to_wait=had_to_wait, engine_speed=ahead.engine_speed)
             had_to_wait = ahead.first is None  # read before the wait, which would hide it
-        self._interrupted = self.stop.is_set()
+        if self.stop.is_set():
+            self._interrupted = True
+
+    def _next(self, ahead: LookAhead) -> Packet | None:
+        """Return the next packet; None at the end, or once the world cannot be cast any more."""
+        try:
+            return ahead.take(self._watch)
+        except InputError as error:
+            if self._first_sent is None:
+                raise
+            self.say(f"ended: {error}")
+            self._interrupted = True
+            return None
 
     def _send(self, packet: Packet, *, had_to_wait: bool, engine_speed: float | None) -> None:
         """Send or drop a packet at its deadline; `had_to_wait` is True if it was not ready when requested."""

@@ -366,7 +366,7 @@ def _docstrings(section: type[BaseModel]) -> dict[str, str]:
 
 @cache
 def _docstrings_of_classes(module: str) -> dict[str, dict[str, str]]:
-    """Return the strings that follow the keys of the classes of a module, by class; the source is parsed once."""
+    """Return the docstrings of the keys of the classes of a module, by class; the source is parsed once."""
     try:
         source = inspect.getsource(sys.modules[module])
     except (OSError, TypeError):  # a module without a file

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 
 from vlp16emu.errors import OutputError, RunError
+from vlp16emu.output import unless_ending
 from vlp16emu.packets.frames import DATA_PORT, DATA_TTL, FACTORY_LINK, POSITION_PORT, POSITION_TTL, Link
 from vlp16emu.types import Packet, PacketKind, PacketSink
 
@@ -129,7 +130,8 @@ def resolve(host: str) -> str:
     if not host or host.isspace():
         raise OutputError("destination", "nothing", expected)
     try:
-        found = socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_DGRAM)
+        # A name server that does not answer is waited for as long as the system says.
+        found = unless_ending(lambda: socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_DGRAM))
     except (OSError, UnicodeError) as error:
         raise OutputError("destination", f"{host!r}, which is unknown", expected) from error
     address = str(found[0][4][0])

@@ -190,6 +190,16 @@ def test_what_is_no_pose_is_refused_and_counted(position_m, quaternion, message)
     assert (poses.refused, poses.received, poses.last) == (1, 0, None)
 
 
+def test_a_pose_beyond_the_world_is_refused_and_the_body_stays():
+    """A place where the world has no windows is refused with a line, counted, and the pose before it holds."""
+    poses = PoseInput(is_in_world=lambda place_m: place_m[0] < 7e3)
+    assert poses.put((1.0, 2.0, 3.0), LEVEL)
+    with pytest.raises(TrajectoryError, match=r"place at \(35000, 0, 0\) m, beyond the world"):
+        poses.put((35e3, 0.0, 0.0), LEVEL)
+    assert (poses.refused, poses.received) == (1, 1)
+    assert poses.last.state[:3].tolist() == [1.0, 2.0, 3.0]
+
+
 def test_stamps_of_a_sender_are_put_on_our_clock_by_the_quickest_pose():
     """With delays of 1 to 9 ms a stamp is off by the least of them; an old stamp is left out, a new clock
     is taken."""

@@ -226,6 +226,10 @@ def test_tiles_have_numbers_without_gaps(across):
     assert sorted(numbers) == list(range((across[0] + 6) * (across[1] + 6)))
     inside = product(range(-2, across[0] - 2), range(7, across[1] + 7))
     assert [region.number(*tile) for tile in inside] == list(range(across[0] * across[1]))
+    for ring in range(4):
+        first_numbers = {number for number in numbers if number < region.tiles_up_to(ring)}
+        tiles = product(range(-5, across[0] + 1), range(4, across[1] + 10))
+        assert first_numbers == {region.number(*tile) for tile in tiles if region.ring(*tile) <= ring}
 
 
 def test_a_track_beyond_all_numbers_is_refused(forest, track_m):
@@ -234,6 +238,10 @@ def test_a_track_beyond_all_numbers_is_refused(forest, track_m):
         GeometryError, match=r"track: reaches tile \(.*; expected at most 209 km2 around the path"
     ):
         forest.window(track_m + np.array([0.0, 1e4, 0.0]))
+    begin_m = track_m[0]
+    assert forest.reaches(begin_m + np.array([0.0, 6e3, 0.0]), 100.0)
+    assert not forest.reaches(begin_m + np.array([0.0, 1e4, 0.0]), 100.0)
+    assert not forest.reaches(begin_m - np.array([35e3, 0.0, 0.0]), 100.0)
 
 
 @pytest.mark.parametrize("aside_m", [(-35, 0), (0, -35), (42, 0), (0, 35)])

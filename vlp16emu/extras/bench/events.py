@@ -146,7 +146,7 @@ def tables() -> TypeAdapter[list[Event]]:
             of, default, meaning = KEYS.get(f"{name}.{key}") or KEYS[key]
             keys[key] = of, Field(default, description=meaning)
         classes.append(create_model(name, __base__=Event, __doc__=kind.meaning, **keys))
-    one: Any = Annotated[Union[tuple(classes)], Field(discriminator="kind")]  # noqa: UP007  # one class per row of the table
+    one: Any = Annotated[Union[tuple(classes)], Field(discriminator="kind")]  # noqa: UP007  # one class per row
     some: Any = Annotated[list[one], Field(max_length=_MOST)]
     return TypeAdapter(some)
 

@@ -170,7 +170,7 @@ class Wire:
             elif hit and fault.event.kind == "freeze":
                 first = self.frozen.setdefault(key, packet)
                 as_first = {"payload": first.payload, "fired_ns": first.fired_ns, "slots": first.slots}
-                out = [replace(each, **as_first) for each in out]  # type: ignore[arg-type]  # each of its own type
+                out = [replace(each, **as_first) for each in out]  # type: ignore[arg-type]
             elif hit:
                 out = [changed for each in out for changed in fault.change(each, number)]
         return out

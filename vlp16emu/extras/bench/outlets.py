@@ -25,6 +25,7 @@ from vlp16emu.engine import Engine
 from vlp16emu.errors import OutputError, RunError, ScenarioError
 from vlp16emu.extras.bench.imu_frame import IMU_FRAME, imu_frames
 from vlp16emu.extras.imu.sampler import ImuSampler
+from vlp16emu.output import unless_ending
 from vlp16emu.packets import rmc
 from vlp16emu.run.options import host_and_port
 from vlp16emu.run.part import OutletPart
@@ -223,7 +224,7 @@ class SerialPort:
         self._opened_s = self._tried_s = time.monotonic()
         self.away: tuple[Away, ...] = ()  # past times without the device
         try:
-            self._port: Any = self._open()
+            self._port: Any = unless_ending(self._open)
         except self._error as error:
             code = getattr(error, "errno", None)
             found = os.strerror(code) if code else str(error)

@@ -161,6 +161,7 @@ class Flight(PosePart):
         self._clock_ns = clock_ns
         self._latency = LatenessHistogram()
         self._lost_ns: int | None = None
+        self._refusal_said = False
         self._written = 0
         self._write_at_ns = 0
         self._flown = poses.flown
@@ -186,6 +187,7 @@ class Flight(PosePart):
         stop = self._stream.stop
         self._stream.say(f"waiting for poses{f' on {self._receiver.where}' if self._receiver else ''}")
         while not self._motion.poses.came.wait(_POLL_S):
+            self._say_refusal()
             if stop.is_set():
                 return
         with suppress(CancelledError):
@@ -198,6 +200,13 @@ class Flight(PosePart):
                     break
                 self._windows.wait(here)  # the body has moved meanwhile
         self._start_clock()
+
+    def _say_refusal(self) -> None:
+        """Say once why poses are refused; the report counts them."""
+        refusal = self._motion.poses.refusal
+        if refusal and not self._refusal_said:
+            self._refusal_said = True
+            self._stream.say(f"left out: {refusal}")
 
     def _start_clock(self) -> None:
         """Fire the first pulse in a moment, and let packets leave by the same clock.
@@ -215,6 +224,7 @@ class Flight(PosePart):
     def sent(self, packet: Packet) -> None:
         """Record the latency of a packet, say if poses are lost or back, and write knots that are settled."""
         now_ns = self._clock_ns()
+        self._say_refusal()
         uses = self._motion.first_uses
         if packet.fired_ns is not None:
             while uses and uses[0][0] <= packet.fired_ns:

@@ -15,7 +15,7 @@ from vlp16emu.engine import Batching, Parts
 from vlp16emu.errors import InputError, TrajectoryError
 from vlp16emu.extras.live.knots import GAP_M, GAP_RAD, STATE, STEP_NS, Knots, follow, turn_between
 from vlp16emu.extras.live.settings import Live
-from vlp16emu.extras.live.windows import LiveWindows
+from vlp16emu.extras.live.windows import ASIDE_M, Bounded, LiveWindows
 from vlp16emu.extras.recorded.files import UNIT_TOLERANCE
 from vlp16emu.motion.pose import Kinematics
 from vlp16emu.types import F8, I8, Poses
@@ -63,8 +63,13 @@ class PoseInput:
     counts as zero delay. So only additional delays are known, and the least delay is part of the latency.
     """
 
-    def __init__(self, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
+    def __init__(
+        self,
+        clock_ns: Callable[[], int] = time.monotonic_ns,
+        is_in_world: Callable[[F8], bool] = lambda _: True,
+    ) -> None:
         self._clock_ns = clock_ns
+        self._is_in_world = is_in_world
         self._lock = threading.Lock()
         self.came = threading.Event()  # set by the first pose
         self._before = deque[tuple[int, F8]]()
@@ -72,6 +77,7 @@ class PoseInput:
         self._offset_ns: int | None = None
         self._offset_at_ns = 0
         self.last: ReceivedPose | None = None
+        self.refusal = ""  # why the last refused pose was refused
         self.received = self.refused = self.out_of_order = 0
         """Counts of poses: accepted, malformed, and with a stamp that is not later than the stamp of the pose
         before."""
@@ -88,13 +94,18 @@ class PoseInput:
         quaternion : (4,) x, y, z, w of unit length, body to world
         t_ns : time of the pose, on the sender's clock of any epoch; None for now
 
-        Raises TrajectoryError if a number is not finite, or the quaternion is not of unit length.
+        Raises TrajectoryError if a number is not finite, the quaternion is not of unit length, or the place is
+        beyond the world.
         """
         now_ns = self._clock_ns()
         try:
             pose = _valid_pose(position_m, quaternion)
-        except InputError:
+            if not self._is_in_world(pose[:3]):
+                place = ", ".join(f"{number:g}" for number in pose[:3].tolist())
+                raise TrajectoryError("pose", f"found a place at ({place}) m, beyond the world", "one nearer")
+        except InputError as error:
             self.refused += 1
+            self.refusal = str(error)
             raise
         with self._lock:
             at_ns = now_ns
@@ -186,7 +197,8 @@ class LiveMotion:
         self._zero_ns = 0
         self.knots: Knots | None = None  # all knots so far; None before the beginning
         self._used: ReceivedPose | None = None
-        self.poses = PoseInput(clock_ns)
+        self._world: object = None  # set with the windows
+        self.poses = PoseInput(clock_ns, self._is_in_world)
         self.is_open = False  # True if calls wait for poses, as in a stream
         self.first_uses = deque[tuple[int, int]]()
         """For each pose that was used: UTC of the first pulse that it affects, and its arrival on the
@@ -204,7 +216,7 @@ class LiveMotion:
         self.is_open = False
         self.knots = None
         self._used = None
-        self.poses = PoseInput(self._clock_ns)
+        self.poses = PoseInput(self._clock_ns, self._is_in_world)
         self.first_uses.clear()
 
     def require_open(self) -> None:
@@ -220,7 +232,11 @@ class LiveMotion:
 
     def windows(self, parts: Parts, start_ns: int, batching: Batching, threads: int) -> LiveWindows:
         """Return windows that open as the body comes near; parameters as in `windows_of`."""
+        self._world = parts.world
         return LiveWindows(parts, start_ns, batching, threads, self)
+
+    def _is_in_world(self, place_m: F8) -> bool:
+        return not isinstance(self._world, Bounded) or self._world.reaches(place_m, ASIDE_M)
 
     def since_s(self, instant_ns: int) -> float:
         """Convert an instant of the monotonic clock to seconds since the first pulse."""

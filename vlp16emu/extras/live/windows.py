@@ -12,7 +12,7 @@ import sys
 from collections.abc import Hashable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import repeat
-from typing import TYPE_CHECKING, NamedTuple, Self
+from typing import TYPE_CHECKING, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 
@@ -51,6 +51,19 @@ _LATE_BLOCKS = 6
 _NICE = 10
 """Niceness of threads that open windows of a live run above the casting threads, which then get nine tenths
 of a core. With 3, every other step is late while a window is opened."""
+
+
+ASIDE_M = 100.0
+"""Distance around a pose in which a world must have windows: a cube and its margin, and the way that a body
+coasts."""
+
+
+@runtime_checkable
+class Bounded(Protocol):
+    """A world that ends somewhere."""
+
+    def reaches(self, place_m: F8, aside_m: float) -> bool:
+        """Return True if windows up to `aside_m` around a place (3,) can be opened."""
 
 
 class Cube(NamedTuple):

@@ -50,7 +50,7 @@ _MARKS = MappingProxyType(
 )
 """Byte order marks of text."""
 _HALF_CHARACTER = re.compile(rb"(?<=[\x80-\xff])\\(?=\r?$)", re.MULTILINE)
-"""A backslash at the end of a line that may be half a character: as a backslash it would continue the line."""
+"""A backslash at the end of a line, which may be half a character, and would continue the line."""
 _AMID_LETTERS = re.compile(rb"[A-Za-z][\x80-\xff]+[A-Za-z]")
 
 

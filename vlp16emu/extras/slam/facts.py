@@ -27,7 +27,7 @@ _RING_POINTS = 8  # fewer points of a ring do not show how far it has turned
 
 
 class CloudRow(NamedTuple):
-    """Numbers of one cloud; points without coordinates, or at the origin, are left out of all but `is_sparse`."""
+    """Numbers of one cloud; points without coordinates, or at the origin, count for `is_sparse` alone."""
 
     stamp_s: float  # since the first message of the bag
     points: int
@@ -124,7 +124,7 @@ def read_facts(path: Path) -> Facts:
 
 
 def _check_files(path: Path) -> None:
-    """Check that a bag, and each file of a folder, is a regular file: rosbags opens them by name, and waits."""
+    """Check that a bag, and each file of a folder, is a regular file: rosbags would wait for a FIFO."""
     names = [path]
     if path.is_dir():
         with parsing(path, _EXPECTED, CaptureError):

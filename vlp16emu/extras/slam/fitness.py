@@ -28,7 +28,7 @@ _CLOUD = "cloud-topic"
 
 @dataclass(frozen=True, slots=True)
 class Unfit:
-    """One reason why a bag is not fit for a program, with its configuration beside it or in `protocol/slam`."""
+    """Reason why a bag is not fit for a program, with the configuration beside it or in `protocol/slam`."""
 
     program: str
     rule: str

@@ -84,7 +84,7 @@ class HostClock:
         yield kind, self._corrected(datagram)
 
     def _steps_us(self, datagram: Datagram, kind: PacketKind) -> tuple[int, int] | None:
-        """Return the steps to a packet by the host's and the sensor's clock; the latter is known but for hours.
+        """Return the steps to a packet by the host's and the sensor's clock; the latter up to whole hours.
 
         It is None for the first packet, and for one without a time stamp.
         """
@@ -110,7 +110,7 @@ class HostClock:
 
 
 class GpsGains:
-    """Times at which GPS may set the sensor's clock: its state rose (63-9243 Rev D, appendix G), or a leap second."""
+    """Times at which GPS may set the sensor's clock: a rise of its state (63-9243 Rev D, appendix G), a leap second."""
 
     def __init__(self) -> None:
         self._state: int | None = None

@@ -13,7 +13,7 @@ _MOST_HELD = 1000  # revolutions of one change of speed
 
 
 class SpeedRules:
-    """Rule of the held speed: a revolution at another speed is an error, or a note between two held speeds."""
+    """Rule of the held speed: a revolution at another speed is an error; between two held speeds, a note."""
 
     def __init__(self, findings: Findings) -> None:
         self._findings = findings
@@ -23,7 +23,7 @@ class SpeedRules:
         self._held_rpm: float | None = None  # the speed before them
 
     def check(self, packets: I8, rpm: F8, is_whole: NDArray[np.bool_]) -> None:
-        """Check revolutions (n,) by the numbers of their first packets; those that are not whole are left out."""
+        """Check whole revolutions (n,) by the numbers of their first packets; others are left out."""
         for packet, speed_rpm in zip(packets[is_whole].tolist(), rpm[is_whole].tolist(), strict=True):
             held_rpm = RPM_STEP * round(speed_rpm / RPM_STEP)
             if abs(speed_rpm - held_rpm) > _HELD_RPM:

@@ -66,7 +66,7 @@ def guarded_server(host: str, port: int) -> Iterator[viser.ViserServer]:
     with redirect_stdout(StringIO()):
         server = viser.ViserServer(host=host, port=port, label="vlp16emu", verbose=False)
     try:
-        server.request_share_url = lambda verbose=True: None  # noqa: ARG005  # any client may ask for a public tunnel
+        server.request_share_url = lambda verbose=True: None  # noqa: ARG005  # no public tunnel
         _check_requests(server, LOOPBACK | {host}, takes_addresses=host == EVERYWHERE)
         server.gui.configure_theme(show_logo=False, show_share_button=False)
         yield server

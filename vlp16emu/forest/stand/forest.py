@@ -122,6 +122,13 @@ class ForestWorld:
             [np.zeros(0, TREE), *(self._tile(*name).trees for name in self._in_view(track_m))]
         )
 
+    def reaches(self, place_m: F8, aside_m: float) -> bool:
+        """Return True if all that is seen `aside_m` around a place (3,), or nearer, is in numbered tiles."""
+        aside_m = aside_m + self._reach_m + _OVERHANG_M
+        corners_m = place_m[:2] + aside_m * np.array([[-1.0, -1.0], [1.0, 1.0]])
+        corners = np.floor(corners_m / TILE_M).astype(int).tolist()
+        return all(self._region.tiles_up_to(self._region.ring(ix, iy)) <= _MOST_TILES for ix, iy in corners)
+
     def window(self, track_m: F8) -> TiledWindow:
         """Return the window within reach of sensor positions (n, 3).
 
@@ -319,16 +326,28 @@ class Region:
             raise GeometryError("path_xy_m", f"spans {size} with what is in reach", f"at most {_MOST}")
         return cls((int(low[0]), int(low[1])), (int(across[0]), int(across[1])))
 
+    def ring(self, ix: int, iy: int) -> int:
+        """Return the ring of a tile around the rectangle; 0 in it."""
+        column = ix - self.first[0]
+        row = iy - self.first[1]
+        columns, rows = self.across
+        return max(-column, column - columns + 1, -row, row - rows + 1, 0)
+
+    def tiles_up_to(self, ring: int) -> int:
+        """Return the number of tiles in the rectangle and in the rings around it up to `ring`."""
+        columns, rows = self.across
+        return (columns + 2 * ring) * (rows + 2 * ring)
+
     def number(self, ix: int, iy: int) -> int:
         """Return the number of a tile: column by column in the rectangle, then around it, ring after ring."""
         column = ix - self.first[0]
         row = iy - self.first[1]
         columns, rows = self.across
-        ring = max(-column, column - columns + 1, -row, row - rows + 1, 0)
+        ring = self.ring(ix, iy)
         if ring == 0:
             return column * rows + row
 
-        within = (columns + 2 * ring - 2) * (rows + 2 * ring - 2)
+        within = self.tiles_up_to(ring - 1)
         column += ring
         row += ring
         columns += 2 * ring
