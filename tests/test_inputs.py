@@ -16,8 +16,8 @@ def test_a_pipe_is_read_to_its_end(tmp_path):
     path = tmp_path / "pipe"
     os.mkfifo(path)
     writer = Thread(target=lambda: path.write_bytes(b"x" * 300_000))
+    writer.start()
     with open_input(path, "bytes", InputError, takes_pipes=True) as file:
-        writer.start()
         content = file.read()
     writer.join()
     assert content == b"x" * 300_000
@@ -52,7 +52,9 @@ def test_nothing_stays_open(tmp_path):
             assert most_bytes == 2
     with pytest.raises(KeyboardInterrupt), open_input(path, "bytes", InputError):
         raise KeyboardInterrupt
-    with open_input(tmp_path / "pipe", "bytes", InputError, takes_pipes=True):
+    stop = Event()
+    stop.set()
+    with open_input(tmp_path / "pipe", "bytes", InputError, takes_pipes=True, stop=stop):
         pass
     assert sum(1 for _ in Path("/proc/self/fd").iterdir()) == before
 
@@ -74,7 +76,7 @@ def test_nothing_stays_open(tmp_path):
 def test_what_a_library_raises_is_an_input_error(tmp_path, door, fault, found):
     """Any exception while a file is read is one line of the caller's class, with its first line as reason."""
     path = tmp_path / "a.x"
-    path.touch()
+    path.write_text("x")
     with pytest.raises(TrajectoryError) as caught, door(path, "an x", TrajectoryError):
         raise fault
     assert str(caught.value) == f"{path}: {found}; expected an x"

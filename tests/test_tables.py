@@ -92,7 +92,7 @@ HEADER = "x,dbh_cm,remark\n"
         ("x,x_m,dbh_cm\n", "line 1: found x and x_m; expected one of x_m or x"),
         ("x,dbh_cm,remarks\n", "line 1: unknown column 'remarks'; expected remark, the nearest"),
         ("a,b\nsecret,2\n", "line 1: none of the columns; expected a table"),
-        (b"", "line 1: none of the columns; expected a table"),
+        (b"\n", "line 1: none of the columns; expected a table"),
         (HEADER.encode("utf-16"), "is UTF-16 text; expected UTF-8"),
         (f"{HEADER}4,20,Höhe\n".encode("cp1252"), ("line 2: no UTF-8 text: byte f6, in Windows-1252 'ö'; "
                                                   "expected UTF-8")),

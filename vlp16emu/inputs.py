@@ -97,7 +97,7 @@ def open_input(
         raw: RawIOBase = _Pipe(opened, stop or Event()) if is_pipe else FileIO(opened)
         with BufferedReader(raw, _BUFFER_BYTES) as file:
             found = None if takes_all else what_is(file.peek(_HEAD_BYTES))
-            if found:
+            if found and not (stop and stop.is_set()):
                 raise error(str(path), found, expected)
             yield file
 

@@ -153,9 +153,9 @@ class OutputFile:
         with opening(self._where, "a file that can be written"):
             self.file: BinaryIO
             if path == STDOUT:
-                self.file = _pipe_file(os.dup(sys.stdout.fileno()), buffering)
+                self.file = _pipe_file(path, os.dup(sys.stdout.fileno()), buffering)
             elif path.exists() and not path.is_file():  # opening a folder fails, with the system's reason
-                self.file = _pipe_file(_open_pipe(path), buffering)
+                self.file = _pipe_file(path, _open_pipe(path), buffering)
             else:
                 self._staged = staged = Staged(path, self._where, _check_writable)
                 self.file = open(  # noqa: SIM115  # `Path.open` takes no opener
@@ -220,9 +220,10 @@ class _Pipe(FileIO):
         return super().write(memoryview(data).cast("B")[: select.PIPE_BUF])
 
 
-def _pipe_file(opened: int, buffering: int) -> BinaryIO:
+def _pipe_file(path: Path, opened: int, buffering: int) -> BinaryIO:
     """Return a file for standard output, a pipe or a device, by its descriptor."""
     raw = _Pipe(opened, "wb")
+    raw.name = str(path)  # a zip archive takes it
     return cast(BinaryIO, BufferedWriter(raw) if buffering else raw)
 
 

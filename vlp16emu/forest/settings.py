@@ -10,6 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, field_validator, model_validator
 
 from vlp16emu.doors import Part
+from vlp16emu.elementary import power
 from vlp16emu.settings import (
     ExpectationError,
     Fraction,
@@ -118,7 +119,7 @@ class Dem(Section):
 
 def buckling_height_m(dbh_m: float) -> float:
     """Return the height at which a stem buckles under its own weight, which no tree reaches."""
-    return _BUCKLING_M * dbh_m ** (2 / 3)
+    return _BUCKLING_M * float(power(dbh_m, 2 / 3))
 
 
 class SpeciesShare(Section):

@@ -38,7 +38,7 @@ def test_saved_settings_survive_the_run(make, tmp_path):
 @pytest.mark.parametrize(
     ("content", "line"),
     [
-        ("", "no JSON; expected settings that a sensor has saved"),
+        ("", "an empty file: copy or download it again; expected settings that a sensor has saved"),
         ("[1]", "expected a table"),
         ('{"rpm": 310}', "rpm: found 310; expected a whole number from 300 to 1200 in steps of 60"),
         ('{"rpn": 300}', "rpn: unknown key"),

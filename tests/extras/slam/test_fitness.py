@@ -359,7 +359,7 @@ def test_files_that_would_wait_are_one_line(rest, tmp_path, refused):
     """A pipe or a device in the place of a bag, or of a file of a folder, is refused at once."""
     os.mkfifo(tmp_path / "m.mcap")
     (tmp_path / "wd").mkdir()
-    (tmp_path / "wd" / "metadata.yaml").write_text("")
+    (tmp_path / "wd" / "metadata.yaml").write_text("{}")
     os.mkfifo(tmp_path / "wd" / "wd.db3")
     zero = write(tmp_path / "zero", rest[:20])
     (zero / "metadata.yaml").unlink()
@@ -414,7 +414,7 @@ def test_a_bag_of_a_real_sensor(tmp_path, capsys):
         ("verify {folder}/blind", "a bag without packets; expected messages of velodyne_msgs/VelodyneScan"),
         ("verify {bag} --for all --unit 1", "--unit: found 1"),
         ("verify {folder}/none.mcap --for all", "none.mcap: no such file"),
-        ("verify {folder}/empty.mcap --for all", "empty.mcap: no bag"),
+        ("verify {folder}/empty.mcap --for all", "empty.mcap: an empty file"),
         ("verify {folder}/blind --for all", "no point clouds"),
         ("verify {folder}/turnless --for all", "turnless, /tf_static: no bag: Found zero norm quaternions"),
         ("verify {folder}/flat --for all", "flat, /velodyne_points: no bag: no field of name z"),

@@ -183,7 +183,7 @@ def test_a_cell_that_is_no_height_is_a_gap(tmp_path, none):
             (HEADER.replace("ncols 4", "ncols 1000000000") + ROWS, (r"found ncols = 1e\+09, nrows = 3; "
                                                                    r"expected whole numbers, and 50000000")),
             (HEADER, "line 6: found 'NODATA_value -9999'; expected 4 heights"),
-            ("", "line 0: no header; expected ncols and a number"),
+            ("\n", "line 0: no header; expected ncols and a number"),
         ]),
         *(("ground.npy", heights, 1.0, message) for heights, message in [
             (np.zeros(5), r"found \(5,\) float64; expected numbers in rows and columns"),
@@ -194,7 +194,7 @@ def test_a_cell_that_is_no_height_is_a_gap(tmp_path, none):
                                                    r"expected heights")),
         ]),
         ("ground.npy", b"junk", 1.0, "ground.npy: cannot be read: .*numbers"),
-        ("ground.npy", b"", 1.0, "ground.npy: cannot be read: .*numbers"),
+        ("ground.npy", b"", 1.0, "ground.npy: an empty file"),
         ("ground.npy", b"PK\3\4" + bytes(40), 1.0, "ground.npy: cannot be read: the magic string .*numbers"),
         ("ground.npy", b"\x93NUMPY\1\0\x10\0{'descr': '<f8',  ", 1.0, "ground.npy: cannot be read: .*numbers"),
         ("ground.npy", b"", None, "an array alone does not say where it lies; expected cell_m and corner_m"),

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 
-from vlp16emu.elementary import norm
+from vlp16emu.elementary import atan2, cos, norm, sin
 from vlp16emu.engine import Parts
 from vlp16emu.engine.windows import Batching, Windows, window_around
 from vlp16emu.motion.pose import Motion
@@ -97,6 +97,9 @@ class Cube(NamedTuple):
         return low_m + np.column_stack([x_m, y_m, z_m])
 
 
+_STRAIGHT_RAD = 1e-15  # half of a turn that no window shows
+
+
 class Course(NamedTuple):
     """Course of a body that flies on as it does: at constant speed, and at a constant rate of turn."""
 
@@ -109,7 +112,7 @@ class Course(NamedTuple):
         """Return the course of a motion at a UTC instant, from its places until then."""
         flown = motion.kinematics_at(np.array([t_ns - _TURN_NS, t_ns]))
         (x_before, y_before, _), (x, y, _) = flown.world_v_body_m_s
-        turned_rad = math.atan2(x_before * y - y_before * x, x_before * x + y_before * y)
+        turned_rad = float(atan2(x_before * y - y_before * x, x_before * x + y_before * y))
         return cls(flown.world_p_body_m[1], flown.world_v_body_m_s[1], turned_rad / _TURN_NS * S_NS)
 
     @property
@@ -121,9 +124,11 @@ class Course(NamedTuple):
         """Return displacements (n, 3) after times (n,)."""
         after_s = after_ns[:, None] / S_NS
         x, y, z = self.velocity_m_s
-        half_turn = self.turn_rad_s * after_s / (2.0 * math.pi)
-        ahead_s = after_s * np.sinc(2.0 * half_turn)  # sine of the turn over its rate
-        aside_s = math.pi * half_turn * after_s * np.sinc(half_turn) ** 2  # 1 - cosine, over the rate
+        half_rad = 0.5 * self.turn_rad_s * after_s
+        half_rad = np.where(np.abs(half_rad) < _STRAIGHT_RAD, _STRAIGHT_RAD, half_rad)
+        chord_s = after_s * sin(half_rad) / half_rad
+        ahead_s = chord_s * cos(half_rad)
+        aside_s = chord_s * sin(half_rad)
         return ahead_s * [x, y, 0.0] + aside_s * [-y, x, 0.0] + after_s * [0.0, 0.0, z]
 
 
