@@ -84,7 +84,7 @@ def expected(node: Node) -> str:
 
 
 def resolved(node: Node, schema: Node) -> Node:
-    """Return the node behind a reference; for an optional node, the type of its value if there is one only."""
+    """Return the node behind a reference; for an optional node, the type of its value if it has one."""
     kinds = _values(node)
     node = kinds[0] if len(kinds) == 1 else node
     return schema["$defs"][node["$ref"].rpartition("/")[2]] if "$ref" in node else node

@@ -10,7 +10,8 @@ from importlib.util import find_spec
 from vlp16emu.errors import MissingExtraError
 
 _REQUIREMENT = re.compile(
-    r"(?P<name>[\w.-]+)(\[(?P<brought>[\w.-]+)\])?(>=(?P<bound>[\d.]+))?[^;]*; extra == ['\"](?P<extra>\w+)['\"]"
+    r"(?P<name>[\w.-]+)(\[(?P<brought>[\w.-]+)\])?(>=(?P<bound>[\d.]+))?"
+    r"[^;]*; extra == ['\"](?P<extra>\w+)['\"]"
 )
 """Requirement in the metadata (PEP 508), as the build backend writes it; an extra of a library in brackets
 has the name of the library that it brings."""

@@ -1,6 +1,7 @@
 """Outputs of runs: written under temporary names, renamed when complete, by one run at a time.
 
-Whatever waits for the outside world while it is opened or written, as a pipe for its reader, ends with `is_ending`.
+Whatever waits for the outside world while it is opened or written, as a pipe for its reader, ends with
+`is_ending`.
 """
 
 import errno
@@ -210,7 +211,7 @@ class OutputFile:
 
 
 class _Pipe(FileIO):
-    """A pipe or a device that is written in pieces for which there is room, so that a signal ends the wait."""
+    """A pipe or a device, written in pieces for which there is room, so that a signal ends the wait."""
 
     def write(self, data: "ReadableBuffer") -> int:
         """Write some bytes; raises CancelledError if the run ends and nobody reads."""
@@ -248,7 +249,7 @@ def _open_pipe(path: Path) -> int:
 def unless_ending(call: Callable[[], T]) -> T:
     """Return the result of a call that waits for the outside world, as for a name or a connection.
 
-    It has a thread of its own, which is abandoned if the run ends. Raises its errors, and then CancelledError.
+    It has a thread of its own, which is abandoned if the run ends. Raises its errors; CancelledError then.
     """
     result = Future[T]()
 

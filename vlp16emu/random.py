@@ -220,7 +220,9 @@ class _Generator(np.random.Generator):
         """Draw standard normal numbers."""
         return _rounded_beyond(_NORMAL_TAIL, super().standard_normal(size))
 
-    def normal(self, loc: float = 0.0, scale: float = 1.0, size: _Size = None) -> _Drawn:  # type: ignore[override]
+    def normal(  # type: ignore[override]
+        self, loc: float = 0.0, scale: float = 1.0, size: _Size = None
+    ) -> _Drawn:
         """Draw normal numbers."""
         return loc + scale * self.standard_normal(size)
 

@@ -2,10 +2,12 @@
 
 import json
 import re
+import resource
 import signal
 import socket
 import struct
 import sys
+import tempfile
 import time
 
 import numpy as np
@@ -135,6 +137,21 @@ def test_a_prepared_stream_is_the_same_on_the_wire(cli, bench, listeners, ports,
     data, _ = assert_recorded(listeners, bench)
     assert (report["packets"], report["interrupted"]) == (len(data), False)
     assert (file.exists(), list(temporary.iterdir())) == (kept, [])
+
+
+def test_a_full_disk_while_packets_are_prepared_names_no_file_that_is_removed(cli, tmp_path, monkeypatch):
+    """The line names the folder that is full and the option for another place, and nothing is left."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
+    try:
+        outcome = cli("stream", "static_bench", "--prepare", "--duration", "0.1", "--data-port", 9, "--json")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    kept = "nothing is kept; --prepare-to FILE.pcap takes another place"
+    assert (outcome.code, outcome.out) == (1, "")
+    assert outcome.err == f"error: --prepare: File too large in {tmp_path}; {kept}\n"
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.fixture

@@ -125,8 +125,8 @@ def packet_clock(
 ) -> PacketClock:
     """Return the clock for the packets of one unit, as `unit_clocks`.
 
-    By default a pipe has the sensor's clock. Raises InputError for "gps" and "fitted" of a pipe, whose packets
-    cannot be read twice; CancelledError once `stop` is set.
+    By default a pipe has the sensor's clock. Raises InputError for "gps" and "fitted" of a pipe, whose
+    packets cannot be read twice; CancelledError once `stop` is set.
     """
     if path.is_fifo() and name in (None, *Clock):
         if name in (Clock.GPS, Clock.FITTED):

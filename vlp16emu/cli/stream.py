@@ -13,7 +13,7 @@ import typer
 from vlp16emu.cli import arguments as args
 from vlp16emu.cli.printer import finish, print_line
 from vlp16emu.cli.terminal import Progress, make_emulator, stop_on_ctrl_c
-from vlp16emu.errors import InputError
+from vlp16emu.errors import InputError, RunError
 from vlp16emu.libraries import check_extra
 from vlp16emu.run.options import LAST_PORT, Http, Option, ReplayOptions, StreamOptions, TruthTo
 from vlp16emu.run.part import StreamPart
@@ -91,10 +91,7 @@ def stream(
         page = stack.enter_context(_page(emulator, view_port, quiet=as_json)) if view else None
         stop = stack.enter_context(stop_on_ctrl_c())
         if is_prepared and options.prepare is None:
-            from tempfile import TemporaryDirectory
-
-            folder = stack.enter_context(TemporaryDirectory(prefix="vlp16emu-"))
-            options = replace(options, prepare=Path(folder) / "prepared.pcap")
+            options = replace(options, prepare=stack.enter_context(_temporary_packets()))
         if page is not None:
             options = _with_settings(options, is_prepared=is_prepared)
         stream = stack.enter_context(SceneStream(emulator, options, stop=stop))
@@ -175,6 +172,23 @@ def _page(emulator: "Emulator", port: int | None, *, quiet: bool) -> Iterator["L
     with live_page(emulator, PAGE_PORT if port is None else port) as page:
         print(f"page at {page.url}", file=sys.stderr if quiet else sys.stdout, flush=True)
         yield page
+
+
+@contextmanager
+def _temporary_packets() -> Iterator[Path]:
+    """Yield the name of a file that is removed at the end; a full disk is an error that does not name it."""
+    from tempfile import TemporaryDirectory
+
+    with TemporaryDirectory(prefix="vlp16emu-") as folder:
+        try:
+            yield Path(folder) / "prepared.pcap"
+        except RunError as error:
+            cause = error.__cause__
+            if folder not in str(error) or not isinstance(cause, OSError):
+                raise
+            place = Path(folder).parent
+            kept = "nothing is kept; --prepare-to FILE.pcap takes another place"
+            raise RunError(f"--prepare: {cause.strerror} in {place}; {kept}") from error
 
 
 def _with_settings(options: StreamOptions, *, is_prepared: bool) -> StreamOptions:

@@ -118,7 +118,7 @@ KEYS: dict[str, tuple[Any, Any, str]] = {
         None,
         "HTTP status of the answers; no answer if not given.",
     ),
-}  # type, default and meaning of each key; `...` for one that is required, and `KIND.KEY` where two kinds differ
+}  # type, default and meaning of each key; `...` if it is required, and `KIND.KEY` where two kinds differ
 
 
 class Kind(NamedTuple):
@@ -146,7 +146,8 @@ def tables() -> TypeAdapter[list[Event]]:
             of, default, meaning = KEYS.get(f"{name}.{key}") or KEYS[key]
             keys[key] = of, Field(default, description=meaning)
         classes.append(create_model(name, __base__=Event, __doc__=kind.meaning, **keys))
-    one: Any = Annotated[Union[tuple(classes)], Field(discriminator="kind")]  # noqa: UP007  # one class per row
+    alternatives: Any = Union[tuple(classes)]  # noqa: UP007  # one class per row
+    one: Any = Annotated[alternatives, Field(discriminator="kind")]
     some: Any = Annotated[list[one], Field(max_length=_MOST)]
     return TypeAdapter(some)
 

@@ -317,7 +317,10 @@ class NpzFile(PointWriter):
         self._file = file
         self._columns = columns
         folder = Path(file.name).parent
-        self._waiting = [stack.enter_context(tempfile.TemporaryFile(dir=folder)) for _ in columns]  # noqa: SIM115
+        self._waiting = [
+            stack.enter_context(tempfile.TemporaryFile(dir=folder))  # noqa: SIM115  # in a stack
+            for _ in columns
+        ]
 
     def write(self, block: Block) -> None:
         """Append each array to its temporary file."""

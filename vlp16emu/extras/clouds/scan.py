@@ -141,8 +141,8 @@ def decode(
 ) -> Iterator[Scan]:
     """Read the whole revolutions of a capture with the formulas of the sensor's manual.
 
-    The capture is from the emulator or a real sensor. The parts of revolutions at its beginning and end are left
-    out: a capture of less than a revolution gives no scan.
+    The capture is from the emulator or a real sensor. The parts of revolutions at its beginning and end are
+    left out: a capture of less than a revolution gives no scan.
 
     Parameters
     ----------

@@ -95,8 +95,8 @@ class PoseReceiver:
 _POLL_S = 0.05  # how often a run that waits for the first pose checks if it shall end
 _START_NS = 20_000_000  # from the end of preparation to the first pulse: threads start in this time
 _MOST_WINDOWS = 4
-"""Windows that are opened in turn before the first pulse, as the body moves on; poses that jump to and fro would
-ask for others without end, and the run begins with steps left out instead."""
+"""Windows that are opened in turn before the first pulse, as the body moves on; poses that jump to and fro
+would ask for others without end, and the run begins with steps left out instead."""
 _WARM_S = 0.02  # span that is computed before the run, so that kernels are loaded and compiled
 _ROWS_NS = S_NS  # how often knots are written
 

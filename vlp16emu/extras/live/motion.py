@@ -94,8 +94,8 @@ class PoseInput:
         quaternion : (4,) x, y, z, w of unit length, body to world
         t_ns : time of the pose, on the sender's clock of any epoch; None for now
 
-        Raises TrajectoryError if a number is not finite, the quaternion is not of unit length, or the place is
-        beyond the world.
+        Raises TrajectoryError if a number is not finite, the quaternion is not of unit length, or the place
+        is beyond the world.
         """
         now_ns = self._clock_ns()
         try:

@@ -36,9 +36,9 @@ _BEFORE_NS = 4 * S_NS
 """Time for which the body has been in the next cube before its window is used: less for bodies that leave the
 margin earlier, 2 s at 3 m/s."""
 _AHEAD_NS = 6 * S_NS
-"""Time ahead of its use at which a window is opened. A new cube takes 1.2 s of one core, 4.3 s at the priority
-of its threads beside other programs; at 3 m/s the body flies a whole cube in 6 s, and guesses for longer are
-often wrong."""
+"""Time ahead of its use at which a window is opened. A new cube takes 1.2 s of one core, 4.3 s at the
+priority of its threads beside other programs; at 3 m/s the body flies a whole cube in 6 s, and guesses for
+longer are often wrong."""
 _TURN_NS = S_NS // 4  # time over which the rate of turn is measured
 _LOOK = 5  # ordinary blocks, 0.5 s, between those ahead whose windows are looked up
 _KNOWN_NS = 200_000_000

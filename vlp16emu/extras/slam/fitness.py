@@ -263,8 +263,8 @@ ROWS = (
         "no-imu imu-values imu-stamps",
     ),
 )
-"""Rules in the order of findings. A rule applies to the programs that have a text for it in `programs.toml`; it is
-not judged if a rule before it shows that its measurement is not sound."""
+"""Rules in the order of findings. A rule applies to the programs that have a text for it in `programs.toml`;
+it is not judged if a rule before it shows that its measurement is not sound."""
 
 
 def fitness(path: Path, name: str) -> Fitness:

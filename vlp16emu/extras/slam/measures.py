@@ -105,7 +105,7 @@ def _median(values: "F8 | list[float]", otherwise: float = 0.0) -> float:
 
 
 def _rounded(sweep_s: float) -> float:
-    """Return the time of a whole number of sweeps per second if it is near: revolutions end between packets."""
+    """Return the time of a whole number of sweeps per second if near: revolutions end between packets."""
     hz = max(round(1.0 / sweep_s), 1)
     return 1.0 / hz if abs(sweep_s * hz - 1.0) < _ROUNDED else sweep_s
 

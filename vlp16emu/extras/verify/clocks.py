@@ -38,8 +38,8 @@ _SOUND_US = 100_000  # difference between the steps of both clocks behind a pack
 class HostClock:
     """Times of packets by the clock of the host, without the steps by which somebody has set it.
 
-    The host's clock was set where its step from packet to packet is not that of the sensor's clock, which goes
-    on. The duration is that of the sensor's clock; of the host's where the sensor's was set.
+    The host's clock was set where its step from packet to packet is not that of the sensor's clock, which
+    goes on. The duration is that of the sensor's clock; of the host's where the sensor's was set.
     """
 
     def __init__(self, findings: Findings) -> None:
@@ -53,8 +53,8 @@ class HostClock:
     def follow(self, datagram: Datagram, kind: PacketKind) -> Iterator[tuple[PacketKind, Datagram]]:
         """Yield packets with the stamps of a host's clock that was not set, in the order of the capture.
 
-        A packet at which both clocks differ waits for the next one: a sensor that starts sends an old time stamp
-        first.
+        A packet at which both clocks differ waits for the next one: a sensor that starts sends an old time
+        stamp first.
         """
         steps_us = self._steps_us(datagram, kind)
         is_sound = steps_us is not None and abs(steps_us[0] - steps_us[1]) <= _SOUND_US
@@ -110,7 +110,7 @@ class HostClock:
 
 
 class GpsGains:
-    """Times at which GPS may set the sensor's clock: a rise of its state (63-9243 Rev D, appendix G), a leap second."""
+    """Times at which GPS may set the sensor's clock: leap seconds, rises of its state (manual, G)."""
 
     def __init__(self) -> None:
         self._state: int | None = None

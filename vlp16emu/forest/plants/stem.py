@@ -27,8 +27,8 @@ _SIGMA_OVER_MEAN = np.sqrt(2 / np.pi)
 _MOST_BOW = 0.5
 """Greatest bow over the DBH: branches start on the straight axis, which must stay within the stem."""
 _LEAST_BOLE_M = 0.1
-"""Least length over which a stem bends, for crowns that begin at the ground: below the ground the bends go on as
-polynomials of the share of the bole."""
+"""Least length over which a stem bends, for crowns that begin at the ground: below the ground the bends go on
+as polynomials of the share of the bole."""
 _S_SHARE = 0.4  # amplitude of the S-shaped bend over the bow; assumption
 _SWEEP_M = 0.6  # height over which the sweep of the butt falls to 1/e; assumption
 _LOBES = (3, 6)
