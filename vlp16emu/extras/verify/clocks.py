@@ -110,7 +110,7 @@ class HostClock:
 
 
 class GpsGains:
-    """Times at which GPS may set the sensor's clock: leap seconds, rises of its state (manual, G)."""
+    """Times at which GPS may set the sensor's clock: leap seconds and rises of its state (appendix G)."""
 
     def __init__(self) -> None:
         self._state: int | None = None
