@@ -12,7 +12,7 @@ import socket
 import stat
 import sys
 import threading
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -20,6 +20,7 @@ import pytest
 from vlp16emu.cli.app import run
 from vlp16emu.cli.verb import leaves_of
 from vlp16emu.doors import DOORS, door
+from vlp16emu.output import is_ending
 
 NO_PORTS = "--data-port 9 --position-port 10"
 SMALL = "--set camera.width_px=32 --set camera.height_px=24"
@@ -123,6 +124,7 @@ class Interrupting(io.StringIO):
 @pytest.fixture
 def ctrl_c():
     """Let Ctrl-C interrupt: a shell lets its jobs in the background ignore it."""
+    is_ending.clear()  # set by a run before
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
@@ -293,7 +295,8 @@ class Knock:
         while not self.waits.wait(0.01):
             if self.over.is_set():
                 return
-        signal.pthread_kill(self._here, signal.SIGINT)
+        if not self.over.is_set():
+            signal.pthread_kill(self._here, signal.SIGINT)
         if not self.over.wait(20.0):
             self.ended = False
             self._let_go()
@@ -306,8 +309,9 @@ class Knock:
         try:
             yield
         finally:
-            self.over.set()
-            thread.join()
+            with suppress(KeyboardInterrupt):  # which comes as the run ends by itself
+                self.over.set()
+                thread.join()
 
 
 class Opens:
