@@ -3,6 +3,7 @@
 import bz2
 import gzip
 import lzma
+import os
 import shutil
 import struct
 import subprocess
@@ -374,6 +375,14 @@ def test_missing_file_and_folder_are_refused(tmp_path):
         Capture(tmp_path / "none.pcap")
     with pytest.raises(CaptureError, match="is a directory"):
         Capture(tmp_path)
+
+
+def test_a_pipe_among_the_files_of_a_pattern_is_refused(tmp_path):
+    """A FIFO that nobody writes does not hold up the files beside it: it is named."""
+    (tmp_path / "a.pcap").write_bytes(pcap(DATA))
+    os.mkfifo(tmp_path / "b.pcap")
+    with pytest.raises(CaptureError, match=r"b\.pcap: is a FIFO; expected a pcap"):
+        Capture(tmp_path / "*.pcap")
 
 
 def test_what_comes_twice_is_read_once(tmp_path):

@@ -284,17 +284,18 @@ def _files(path: Path) -> list[Path]:
         return inside or [path / "*.mcap"]
     is_pattern = not path.exists() and glob.has_magic(path.name)  # a file may have brackets in its name
     found = sorted(path.parent.glob(path.name)) if is_pattern else []
-    firsts = {file: next(_frames_in(file), None) for file in found or [path]}
+    firsts = {file: next(_frames_in(file, takes_pipes=False), None) for file in found or [path]}
     stamps_ns = {file: first.stamp_ns if isinstance(first, Frame) else 0 for file, first in firsts.items()}
     return sorted(firsts, key=stamps_ns.__getitem__)
 
 
-def _frames_in(path: Path, stop: Event | None = None) -> Frames:
+def _frames_in(path: Path, stop: Event | None = None, *, takes_pipes: bool = True) -> Frames:
     """Yield the frames of a file.
 
     Raises CaptureError if it cannot be read or is not a capture.
     """
-    with open_input(path, EXPECTED, CaptureError, most_bytes=None, takes_pipes=True, stop=stop) as file:
+    opened = open_input(path, EXPECTED, CaptureError, most_bytes=None, takes_pipes=takes_pipes, stop=stop)
+    with opened as file:
         yield from pcap_frames(path, file) if file.peek(4)[:4] in PCAP else FRAMES.load()(path, file)
 
 
