@@ -10,7 +10,6 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, field_validator, model_validator
 
 from vlp16emu.doors import Part
-from vlp16emu.elementary import power
 from vlp16emu.settings import (
     ExpectationError,
     Fraction,
@@ -119,7 +118,15 @@ class Dem(Section):
 
 def buckling_height_m(dbh_m: float) -> float:
     """Return the height at which a stem buckles under its own weight, which no tree reaches."""
+    from vlp16emu.elementary import power  # here: it loads numba, which the check of a scene does not need
+
     return _BUCKLING_M * float(power(dbh_m, 2 / 3))
+
+
+def buckles(dbh_m: float, height_m: float) -> bool:
+    """Return True for a stem that is higher than `buckling_height_m`."""
+    slenderness = height_m / _BUCKLING_M
+    return slenderness * slenderness * slenderness > dbh_m * dbh_m
 
 
 class SpeciesShare(Section):
@@ -139,7 +146,8 @@ class SpeciesShare(Section):
         if self.height_m < LEAST_SLENDERNESS * self.dbh_cm / 100:
             expected = f"a height of {LEAST_SLENDERNESS:g} diameters or more (is dbh_cm in mm?)"
             raise ExpectationError(f"{expected} beside dbh_cm = {self.dbh_cm:g}")
-        if self.height_m > (most_m := buckling_height_m(self.dbh_cm / 100)):
+        if buckles(self.dbh_cm / 100, self.height_m):
+            most_m = buckling_height_m(self.dbh_cm / 100)
             expected = f"{most_m:.3g} m at most, where a stem buckles under its own weight,"
             raise ExpectationError(f"{expected} beside dbh_cm = {self.dbh_cm:g}")
         return self
