@@ -1,6 +1,6 @@
 """Tables, grids and meshes as other programs write them: files of kinds that people reported, in `cases`.
 
-Each has the content of a file of `scenes/own_plot`, or of a solid that can be told in words.
+Each has the content of a file of `scenes/own_plot`, or of a solid that words describe.
 """
 
 import csv

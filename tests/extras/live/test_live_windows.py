@@ -5,7 +5,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from woods import LINES
 
 from vlp16emu import Emulator
 from vlp16emu.engine import Batching
@@ -216,7 +215,7 @@ def test_a_window_is_opened_for_its_whole_cube_and_the_margin():
 
 def flight_ranges_m(folder, place_m, motion):
     """Ranges of the first sequences of a body at rest over a place of a forest, live or of another motion."""
-    settings = [*LINES, "beam.model=none", "noise.preset=ideal", "world.near_m=6"]
+    settings = ["beam.model=none", "noise.preset=ideal", "world.near_m=6", "sensor.max_range_m=20"]
     x_m, y_m = place_m
     ground_m = Emulator("birch_walk", settings).parts.ground_m(np.array([x_m]), np.array([y_m]))
     begin_m = (x_m, y_m, float(ground_m[0]) + 1.5)
@@ -235,7 +234,7 @@ def test_a_body_sees_what_one_on_a_known_path_sees(tmp_path):
     live_m = flight_ranges_m(tmp_path, (0.0, 0.0), '{{kind="live",flown="{flown}"}}')
     known_m = flight_ranges_m(tmp_path, (0.0, 0.0), '{{kind="recorded",file="{poses}",format="csv"}}')
     assert (np.abs(live_m - known_m) < 1e-4).mean() > 0.999
-    assert ((live_m > 0.0) & (live_m < 6.0)).mean() > 0.1
+    assert ((live_m > 0.0) & (live_m < 6.0)).mean() > 0.2
     assert (live_m > 6.0).mean() > 0.1
 
 
@@ -247,7 +246,7 @@ def test_a_body_may_leave_the_region_of_its_path(tmp_path):
     off_m = flight_ranges_m(tmp_path, place_m, live % "[[0,0]]")
     near_m = flight_ranges_m(tmp_path, place_m, live % "[[400,-200],[300,-300]]")
     assert off_m.tobytes() == near_m.tobytes()
-    assert (off_m > 0.0).mean() > 0.3
+    assert (off_m > 0.0).mean() > 0.5
 
 
 @pytest.mark.usefixtures("kept_woods")
