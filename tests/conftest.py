@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 from kit import DEFAULT_UNIT
 
+from vlp16emu.output import is_ending
+
 os.environ["VLP16EMU_CACHE_DIR"] = "off"
 os.environ.pop("VLP16EMU_CACHE_MB", None)
 # Two workers have a core each: threads of linear algebra would spin beside them for nothing.
@@ -69,6 +71,12 @@ def pytest_runtest_makereport():
 def pytest_make_collect_report():
     """Let no file be skipped either."""
     return _without_skip((yield))
+
+
+@pytest.fixture(autouse=True)
+def no_signal_left():
+    """Let no test begin with the end of a run that a signal reached in a test before."""
+    is_ending.clear()
 
 
 @pytest.fixture(scope="session")

@@ -16,7 +16,6 @@ from kit import refusals, set_words
 from vlp16emu.cli.app import main, run
 from vlp16emu.cli.terminal import ENDINGS, Progress
 from vlp16emu.kernels.compiler import _is_kept, table
-from vlp16emu.output import is_ending
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -63,7 +62,6 @@ def main_here(monkeypatch, capsys):
 
     def call(*arguments, stdout):
         before = {number: signal.getsignal(number) for number in ENDINGS}
-        is_ending.clear()  # by a run before
         try:
             with monkeypatch.context() as patch:
                 patch.setattr(sys, "argv", ["vlp16emu", *map(str, arguments)])

@@ -20,7 +20,6 @@ import pytest
 from vlp16emu.cli.app import run
 from vlp16emu.cli.verb import leaves_of
 from vlp16emu.doors import DOORS, door
-from vlp16emu.output import is_ending
 
 NO_PORTS = "--data-port 9 --position-port 10"
 SMALL = "--set camera.width_px=32 --set camera.height_px=24"
@@ -124,7 +123,6 @@ class Interrupting(io.StringIO):
 @pytest.fixture
 def ctrl_c():
     """Let Ctrl-C interrupt: a shell lets its jobs in the background ignore it."""
-    is_ending.clear()  # set by a run before
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
