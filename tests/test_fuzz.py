@@ -2,7 +2,6 @@
 
 import pytest
 
-
 NOTHING = [word for kind in ("scenes", "files", "options", "plugins") for word in (f"--{kind}", "0")]
 
 
