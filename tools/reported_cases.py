@@ -74,7 +74,7 @@ CASES = [
     Case("b01-stamps-1us-apart.pcap", "host stamps lost", f"replay {{file}} {NO_PORTS}", 0, {"packets": 90, "sent.wall_s": (0.94 * 0.119, 60)}, "63-9243 Rev D: 1327 us a packet"),
     Case("b03-times-all-zero.bag", "times all zero", "verify {file} --for fast-lio2", 1, {"programs.fast-lio2.findings.0.rule": "times"}, "FAST_LIO, preprocess.cpp"),
     Case("b04-half-turns.bag", "messages of half a turn", "verify {file} --for lio-sam", 1, {"programs.lio-sam.findings.0.rule": "turn"}, "LIO-SAM, imageProjection.cpp"),
-    Case("b07-packets-only.bag", "bag of packets", "decode {file}", 0, {"packets": (72, 80)}, "rosbags: VelodynePacket messages"),
+    Case("b07-packets-only.bag", "bag of packets", "decode {file}", 0, {"packets": 77}, "rosbags: 77 packets in its message"),
     Case("b07-packets-only.bag", "bag of packets", "bag {file} {out}.mcap", 0, {"messages./velodyne_points": 1}, "rosbags: one turn"),
     Case("b09-cp1252.obj", "mesh in Windows-1252", "forest static_bench --set world.meshes=[{{file='{file}',unit='m',up='z',places=[{{x_m=3,y_m=0}}]}}]", 0, {"report": "forest"}, "trimesh#2355: read"),
     Case("b11-dxdy.asc", "grid with dx and dy", "forest own_plot --set world.dem.file={file}", 0, {"relief.low_m": (-5.087, -5.085), "relief.high_m": (1.494, 1.496)}, "GDAL, AAIGrid; scenes/own_plot/ground.asc"),
