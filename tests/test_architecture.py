@@ -33,6 +33,7 @@ FLOORS = (
         "elementary",
         "errors",
         "explain",
+        "hosts",
         "inputs",
         "kernels",
         "libraries",
@@ -96,7 +97,7 @@ LIBRARIES = {
     "pytest": ("pytest.py",),
     "serial": ("extras/bench/",),
     "socket": (
-        *("sinks/", "extras/bench/", "extras/free_ports.py", "extras/live/", "extras/doctor.py"),
+        *("hosts.py", "sinks/", "extras/bench/", "extras/free_ports.py", "extras/live/", "extras/doctor.py"),
         "extras/viewer/live",  # a pair of sockets between a stream and its page
     ),
     "typer": ("cli/",),
@@ -331,6 +332,18 @@ def test_files_of_users_come_in_through_one_door():
     assert opens(ast.parse("with Path(name).open() as file: pass")) == [1]
     assert opens(ast.parse("np.loadtxt(path)")) == [1]
     assert not opens(ast.parse("files(__package__).joinpath(name).read_text()"))
+
+
+def test_names_of_hosts_are_looked_up_in_one_place():
+    """Only `hosts.py` asks for the address of a name, or binds a socket to one: a name server may not answer."""
+    asking = {"getaddrinfo", "gethostbyname", "create_connection", "create_server", "TCPServer"}
+    found = {
+        name
+        for name, tree in trees().items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Attribute) and node.attr in asking
+    }
+    assert found == {"hosts.py"}
 
 
 def test_only_the_command_line_prints():

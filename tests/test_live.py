@@ -218,7 +218,7 @@ def test_poses_of_another_scene_are_refused():
 
 def test_a_port_in_use_is_reported():
     """Two receivers on one port, or one on an address of another machine, are refused."""
-    taken = "expected an address of this machine and a free port"
+    taken = "expected an IPv4 address of this machine and a free port"
     with PoseReceiver("udp://127.0.0.1:0", lambda *_: None) as first, pytest.raises(OutputError, match=taken):
         PoseReceiver(first.where, lambda *_: None)
     with pytest.raises(OutputError):

@@ -165,6 +165,9 @@ def inputs(tmp_path_factory):
         for name, text in refusals()["files"].items():
             Path(name).parent.mkdir(exist_ok=True)
             Path(name).write_text(text, encoding="utf-8")
+        with Path("forest.json").open("w") as report:
+            patch.setattr("sys.stdout", report)
+            assert run(["forest", "static_bench", "--json"]) == 0
     (folder / "empty.pcap").write_bytes((folder / "bench.pcap").read_bytes()[:24])
     os.mkfifo(folder / "pipe")
     for ending in ("csv", "laz", "npz", "ply"):

@@ -16,55 +16,30 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
+from cli.lines import (
+    CASES,
+    FILES_OUT,
+    GOOD,
+    HOSTS,
+    INPUT_AS_OUTPUT,
+    MINE,
+    NEVER_ENDING,
+    NO_PATHS,
+    NO_PORTS,
+    OF_MACHINE,
+    PLAIN,
+    REFUSED,
+    SPEC,
+    WAITING_OUT,
+    ending_of,
+    is_path,
+    names_host,
+    texts_of,
+    with_path,
+)
 
 from vlp16emu.cli.app import run
-from vlp16emu.cli.verb import leaves_of
-from vlp16emu.doors import DOORS, door
-
-NO_PORTS = "--data-port 9 --position-port 10"
-SMALL = "--set camera.width_px=32 --set camera.height_px=24"
-SPEC = """
-schema = 1
-layout = "pcap+truth"
-seeds = [1]
-stands = [{ name = "hall", scene = "static_bench", set = ["duration_s=0.1"] }]
-paths = [{ name = "middle" }]
-sensors = [{ name = "puck" }]
-splits = { train = 1.0, val = 0.0, test = 0.0 }
-"""
-GOOD = {
-    "record": "static_bench x.pcap --duration 0.02",
-    "stream": f"static_bench --duration 0.02 --no-keep-up {NO_PORTS}",
-    "replay": f"{{inputs}}/bench.pcap --speed 1000 {NO_PORTS}",
-    "decode": "{inputs}/bench.pcap",
-    "verify": "{inputs}/bench.pcap",
-    "scenes": "",
-    "schema": "",
-    "plan": "static_bench --set duration_s=0.02 --repeats 1",
-    "doctor": "",
-    "cache": "",
-    "truth": "static_bench t --duration 0.02",
-    "points": "static_bench x.npz --duration 0.02",
-    "bag": "{inputs}/bench.pcap x.bag",
-    "picture": "static_bench x.png --duration 0.2 --size 64x64 --view sweep",
-    "images": f"static_bench images --duration 0.02 {SMALL}",
-    "view": "static_bench --port 0",
-    "dataset": "spec.toml out --workers 0",
-    "score": "{inputs}/truth --trajectory {inputs}/truth/trajectory.tum",
-    "compare": "{inputs}/bench.pcap {inputs}/bench.pcap",
-    "fit": "{inputs}/bench.pcap",
-    "forest": "static_bench",
-    "accuracy": "static_bench --pulses 128",
-    "plot": "forest.json x.svg",
-}
-"""Arguments of a short run of each verb."""
-PLAIN = {
-    "schema",
-    "view",
-    "fit",
-    "plot",
-}  # these print a schema, an address, tables of TOML, and a file's name
-OF_MACHINE = {"doctor"}  # its exit code says whether the machine is fit
+from vlp16emu.doors import DOORS
 
 
 @pytest.fixture
@@ -73,10 +48,6 @@ def words(request, inputs, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "spec.toml").write_text(SPEC)
     verb = request.param
-    if verb == "plot":
-        with (tmp_path / "forest.json").open("w") as report, monkeypatch.context() as patch:
-            patch.setattr("sys.stdout", report)
-            assert run(["forest", "static_bench", "--json"]) == 0
     return [verb, *GOOD[verb].format(inputs=inputs).split()]
 
 
@@ -87,6 +58,15 @@ def each(verbs):
 def test_every_verb_is_here():
     """No verb is without its row."""
     assert GOOD.keys() == DOORS["verbs"].keys()
+
+
+def test_every_option_is_here():
+    """Each text that a verb takes is a path or, as the table says, none, and names a host or none: the tests
+    below meet every option that takes a path, also a new one."""
+    texts = [(verb, leaf) for verb in GOOD for leaf in texts_of(verb)]
+    assert {leaf.name for _, leaf in texts if not is_path(leaf)} == NO_PATHS.keys()
+    named = {(verb, leaf.name) for verb, leaf in texts if names_host(leaf)}
+    assert named <= HOSTS.keys()
 
 
 @each(GOOD.keys() - PLAIN)
@@ -145,46 +125,6 @@ def test_an_unknown_option_is_one_line(cli, verb):
     assert outcome.err == f"error: No such option: --no-such-option; see `vlp16emu {verb} --help`\n"
 
 
-WITH_PATHS = {
-    "SCENE",
-    "SCENE|FILE.pcap",
-    "OUT",
-    "--gps-out",
-    "--imu-out",
-    "--gps-in",
-    "--pose-in",
-    "--scheduler",
-}
-"""Texts that may be the path of a file, a device or a folder."""
-FILES_OUT = {"OUT", "OUT.png", "--out", "--pcap", "--plot", "--save", "--prepare-to"}
-FILES_OUT |= {("forest", name) for name in ("--inventory", "--stems", "--ground", "--glb")}
-"""Files that a run writes: an earlier file of that name is replaced by a whole new one, or not at all."""
-MINE = b"mine, and of no run\n"
-
-
-def paths_of(verb):
-    """Names of arguments and options that take a path, each with its index among the arguments."""
-    at = -1
-    for leaf in leaves_of(door(verb, "verbs")):
-        at += not leaf.name.startswith("-")
-        if "Path" in str(leaf.kind) or leaf.name in WITH_PATHS:
-            yield leaf.name, at
-
-
-CASES = [(verb, name, at) for verb in sorted(GOOD) for name, at in paths_of(verb)]
-
-
-def with_path(words, name, at, path):
-    """Words of a command with a path as its option, or as its argument of this index."""
-    if name.startswith("-"):
-        return [*words, name, str(path)]
-    places = [
-        i for i, word in enumerate(words) if not word.startswith("--") and not words[i - 1].startswith("--")
-    ]
-    place = places[at + 1]  # after the verb
-    return [*words[:place], str(path), *words[place + 1 :]]
-
-
 def content_of(folder):
     """Names, kinds, modes, and contents or targets of all that is in a folder."""
     found = {}
@@ -196,9 +136,8 @@ def content_of(folder):
     return found
 
 
-def make_target(kind, name, folder):
+def make_target(kind, suffix, folder):
     """Make files of the user in a folder, and return the path among them that a run is given."""
-    suffix = Path(name.partition("|")[2] or name).suffix or ".pcap"
     (folder / "notes").mkdir()
     for file in ("a.txt", "manifest.json", "walk.json", "scenario.json", "trajectory.tum", f"a{suffix}"):
         (folder / "notes" / file).write_bytes(MINE)
@@ -226,14 +165,13 @@ def test_no_file_of_the_user_changes(inputs, tmp_path, monkeypatch, capsys, verb
     work.mkdir()
     monkeypatch.chdir(work)
     Path("spec.toml").write_text(SPEC)
-    Path("forest.json").write_text('{"report": "forest"}')
     mine = tmp_path / "mine"
     mine.mkdir()
-    target = make_target(kind, name, mine)
+    target = make_target(kind, ending_of(verb, name), mine)
     before = content_of(mine)
     of_inputs = content_of(inputs)
     words = with_path([verb, *GOOD[verb].format(inputs=inputs).split()], name, at, target)
-    if verb == "view":
+    if verb == "view" or name in NEVER_ENDING:
         monkeypatch.setattr("sys.stdout", Interrupting())
     code = run(words)
     lines = capsys.readouterr().err.splitlines()
@@ -241,6 +179,9 @@ def test_no_file_of_the_user_changes(inputs, tmp_path, monkeypatch, capsys, verb
     assert not any(line.startswith("Traceback") for line in lines)
     after = content_of(mine)
     is_output = name in FILES_OUT or (verb, name) in FILES_OUT
+    assert code == 0 or kind != "file" or not is_output or name in NEVER_ENDING or (verb, name) in REFUSED, (
+        lines
+    )
     if is_output and code == 0 and kind != "folder":
         written = str(target.resolve().relative_to(mine))
         mode, content = after.pop(written)
@@ -251,9 +192,6 @@ def test_no_file_of_the_user_changes(inputs, tmp_path, monkeypatch, capsys, verb
     assert content_of(inputs) == of_inputs
 
 
-INPUT_AS_OUTPUT = [case for case in CASES if case[1] in FILES_OUT or case[:2] in FILES_OUT]
-
-
 @pytest.mark.parametrize(
     ("verb", "name", "at"), INPUT_AS_OUTPUT, ids=[f"{v} {n}" for v, n, _ in INPUT_AS_OUTPUT]
 )
@@ -262,11 +200,10 @@ def test_an_input_is_no_output(inputs, tmp_path, monkeypatch, capsys, verb, name
     too, is refused or stays as it is."""
     monkeypatch.chdir(tmp_path)
     Path("spec.toml").write_text(SPEC)
-    Path("forest.json").write_text('{"report": "forest"}')
     words = [verb, *GOOD[verb].format(inputs=inputs).split()]
     given = [word for word in words[1:] if Path(word).is_file()]
     before = content_of(tmp_path), content_of(inputs)
-    if verb == "view":
+    if verb == "view" or name in NEVER_ENDING:
         monkeypatch.setattr("sys.stdout", Interrupting())
     for path in given:
         run(with_path(words, name, at, path))
@@ -335,15 +272,6 @@ def drain(path):
     threading.Thread(target=path.read_bytes, daemon=True).start()
 
 
-WAITING_OUT = [
-    *INPUT_AS_OUTPUT,
-    ("stream", "--flown", None),
-    ("stream", "--truth", None),
-    ("truth", "OUT", 1),
-]
-LIVE = "--set motion={kind='live'} --pose-in udp://127.0.0.1:0"
-
-
 @pytest.mark.usefixtures("ctrl_c")
 @pytest.mark.parametrize(
     ("verb", "name", "at"), WAITING_OUT, ids=[f"{verb} {name}" for verb, name, _ in WAITING_OUT]
@@ -355,11 +283,10 @@ def test_an_output_without_a_reader_ends_with_ctrl_c(
     the FIFO stays."""
     monkeypatch.chdir(tmp_path)
     Path("spec.toml").write_text(SPEC)
-    Path("forest.json").write_text('{"report": "forest"}')
-    pipe = tmp_path / f"pipe{Path(name).suffix or '.pcap'}"
+    pipe = tmp_path / f"pipe{ending_of(verb, name)}"
     os.mkfifo(pipe)
     words = [verb, *GOOD[verb].format(inputs=inputs).split()]
-    words = with_path([*words, *(LIVE.split() if name == "--flown" else ())], name, at, pipe)
+    words = with_path(words, name, at, pipe)
     knock = Knock(lambda: drain(pipe))
     opens.events = {str(pipe): knock.waits}
     if verb == "view":

@@ -62,7 +62,7 @@ def test_a_port_in_use_is_one_line(refused):
         number = taken.getsockname()[1]
         line = refused([*STREAM, "--view", "--view-port", number])
     assert line == (
-        f"error: 127.0.0.1:{number}: address already in use; expected an address of this machine with a "
+        f"error: 127.0.0.1:{number}: address already in use; expected an address of this machine and a "
         "free port\n"
     )
 

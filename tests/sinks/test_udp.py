@@ -9,8 +9,9 @@ from listening import opened, port_of
 from sinks.kit import make_packets
 
 from vlp16emu.errors import OutputError, RunError
+from vlp16emu.hosts import LOOPBACK
 from vlp16emu.packets import FACTORY_LINK
-from vlp16emu.sinks import LOOPBACK, UdpSink
+from vlp16emu.sinks import UdpSink
 from vlp16emu.types import Packet, PacketKind
 
 
@@ -78,7 +79,7 @@ def test_broadcast_is_asked_for_only_where_it_is_meant():
     [
         ("", "destination: nothing; expected the IPv4 address or the name of a host"),
         ("0.0.0.0", "destination: 0.0.0.0, which is no host; expected"),
-        ("::1", "destination: '::1', which is unknown; expected the IPv4 address"),
+        ("::1", "destination: ::1, an IPv6 address; expected the IPv4 address"),
         ("a..b", r"destination: 'a\.\.b', which is unknown; expected"),
     ],
 )

@@ -14,8 +14,9 @@ from vlp16emu.cli import arguments as args
 from vlp16emu.cli.printer import finish, print_line
 from vlp16emu.cli.terminal import Progress, make_emulator, stop_on_ctrl_c
 from vlp16emu.errors import InputError, RunError
+from vlp16emu.hosts import LAST_PORT, url_of
 from vlp16emu.libraries import check_extra
-from vlp16emu.run.options import LAST_PORT, Http, Option, ReplayOptions, StreamOptions, TruthTo
+from vlp16emu.run.options import Http, Option, ReplayOptions, StreamOptions, TruthTo
 from vlp16emu.run.part import StreamPart
 from vlp16emu.units import S_NS
 
@@ -104,7 +105,7 @@ def stream(
         _announce(f"streaming {title}", stream.links, quiet=as_json)
         stream.prepare(partial(progress.show, "preparing"))
         if stream.web and stream.web.places and not as_json:
-            places = ", ".join(f"http://{host}:{port}/" for host, port in stream.web.places)
+            places = ", ".join(url_of(host, port) for host, port in stream.web.places)
             print_line(f"web interface at {places}")
         stream.run()
     _close(stream.result, title, strict=strict, as_json=as_json)

@@ -16,6 +16,7 @@ from vlp16emu.cli.printer import count, finish, print_json, print_rows, print_ta
 from vlp16emu.cli.terminal import Progress, compile_first, make_emulator, running, stop_on_ctrl_c
 from vlp16emu.errors import InputError, TrajectoryError
 from vlp16emu.extras.options import DatasetOptions, ImageOptions, PictureLook, PointOptions, TrajectoryErrors
+from vlp16emu.hosts import LAST_PORT, is_wildcard, url_of
 from vlp16emu.libraries import of_extra
 from vlp16emu.run.options import (
     BagOptions,
@@ -355,9 +356,13 @@ def view(
         float, Option("Distance from the path up to which the stand is drawn.", "M", ge=1, le=100)
     ] = 25.0,
     host: Annotated[
-        str, Option("Address of this machine to listen on; other machines can then open the page.", "ADDRESS")
+        str,
+        Option(
+            "Address of this machine to listen on, 0.0.0.0 or :: for all; other machines can then open the page.",
+            "ADDRESS",
+        ),
     ] = "127.0.0.1",
-    port: Annotated[int, Option("Port of the page, 0 for any free one.", "N", ge=0, le=65_535)] = 8016,
+    port: Annotated[int, Option("Port of the page, 0 for any free one.", "N", ge=0, le=LAST_PORT)] = 8016,
 ) -> None:
     """Show a scene in the browser: the stand, the sweep at any time, and the path of a walk, to be edited.
 
@@ -376,7 +381,8 @@ def view(
         from vlp16emu.extras.viewer.page import capture_page, guarded_server, scene_page
     opened = None if capture is not None else _open_scene(scene, settings or (), save)
     with guarded_server(host, port) as server:
-        print(f"http://{host}:{server.get_port()}/  Ctrl-C ends it", flush=True)
+        others = ", for other machines by any address of this one" if is_wildcard(host) else ""
+        print(f"{url_of(host, server.get_port())}{others}  Ctrl-C ends it", flush=True)
         if opened is None:
             assert capture is not None
             page = capture_page(server, capture, truth, unit)

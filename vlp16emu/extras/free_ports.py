@@ -7,7 +7,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from itertools import count, islice
 
 from vlp16emu.errors import OutputError
-from vlp16emu.sinks import LOOPBACK
+from vlp16emu.hosts import LOOPBACK
 
 _FREE = range(20_000, 32_768)
 """Range of the free ports: below the ephemeral ports, which begin at 32768 on Linux

@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from vlp16emu.errors import InputError, RunError
 from vlp16emu.extras.clouds.scan import Chunk, chunk_of_packets, cut_scans
 from vlp16emu.extras.truth.slots import SLOT
+from vlp16emu.hosts import LOOPBACK, url_of
 from vlp16emu.packets.layout import DATA_PAYLOAD
 from vlp16emu.run.emulator import TRUTH_OF_RECORDS, Emulator, Scene
 from vlp16emu.run.options import Http, LiveKeys, StreamOptions
 from vlp16emu.run.part import StreamPart
 from vlp16emu.run.report import Streamed
 from vlp16emu.run.scene_stream import SceneStream
-from vlp16emu.sinks import LOOK_AHEAD_PACKETS, LOOPBACK
+from vlp16emu.sinks import LOOK_AHEAD_PACKETS
 from vlp16emu.types import Packet, PacketKind, Scan
 from vlp16emu.units import S_NS
 
@@ -147,7 +148,7 @@ class Live(StreamPart):
     def http(self) -> str | None:
         """URL of the web interface of the first sensor; None without one."""
         web = self._stream.web
-        return "http://{}:{}/".format(*web.places[0]) if web and web.places else None
+        return url_of(*web.places[0]) if web and web.places else None
 
     def stop(self) -> Streamed:
         """End the stream and return its report, or raise its error. A second call returns the same report."""

@@ -13,9 +13,9 @@ from types import NoneType
 from typing import Annotated, NamedTuple, Self, TypedDict, get_args, get_origin
 
 from vlp16emu.errors import InputError
+from vlp16emu.hosts import LAST_PORT, LOOPBACK, host_and_port, is_ipv6
 
 _LONGEST_S = 7 * 86_400  # longest scene
-LAST_PORT = 65_535
 _SLOWEST = 0.001  # one simulated second in a quarter of an hour
 _UNITS = ("_s", "_hz", "_m", "_deg", "_px")
 """Units at the end of field names; command-line options have names without them."""
@@ -315,12 +315,16 @@ class SendOptions(Options):
 
         Raises InputError if the port is invalid, or given twice.
         """
-        to = self.to if self.to is not None else "127.0.0.1" if self.interface is None else "255.255.255.255"
+        to = self.to if self.to is not None else LOOPBACK if self.interface is None else "255.255.255.255"
         host, colon, port = to.partition(":")
-        if not colon:
+        if not colon or is_ipv6(to):  # which `hosts.resolve` refuses
             return to, self.data_port
         if not (port.isascii() and port.isdecimal() and 1 <= int(port) <= LAST_PORT):
-            raise InputError("--to", f"found {to}", "HOST or HOST:PORT, with a port from 1 to 65535")
+            raise InputError(
+                "--to",
+                f"found {to}",
+                "HOST or HOST:PORT, an IPv4 address or a name, with a port from 1 to 65535",
+            )
         if self.data_port not in (None, int(port)):
             raise InputError(
                 "--to", f"found {to} beside --data-port {self.data_port}", "one port for data packets"
@@ -365,20 +369,6 @@ class ReplayKeys(SendKeys, total=False):
     keep_gaps: bool
 
 
-def host_and_port(text: str, option: str, expected: str, scheme: str = "") -> tuple[str, int]:
-    """Return host and port of HOST:PORT after a scheme, IPv6 addresses in brackets.
-
-    Without a scheme the host may be empty.
-
-    Raises InputError with `option` in front if it is malformed.
-    """
-    host, _, port = text.removeprefix(scheme).rpartition(":")
-    is_place = text.startswith(scheme) and (host or not scheme)
-    if not (is_place and port.isascii() and port.isdecimal() and int(port) <= LAST_PORT):
-        raise InputError(option, f"found {text}", expected)
-    return host.strip("[]"), int(port)
-
-
 @dataclass(frozen=True)
 class Http(Options):
     """Web interfaces of a stream's sensors."""
@@ -408,8 +398,8 @@ class Http(Options):
     @property
     def address(self) -> tuple[str, int]:
         """Host, and port of the first sensor; 0 for free ports. InputError if it is malformed."""
-        host, port = host_and_port(self.at, "--http", "HOST:PORT, such as 127.0.0.1:8080")
-        return host or "127.0.0.1", port
+        host, port = host_and_port(self.at, "--http", "HOST:PORT, such as 127.0.0.1:8080 or [::1]:8080")
+        return host or LOOPBACK, port
 
 
 @dataclass(frozen=True)

@@ -1,18 +1,15 @@
 """Sending of packets as UDP datagrams, for one sensor or all sensors of a rig."""
 
 import errno
-import ipaddress
 import socket
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack
 
 from vlp16emu.errors import OutputError, RunError
-from vlp16emu.output import unless_ending
+from vlp16emu.hosts import LOOPBACK, resolve
 from vlp16emu.packets.frames import DATA_PORT, DATA_TTL, FACTORY_LINK, POSITION_PORT, POSITION_TTL, Link
 from vlp16emu.types import Packet, PacketKind, PacketSink
-
-LOOPBACK = "127.0.0.1"  # Default destination of packets: this machine
 
 # Linux socket options that Python does not name. Source: linux/in.h and asm-generic/socket.h.
 _SO_NO_CHECK = 11
@@ -122,22 +119,6 @@ class UdpSink(PacketSink):
         self.sent[unit][kind] += 1
         if kind is PacketKind.POSITION:
             self.latest_position[unit] = packet.payload
-
-
-def resolve(host: str) -> str:
-    """IPv4 address of a host; a VLP-16 does not support IPv6."""
-    expected = "the IPv4 address or the name of a host"
-    if not host or host.isspace():
-        raise OutputError("destination", "nothing", expected)
-    try:
-        # A name server that does not answer is waited for as long as the system says.
-        found = unless_ending(lambda: socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_DGRAM))
-    except (OSError, UnicodeError) as error:
-        raise OutputError("destination", f"{host!r}, which is unknown", expected) from error
-    address = str(found[0][4][0])
-    if ipaddress.ip_address(address).is_unspecified:
-        raise OutputError("destination", f"{address}, which is no host", expected)
-    return address
 
 
 def _is_broadcast(address: str, as_sensor: str | None, interface: str | None) -> bool:

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import settings
 
 from vlp16emu.extras.bench.device import Device, DeviceInfo, DeviceSettings, DeviceStatus
-from vlp16emu.extras.bench.web import WebServer, listen
+from vlp16emu.extras.bench.web import WebServer
+from vlp16emu.hosts import bound
 from vlp16emu.types import PpsState, SensorModel
 from vlp16emu.units import S_NS
 
@@ -102,7 +103,7 @@ def web(make, tmp_path):
         engine=engine, device=device, fault=None, delay_s=0.0, file=tmp_path / "saved.json"
     )
     faults = {"fault": lambda: bench.fault, "delay_s": lambda: bench.delay_s}
-    with WebServer(device, listen("127.0.0.1", 0), **faults) as server:
+    with WebServer(device, bound(socket.SOCK_STREAM, "127.0.0.1", 0, "--http"), **faults) as server:
         bench.server, bench.address = server, server.address
         bench.client = Client(server.address)
         yield bench

@@ -15,7 +15,8 @@ from referencing import Registry, Resource
 
 from vlp16emu.errors import InputError, OutputError
 from vlp16emu.extras.bench.device import DeviceInfo, DeviceSettings, document
-from vlp16emu.extras.bench.web import WebServer, listen
+from vlp16emu.extras.bench.web import WebServer
+from vlp16emu.hosts import bound
 from vlp16emu.run.options import Http
 from vlp16emu.types import PpsState, SensorModel
 
@@ -279,7 +280,7 @@ def test_a_connection_that_is_kept_open_does_not_disturb_the_end(make, caplog):
     """A client that still has its connection when the sensor goes is cut off without a word in the log."""
     _, device = make()
     with socket.socket() as line:
-        with WebServer(device, listen("127.0.0.1", 0)) as server:
+        with WebServer(device, bound(socket.SOCK_STREAM, "127.0.0.1", 0, "--http")) as server:
             line.connect(server.address)
             line.sendall(get("/cgi/info.json"))
             assert line.recv(65_536).startswith(b"HTTP/1.1 200 OK")
@@ -307,7 +308,7 @@ def test_a_port_that_is_taken_is_named(web):
         with pytest.raises(
             OutputError, match=f"--http {place}:{port}: .*expected an address of this machine"
         ):
-            listen(place, port)
+            bound(socket.SOCK_STREAM, place, port, f"--http {place}:{port}")
 
 
 WANTED = {

@@ -16,7 +16,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from vlp16emu.extras.bench.device import DeviceSettings
-from vlp16emu.extras.bench.web import MOST_BODY_BYTES, MOST_CONNECTIONS, MOST_HEADER_BYTES, WebServer, listen
+from vlp16emu.extras.bench.web import MOST_BODY_BYTES, MOST_CONNECTIONS, MOST_HEADER_BYTES, WebServer
+from vlp16emu.hosts import bound
 
 DOCUMENTS = [
     f"/cgi/{name}" for name in ("settings.json", "status.json", "diag.json", "info.json", "snapshot.hdl")
@@ -150,7 +151,10 @@ def test_connections_are_bounded(make, monkeypatch):
     monkeypatch.setattr("vlp16emu.extras.bench.web.LONGEST_S", 600.0)
     _, device = make()
     get = b"GET /cgi/info.json HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
-    with WebServer(device, listen("127.0.0.1", 0)) as server, contextlib.ExitStack() as stack:
+    with (
+        WebServer(device, bound(socket.SOCK_STREAM, "127.0.0.1", 0, "--http")) as server,
+        contextlib.ExitStack() as stack,
+    ):
 
         def call():
             line = stack.enter_context(socket.create_connection(server.address, timeout=60))

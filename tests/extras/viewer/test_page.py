@@ -34,8 +34,8 @@ def client_of(port):
     return connect(f"ws://127.0.0.1:{port}/", subprotocols=[kind], max_size=None)
 
 
-def status(port, path="/", **headers):
-    with closing(http.client.HTTPConnection("127.0.0.1", port, timeout=20)) as connection:
+def status(port, path="/", host="127.0.0.1", **headers):
+    with closing(http.client.HTTPConnection(host, port, timeout=20)) as connection:
         connection.request("GET", path, headers=headers)
         return connection.getresponse().status
 
@@ -74,6 +74,17 @@ def test_the_page_is_there_and_no_file_beside_it(port):
     assert status(port, Origin="http://evil.example") == 403
     with pytest.raises(WebSocketException, match="403"):
         connect(f"ws://127.0.0.1:{port}/", origin="http://evil.example")
+
+
+@pytest.mark.parametrize(("host", "near"), [("::1", "::1"), ("::", "::1"), ("0.0.0.0", "127.0.0.1")])
+def test_a_page_on_other_addresses_has_the_same_guard(host, near):
+    """By IPv6, or on all addresses, the page answers its own addresses; names that resolve here and pages of
+    others stay refused."""
+    with guarded_server(host, 0) as server:
+        number = server.get_port()
+        assert status(number, host=near) == 200
+        assert status(number, host=near, Host=f"evil.example:{number}") == 403
+        assert status(number, host=near, Origin="http://evil.example") == 403
 
 
 def test_no_address_is_asked_for_and_no_file_is_taken(port, monkeypatch):

@@ -23,7 +23,8 @@ from vlp16emu.errors import InputError, OutputError
 from vlp16emu.explain import explain
 from vlp16emu.extras.bench.device import Device, DeviceInfo, DeviceSettings, DeviceStatus, check_saved
 from vlp16emu.extras.bench.events import Event, checked, event, tables
-from vlp16emu.extras.bench.web import WebServer, listen
+from vlp16emu.extras.bench.web import WebServer
+from vlp16emu.hosts import bound, place_of
 from vlp16emu.packets import POSITION_BYTES, decode_position
 from vlp16emu.run.feed import PacketFeed
 from vlp16emu.run.part import WebPart
@@ -79,7 +80,9 @@ class WebInterfaces(WebPart):
         host, first = http.address
         with ExitStack() as opening:
             for number in range(len(stream.links)):
-                self._listeners.append(opening.enter_context(listen(host, first and first + number)))
+                port = first and first + number
+                listener = bound(socket.SOCK_STREAM, host, port, f"--http {place_of(host, port)}")
+                self._listeners.append(opening.enter_context(listener))
             self._open = opening.pop_all()
 
     def ready(self) -> None:

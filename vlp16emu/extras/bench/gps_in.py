@@ -9,7 +9,7 @@ from typing import Any
 
 from vlp16emu.engine.gps_input import STALE_NS, pps_state
 from vlp16emu.errors import OutputError, PacketError
-from vlp16emu.extras.bench.outlets import Away, SerialPort, has_line
+from vlp16emu.extras.bench.outlets import PATIENCE_S, Away, SerialPort, has_line
 from vlp16emu.extras.bench.retime import age_ns, restamped
 from vlp16emu.motion.settings import Gps
 from vlp16emu.packets import STAMP_LEAD_NS
@@ -190,7 +190,7 @@ class GpsReader(StreamPart):
         if self._thread.ident is None:  # it closes the port
             self._port.close()
         else:
-            self._thread.join()
+            self._thread.join(PATIENCE_S)  # a daemon: a thread that waits for a host elsewhere is abandoned
 
     @property
     def result(self) -> GpsInResult:

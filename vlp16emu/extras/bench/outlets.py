@@ -25,13 +25,12 @@ from vlp16emu.engine import Engine
 from vlp16emu.errors import OutputError, RunError, ScenarioError
 from vlp16emu.extras.bench.imu_frame import IMU_FRAME, imu_frames
 from vlp16emu.extras.imu.sampler import ImuSampler
+from vlp16emu.hosts import host_and_port, resolve
 from vlp16emu.output import unless_ending
 from vlp16emu.packets import rmc
-from vlp16emu.run.options import host_and_port
 from vlp16emu.run.part import OutletPart
 from vlp16emu.run.scene_stream import SceneStream
 from vlp16emu.sinks import PacketSink
-from vlp16emu.sinks.udp import resolve
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import MS_NS, S_NS
 
@@ -133,7 +132,7 @@ class Beside:
 T = TypeVar("T")
 
 _RETRY_S = 1.0  # period of attempts to open a device that has vanished
-_PATIENCE_S = 0.25
+PATIENCE_S = 0.25
 """Greatest time that a message waits for the line, and that writing takes: a quarter of a receiver's
 second."""
 _WAITING = 4096  # greatest number of waiting messages: more than samples of an inertial unit in that time
@@ -257,7 +256,7 @@ class SerialPort:
     def _open(self) -> Any:  # a class of pyserial, which has no types
         import serial
 
-        patience = {"timeout": _PATIENCE_S, "write_timeout": _PATIENCE_S}
+        patience = {"timeout": PATIENCE_S, "write_timeout": PATIENCE_S}
         port = serial.serial_for_url(self.name, self._baud, **patience, do_not_open=True)
         if self.line:
             setattr(port, self.line, False)
@@ -295,7 +294,7 @@ class SerialSink(PacketSink):
     def __exit__(self, *_: object) -> None:
         with suppress(queue.Full):
             self._waiting.put_nowait(None)
-        self._thread.join(2 * _PATIENCE_S)  # a daemon: a thread that hangs in a driver is abandoned
+        self._thread.join(2 * PATIENCE_S)  # a daemon: a thread that hangs in a driver is abandoned
 
     def send(self, packet: Packet) -> None:
         """Queue one packet for the line; returns at once."""
@@ -316,7 +315,7 @@ class SerialSink(PacketSink):
             since_s, packet = item
             if packet.kind is PacketKind.PPS:
                 self._set_line(high=any(packet.payload))
-            elif time.monotonic() - since_s > _PATIENCE_S or not self._write(packet.payload):
+            elif time.monotonic() - since_s > PATIENCE_S or not self._write(packet.payload):
                 self._dropped += 1
         self._set_line(high=False)
         self._port.close()
@@ -325,7 +324,7 @@ class SerialSink(PacketSink):
         def put(port: Any) -> int | None:
             """Wait for room first: pyserial would poll for it and use a whole core."""
             with suppress(UnsupportedOperation):  # a port without descriptor, such as loop://
-                if not select.select([], [port.fileno()], [], _PATIENCE_S)[1]:
+                if not select.select([], [port.fileno()], [], PATIENCE_S)[1]:
                     return None
             written: int = port.write(payload)
             return written

@@ -19,7 +19,7 @@ from threading import Event, Thread
 from typing import Self
 from urllib.parse import urlsplit
 
-from vlp16emu.errors import OutputError, Vlp16emuError
+from vlp16emu.errors import Vlp16emuError
 from vlp16emu.extras.bench.device import PATHS, Device, FormError, document, submit
 
 MOST_CONNECTIONS = 32  # at a time; more connections are closed
@@ -72,31 +72,13 @@ class _BadRequestError(Exception):
     """A request that is malformed or too long: status and reason."""
 
 
-def listen(host: str, port: int) -> socket.socket:
-    """Return a socket that listens on an address, port 0 for a free one; clients wait until it is served.
-
-    Raises OutputError if it cannot listen there.
-    """
-    listener = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        listener.bind((host, port))
-        listener.listen(128)
-    except (OSError, UnicodeError) as error:
-        listener.close()
-        found = getattr(error, "strerror", None) or "no name of a host"
-        expected = "an address of this machine and a free port"
-        raise OutputError(f"--http {host}:{port}", found.lower(), expected) from error
-    return listener
-
-
 class WebServer:
     """The web interface of one sensor; a context manager, inside which it answers.
 
     Parameters
     ----------
     device : settings and status of the sensor
-    listener : socket that listens, see `listen`
+    listener : socket that listens, see `hosts.bound`
     fault : returns the present fault: HTTP status of all answers, 0 for no answer, None for no fault
     delay_s : returns the present delay of all answers, in seconds, which `LONGEST_S` does not include
 

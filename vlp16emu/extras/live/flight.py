@@ -14,14 +14,15 @@ from typing import Self
 import numpy as np
 
 from vlp16emu.engine.engine import make_receiver
-from vlp16emu.errors import InputError, OutputError
+from vlp16emu.errors import InputError
 from vlp16emu.extras.live.flown import FLOWN_HEADER, flown_rows
 from vlp16emu.extras.live.knots import STEP_NS
 from vlp16emu.extras.live.motion import LOST_NS, LiveMotion, PosesLost
 from vlp16emu.extras.live.pose_packet import POSE_BYTES, is_pose, unpack_pose
 from vlp16emu.extras.live.windows import LiveWindows
+from vlp16emu.hosts import bound, host_and_port
 from vlp16emu.output import OutputFile, spare
-from vlp16emu.run.options import PosesIn, host_and_port
+from vlp16emu.run.options import PosesIn
 from vlp16emu.run.part import PosePart
 from vlp16emu.run.scene_stream import SceneStream
 from vlp16emu.sinks import LatenessHistogram
@@ -52,13 +53,7 @@ class PoseReceiver:
         self._put = put
         self._over = threading.Event()
         self.malformed = 0  # datagrams that are not pose packets
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        try:
-            self._socket.bind(place)
-        except (OSError, UnicodeError) as error:
-            self._socket.close()
-            found = getattr(error, "strerror", None) or str(error)
-            raise OutputError(where, found, "an address of this machine and a free port") from error
+        self._socket = bound(socket.SOCK_DGRAM, *place, where)
         self._socket.setblocking(False)
         host, port = self._socket.getsockname()
         self.where = f"udp://{host}:{port}"  # address and port of the socket

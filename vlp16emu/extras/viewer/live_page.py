@@ -25,8 +25,9 @@ from vlp16emu.extras.viewer.live import Batch, PageSetup, instant_ns, receive
 from vlp16emu.extras.viewer.live_settings import SettingsPanel
 from vlp16emu.extras.viewer.page import guarded_server
 from vlp16emu.extras.viewer.sweeps import Sweep, to_world
+from vlp16emu.hosts import LOOPBACK, url_of
 from vlp16emu.packets import DATA_BYTES, DATA_PAYLOAD, RETURN_MODE_BYTE, decode_position
-from vlp16emu.sinks import LOOPBACK, TOLERANCE_NS
+from vlp16emu.sinks import TOLERANCE_NS
 from vlp16emu.types import F8, I8, Packet, PacketKind, Scan
 from vlp16emu.units import S_NS
 
@@ -282,7 +283,7 @@ def main() -> None:
     try:
         with guarded_server(LOOPBACK, setup.port) as server:
             view = LiveView(server, setup)
-            channel.send(pickle.dumps(f"http://{LOOPBACK}:{server.get_port()}/"))
+            channel.send(pickle.dumps(url_of(LOOPBACK, server.get_port())))
             view.run(channel)
     except OutputError as error:
         channel.send(pickle.dumps(error))

@@ -6,7 +6,6 @@ address if a page asks.
 
 import logging
 import math
-import socketserver
 import time
 from asyncio import all_tasks
 from collections import deque
@@ -15,7 +14,6 @@ from contextlib import contextmanager, redirect_stdout, suppress
 from html import escape
 from http import HTTPStatus
 from io import StringIO
-from ipaddress import ip_address
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -28,18 +26,17 @@ from websockets.asyncio.server import Server, ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from vlp16emu.errors import OutputError
 from vlp16emu.extras.survey import Survey, survey
 from vlp16emu.extras.viewer.editor import Editor, Opened
 from vlp16emu.extras.viewer.layers import colours_of, html_box, layers_of_scan, legend_of
 from vlp16emu.extras.viewer.stand import pieces_of
 from vlp16emu.extras.viewer.sweeps import CaptureSweeps, SceneSweeps, Sweep
 from vlp16emu.extras.walk.settings import Walk
+from vlp16emu.hosts import free_address, is_address, is_wildcard, place_of
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.types import F8
 
 LOOPBACK = frozenset({"127.0.0.1", "localhost"})
-EVERYWHERE = "0.0.0.0"  # noqa: S104  # only where a user asks for it
 _MOST_KEPT = 50  # sweeps drawn together: 1.2 million points
 _LISTED = 6  # greatest number of faults listed for a sweep
 _PATH = (220, 60, 40)
@@ -53,32 +50,22 @@ def guarded_server(host: str, port: int) -> Iterator[viser.ViserServer]:
 
     Parameters
     ----------
-    host : address to listen on; requests may use only this name and loopback
+    host : address or name to listen on, 0.0.0.0 or :: for all addresses of a family; requests may use only
+        this name, its address and loopback, and then any address
     port : 0 for any that is free
     """
-    _check_host(host)
-    try:  # viser would try the next thousand ports, and wait without end if there is no such address
-        with socketserver.TCPServer((host, port), socketserver.BaseRequestHandler):
-            pass
-    except OSError as error:
-        found = (error.strerror or "cannot be used").lower()
-        raise OutputError(f"{host}:{port}", found, "an address of this machine with a free port") from None
+    # viser would try the next thousand ports, and wait without end if there is no such address.
+    address = free_address(host, port, place_of(host, port))
     with redirect_stdout(StringIO()):
-        server = viser.ViserServer(host=host, port=port, label="vlp16emu", verbose=False)
+        server = viser.ViserServer(host=address, port=port, label="vlp16emu", verbose=False)
     try:
         server.request_share_url = lambda verbose=True: None  # noqa: ARG005  # no public tunnel
-        _check_requests(server, LOOPBACK | {host}, takes_addresses=host == EVERYWHERE)
+        _check_requests(server, LOOPBACK | {host, address}, takes_addresses=is_wildcard(address))
         server.gui.configure_theme(show_logo=False, show_share_button=False)
         yield server
     finally:
         with redirect_stdout(StringIO()):
             server.stop()
-
-
-def _check_host(host: str) -> None:
-    """Raise OutputError without an address: an empty one would listen on all interfaces."""
-    if not host.strip():
-        raise OutputError("--host", f"found '{host}'", f"an address of this machine, or {EVERYWHERE} for all")
 
 
 def _check_requests(
@@ -122,15 +109,8 @@ def is_ours(headers: Headers, names: frozenset[str], *, takes_addresses: bool = 
     origins = headers.get_all("Origin")
     with suppress(ValueError):  # from a malformed address
         name = urlsplit(f"//{hosts[0]}").hostname if len(hosts) == 1 else None
-        if name in names or (takes_addresses and name is not None and _is_address(name)):
+        if name in names or (takes_addresses and name is not None and is_address(name)):
             return not origins or origins == [f"http://{hosts[0]}"]
-    return False
-
-
-def _is_address(name: str) -> bool:
-    with suppress(ValueError):
-        ip_address(name)
-        return True
     return False
 
 
