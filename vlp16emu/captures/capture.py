@@ -90,8 +90,9 @@ class Datagram(NamedTuple):
     @property
     def source(self) -> bytes:
         """IP address of the sender, 4 bytes, or 16 of IPv6."""
-        ip = self.ip
-        return ip[12:16] if ip[0] >> 4 == 4 else ip[8:24]
+        header = self.header
+        at = self.ip_offset
+        return header[at + 12 : at + 16] if header[at] >> 4 == 4 else header[at + 8 : at + 24]
 
     @property
     def mac(self) -> bytes:
@@ -167,7 +168,10 @@ class Capture:
                     self._note_damage(path, frame)
                     continue
                 self.frames += 1
-                for datagram in _merged(self._datagram(frame)):
+                found = self._datagram(frame)
+                if found is None:
+                    continue
+                for datagram in _parts(found) if len(found.payload) > DATA_BYTES else (found,):
                     if self._keeps_repeats or not self._is_repeat(datagram):
                         yield datagram
 
@@ -225,7 +229,8 @@ class Capture:
         Time stamps make payloads unique.
         """
         payload = datagram.payload
-        if len(payload) != POSITION_BYTES and not (len(payload) == DATA_BYTES and payload.startswith(_FLAG)):
+        is_data = len(payload) == DATA_BYTES and payload.startswith(_FLAG)
+        if not is_data and len(payload) != POSITION_BYTES:
             return False
         known = datagram.source, datagram.destination_port, payload
         if known in self._recent:
@@ -259,16 +264,14 @@ def _is_data(payload: bytes) -> bool:
     return flags == {_FLAG} and payload[-2] in RETURN_MODE_BYTE.values()
 
 
-def _merged(datagram: Datagram | None) -> Iterable[Datagram]:
-    """Yield a datagram, or each data packet in it.
+def _parts(datagram: Datagram) -> Iterable[Datagram]:
+    """Return the data packets in a long datagram, or the datagram if it holds something else.
 
     A network card may have merged several (UDP GRO of Linux).
     """
-    if datagram is None:
-        return ()
     payload = datagram.payload
     size = DATA_BYTES
-    if len(payload) <= size or len(payload) % size or not payload.startswith(_FLAG):
+    if len(payload) % size or not payload.startswith(_FLAG):
         return (datagram,)
     own_bytes = len(datagram.header) + size
     parts = (payload[at : at + size] for at in range(0, len(payload), size))

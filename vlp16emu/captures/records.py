@@ -7,7 +7,7 @@ stamps within a day).
 
 import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,7 +32,7 @@ _HAS_CHECK = 0x0400_0000  # frames end with a frame check sequence
 _LONGEST_FRAME_BYTES = 262_144  # a longer record means damage (MAXIMUM_SNAPLEN of libpcap)
 _DAY_S = 86_400
 _SURE = 3  # records in a row that are no accident
-_PIECE_BYTES = 1 << 16
+_PIECE_BYTES = 1 << 20
 _SEARCHED_BYTES = 1 << 20
 
 
@@ -86,6 +86,10 @@ class Window:
                 return
             size -= len(part)
             yield part
+
+    def held(self) -> tuple[bytes, int]:
+        """Return the bytes in memory, and where the window begins in them."""
+        return self._held, self._begin
 
     def skip(self, size: int) -> None:
         """Move the window over bytes that have been seen."""
@@ -145,6 +149,41 @@ class _Records:
             if not self._window.peek(1, ahead - 1):  # the last record is truncated
                 return number > 1
         return True
+
+    def sound_frames(
+        self, again: bytes, link_type: int, check_bytes: int, near_s: int
+    ) -> Generator[Frame, None, tuple[int, int]]:
+        """Yield the frames of sound records in memory, each followed by a sound record; move the window.
+
+        Nearly all frames of a capture are read here. Returns their number, and the seconds of the last one.
+
+        Parameters
+        ----------
+        near_s, again : as for `goes_on`
+        """
+        held, begin = self._window.held()
+        unpack_from = self._struct.unpack_from
+        last = len(held) - self.size
+        most_units = S_NS // self.unit_ns
+        at = begin
+        count = 0
+        while at <= last and not held.startswith(again, at):
+            seconds, fraction, captured, wire = unpack_from(held, at)
+            following = at + self.size + captured
+            if captured > _LONGEST_FRAME_BYTES or following > last:
+                break
+            next_head = _Head(*unpack_from(held, following))
+            is_sound = fraction < most_units and abs(seconds - near_s) <= _DAY_S
+            if not (is_sound and self.is_sound(next_head, seconds)):
+                break
+            stamp_ns = seconds * S_NS + fraction * self.unit_ns
+            wire = max(wire - check_bytes, 0)
+            yield Frame(stamp_ns, link_type, wire, held[at + self.size : following][:wire])
+            near_s = seconds
+            at = following
+            count += 1
+        self._window.skip(at - begin)
+        return count, near_s
 
     def goes_on(self, ahead: int, near_s: int | None, again: bytes) -> bool:
         """Return whether there is a record or the end of the file at a place.
@@ -221,6 +260,8 @@ def pcap_frames(path: Path, file: Any) -> Frames:
         if is_complete and records.goes_on(size, near_s, again):
             window.skip(size)
             yield frame
+            count, near_s = yield from records.sound_frames(again, link_type, check_bytes, near_s)
+            number += count
             continue
         window.skip(1)
         if not records.find(near_s) and not is_complete:

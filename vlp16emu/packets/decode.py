@@ -238,11 +238,13 @@ def decode_position(payload: bytes) -> PositionFields:
     if len(payload) != layout.POSITION_BYTES:
         raise PacketError("position packet", f"{len(payload)} bytes", f"{layout.POSITION_BYTES}")
     fields = np.frombuffer(payload, layout.POSITION_PAYLOAD)[0]
-    if fields["pps"] not in tuple(PpsState):
-        raise PacketError("position packet: PPS state", f"{fields['pps']}", "0 to 3")
+    try:
+        pps = PpsState(int(fields["pps"]))
+    except ValueError:
+        raise PacketError("position packet: PPS state", f"{fields['pps']}", "0 to 3") from None
     return PositionFields(
         time_ns=int(fields["timestamp_us"]) * US_NS,
-        pps=PpsState(fields["pps"]),
+        pps=pps,
         sentence=bytes(fields["sentence"]).split(b"\0")[0],
     )
 
