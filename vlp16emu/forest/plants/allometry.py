@@ -23,6 +23,9 @@ _FOOT_M = 0.3048
 _TRUNCATION_CM = 6.9  # left truncation of the diameter distributions (Nagel and Biging 1995)
 _LARGEST_DBH_RATIO = 1.6  # largest over quadratic mean diameter of a stand; assumption
 _STUMP_SHARE = 0.01  # stump height over tree height, as in Vonderach and Kaendler (2021)
+_CROWN_BASE_DBH_CM = 120.0
+"""Greatest DBH in the square of the crown ratio equation, which would bring the crown of a thicker tree down
+to the ground; assumption."""
 _COMPONENT_TERMS = 8  # coefficients of one component of `components` biomass
 
 
@@ -77,7 +80,8 @@ def _logistic_crown_base(
 ) -> F8:
     """Logit of the crown base's relative height, Hasenauer and Monserud (1996); a, b1, b2, b3, c1, c2."""
     a, b1, b2, b3, c1, c2 = coefficients
-    size = a + b1 * 100 * height_m / dbh_cm + b2 * height_m + b3 * np.square(dbh_cm)
+    measured_cm = np.minimum(dbh_cm, _CROWN_BASE_DBH_CM)
+    size = a + b1 * 100 * height_m / dbh_cm + b2 * height_m + b3 * np.square(measured_cm)
     return size + c1 * larger_m2_per_ha + c2 * log(np.maximum(ccf_percent, 1.0))
 
 

@@ -169,6 +169,16 @@ class Spread(Section):
     """Spread of the logarithm of the stem's volume at a given diameter and height."""
 
 
+class Champion(Section):
+    """Height and DBH of the tallest and of the thickest known tree of a species, which may be two trees.
+
+    By default the largest of all: coast redwood has 116 m, Montezuma cypress more than 5 m.
+    """
+
+    height_m: Annotated[float, Field(ge=2, le=130)] = 130.0
+    dbh_cm: Annotated[float, Field(ge=1, le=500)] = 500.0
+
+
 class Plant(Section):
     """Common keys of trees and shrubs. Sources are in `species.toml`, value by value."""
 
@@ -204,6 +214,7 @@ class Species(Plant):
 
     height_curve: HeightCurve
     spread: Spread = Spread()
+    champion: Champion = Champion()
     crown_width: CrownWidth
     crown_base: CrownBase
     open_crown: Pair = (0.1783, 0.5665)

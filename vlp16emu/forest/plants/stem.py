@@ -27,8 +27,10 @@ _SIGMA_OVER_MEAN = np.sqrt(2 / np.pi)
 _MOST_BOW = 0.5
 """Greatest bow over the DBH: branches start on the straight axis, which must stay within the stem."""
 _LEAST_BOLE_M = 0.1
-"""Least length over which a stem bends, for crowns that begin at the ground: below the ground the bends go on
-as polynomials of the share of the bole."""
+"""Least length over which a stem bends, for crowns that begin at the ground."""
+_LOWEST_BEND = -0.25
+"""Lowest height of a bend over the length of the bole: below the ground bends go on as polynomials, which would
+carry the buried foot of a bole of decimetres away."""
 _S_SHARE = 0.4  # amplitude of the S-shaped bend over the bow; assumption
 _SWEEP_M = 0.6  # height over which the sweep of the butt falls to 1/e; assumption
 _LOBES = (3, 6)
@@ -68,10 +70,12 @@ class StemForms:
 
     def aside_m(self, above_m: F8) -> F8:
         """Offset (n, r, 2), east and north, of axes from straight lines at heights (n, r) over their feet."""
-        u = np.minimum(above_m / np.maximum(self.bole_m, _LEAST_BOLE_M)[:, None], 1.0)
+        u = np.clip(above_m / np.maximum(self.bole_m, _LEAST_BOLE_M)[:, None], _LOWEST_BEND, 1.0)
         bow = 27 / 4 * u * np.square(1 - u)  # 1 at a third of the bole, with slope 0 at its end
         to_and_fro = 13.2 * u * np.square(1 - u) * (1 - 3 * u)
-        butt = _SWEEP_M * -expm1(-above_m / _SWEEP_M) * np.square(1 - u)
+        # Straight below the ground, where the curve would leave the foot of a thick stem by metres.
+        swept_m = _SWEEP_M * -expm1(-np.maximum(above_m, 0.0) / _SWEEP_M) + np.minimum(above_m, 0.0)
+        butt = swept_m * np.square(1 - u)
         bends = self.bends[:, None]
         aside: F8 = bow[..., None] * bends[:, :, 0] + to_and_fro[..., None] * bends[:, :, 1]
         return aside + butt[..., None] * bends[:, :, 2]

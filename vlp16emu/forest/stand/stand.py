@@ -12,7 +12,16 @@ from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.polyline import Corridor
 from vlp16emu.forest.plants.allometry import taper_radius_m, truncated_weibull_cm
 from vlp16emu.forest.plants.prototypes import VARIANTS, CrownKey
-from vlp16emu.forest.plants.species import BARK_SPREAD, LEAF_SPREAD, Flora, Table, Trees, find_species, tapers
+from vlp16emu.forest.plants.species import (
+    BARK_SPREAD,
+    LEAF_SPREAD,
+    Flora,
+    Species,
+    Table,
+    Trees,
+    find_species,
+    tapers,
+)
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import MOST_STEMS_PER_HA, Forest, SpeciesShare, Storey
 from vlp16emu.forest.stand.points import Land, PointPattern, pattern_of
@@ -80,6 +89,7 @@ class _Cohort:
     def __init__(self, share: SpeciesShare, plants: Flora) -> None:
         self.share = share
         self.species = find_species([share.species], plants.trees, "species")[0]
+        _check_size(share, self.species)
         midpoints = (np.arange(4096) + 0.5) / 4096
         raw_cm = truncated_weibull_cm(self.species.diameters, midpoints, share.dbh_cm)
         self._scale = share.dbh_cm / math.sqrt(float(np.mean(np.square(raw_cm))))
@@ -107,6 +117,17 @@ class _Cohort:
         trees["bark_reflectance"] = species.bark_reflectance + BARK_SPREAD * (2 * uniform[:, 1] - 1)
         trees["leaf_reflectance"] = species.leaf_reflectance + LEAF_SPREAD * (2 * uniform[:, 2] - 1)
         return trees
+
+
+def _check_size(share: SpeciesShare, species: Species) -> None:
+    """Raise GeometryError for a mean tree that is larger than the largest known of its species."""
+    champion = species.champion
+    if share.height_m > champion.height_m:
+        expected = f"{champion.height_m:g} at most, the height of the tallest known"
+        raise GeometryError(f"species {species.name}: height_m", f"found {share.height_m:g}", expected)
+    if share.dbh_cm > champion.dbh_cm:
+        expected = f"{champion.dbh_cm:g} at most, the DBH of the thickest known"
+        raise GeometryError(f"species {species.name}: dbh_cm", f"found {share.dbh_cm:g}", expected)
 
 
 def competition(
