@@ -74,7 +74,7 @@ def first_rings(key):
 
 
 def stem_radius_m(key, heights_m):
-    taper = flora().trees[key.species].taper.row[None]
+    taper = flora().trees[key.species].taper_rows(np.array([key.dbh_m]))
     return taper_radius_m(taper, np.array([key.dbh_m]), np.array([key.height_m]), np.array([heights_m]))[0]
 
 

@@ -126,7 +126,7 @@ def _orders(
     name = species.number, key.variant, round(key.dbh_m * 1e4)
     rng, bole_rng = (generator(seed, purpose, *name) for purpose in (Growth.CROWN, Growth.DEAD_BRANCH))
     at_m = np.append(*(np.linspace(key.crown_base_m, end_m, 16) for end_m in (key.height_m, 0.0)))
-    taper = species.taper.row[None]
+    taper = species.taper_rows(np.array([key.dbh_m]))
     stem_m = taper_radius_m(taper, np.array([key.dbh_m]), np.array([key.height_m]), at_m[None])[0]
     habit = species.crown
     longest_m = species.crown.base_fraction * key.crown_width_m / 2
