@@ -29,7 +29,7 @@ from vlp16emu.random import generator
 from vlp16emu.types import F8, Mesh, PlantPart
 from vlp16emu.world.vectors import closed_body, places_m
 
-VARIANTS = 3  # crowns of the same species and diameter class, from short to long
+VARIANTS = 3  # crown lengths of the same species and diameter class; each has the `shapes` of its habit
 CROWN_PARTS = (
     PlantPart.BRANCH_FIRST_ORDER,
     PlantPart.BRANCH_HIGHER_ORDER,
@@ -54,6 +54,7 @@ class CrownKey:
     leaf_area_m2: float  # one-sided
     season: Season = "leaf_on"
     dead_branches: bool = False  # True if dead branches remain below the crown
+    openness: float = 0.0  # 0 in a closed stand, 1 without neighbours
 
     @property
     def crown_length_m(self) -> float:
@@ -128,8 +129,8 @@ def _orders(
     at_m = np.append(*(np.linspace(key.crown_base_m, end_m, 16) for end_m in (key.height_m, 0.0)))
     taper = species.taper_rows(np.array([key.dbh_m]))
     stem_m = taper_radius_m(taper, np.array([key.dbh_m]), np.array([key.height_m]), at_m[None])[0]
-    habit = species.crown
-    longest_m = species.crown.base_fraction * key.crown_width_m / 2
+    habit = species.crown.in_stand(key.openness)
+    longest_m = habit.base_fraction * key.crown_width_m / 2
     living, *dead = bole_branches(bole_rng, habit, key.crown_base_m, longest_m, stem_m[16:])
     crown = [first_order(rng, habit, (key.crown_length_m, key.crown_width_m), stem_m[:16])]
     below = [living]

@@ -88,6 +88,14 @@ class Twigs(Section):
     droop_deg: float
 
 
+class OpenGrown(Section):
+    """Keys of a crown's habit that differ on a tree without neighbours."""
+
+    base_fraction: Fraction
+    widest_at: Annotated[float, Field(ge=0.01, le=0.99)]
+    rise_deg: Pair
+
+
 class Habit(Section):
     """Branching of a crown. Pairs are [crown base, crown top], with linear interpolation."""
 
@@ -95,15 +103,25 @@ class Habit(Section):
     """Crown radius at the crown base over the largest."""
     widest_at: Annotated[float, Field(ge=0.01, le=0.99)]
     """Relative height of the crown's greatest width."""
-    top_power: Annotated[float, Field(ge=0.2, le=10)]
+    top_power: Annotated[float, Field(ge=0.2, le=10)] = 1.0
     """Exponent of the radius above the widest point, 1 - s^top_power: 1 is a cone, 2 a parabola."""
+    dome: Annotated[float, Field(ge=0.1, le=1)] | None = None
+    """Exponent of the radius above the widest point of a domed crown, (1 - s)^dome, in place of `top_power`."""
+    lopsided: Annotated[float, Field(ge=0, le=0.5)] = 0.0
+    """Spread of a crown's radius over its azimuths, one sigma over the mean."""
+    shapes: Annotated[int, Field(ge=1, le=8)] = 1
+    """Crowns that branch differently, for each diameter class and crown ratio of a stand."""
     whorl_spacing_m: Annotated[float, Field(ge=0.02, le=5)]
     branches_per_whorl: Annotated[int, Field(ge=1, le=20)]
     """Branches per whorl; 1 makes a spiral."""
     branch_area: Annotated[float, Field(ge=0.1, le=10)] = 2.0
     """Total section of all first-order branches over the stem's section at the crown base."""
+    decurrent: Annotated[float, Field(ge=0, le=0.8)] = 0.0
+    """Share of the crown, from its top, in which no first-order branch begins: limbs from below fill it."""
     rise_deg: Pair
     """Elevation of a first-order branch at the stem."""
+    rise_spread_deg: Annotated[float, Field(ge=0, le=45)] = 6.0
+    """One sigma of that elevation."""
     droop_deg: Pair
     """Decrease of its elevation towards the tip, linear in the distance along it."""
     upturn_deg: Pair
@@ -120,6 +138,24 @@ class Habit(Section):
     twigs: Twigs
     twiglets: Twigs | None = None
     """Third-order branches, for broad crowns."""
+    open_grown: OpenGrown | None = None
+    """Form of trees without neighbours; by default all trees have that of a closed stand."""
+
+    def in_stand(self, openness: float) -> "Habit":
+        """Return the habit between a closed stand, 0, and a place without neighbours, 1."""
+        if self.open_grown is None or openness == 0:
+            return self
+
+        def between(closed: float, alone: float) -> float:
+            return closed + (alone - closed) * openness
+
+        alone = self.open_grown
+        rise_deg = tuple(map(between, self.rise_deg, alone.rise_deg))
+        base_fraction = between(self.base_fraction, alone.base_fraction)
+        widest_at = between(self.widest_at, alone.widest_at)
+        return self.model_copy(
+            update={"base_fraction": base_fraction, "widest_at": widest_at, "rise_deg": rise_deg}
+        )
 
 
 _LEAST_FLARE_M = 0.08
@@ -247,6 +283,8 @@ class Species(Plant):
     """Coefficients of `truncated_weibull_cm`."""
     taper: Taper
     stem: StemForm = StemForm()
+    lean_deg: Annotated[float, Field(ge=0, le=15)] = 1.5
+    """One sigma of a stem's lean along each level axis; assumption."""
     crown: Habit
     foliage: Foliage | None = None  # none on a dead tree
     biomass: Biomass | None = None
@@ -260,6 +298,22 @@ class Species(Plant):
             return self.crown_width(dbh_cm)
         sigma = self.spread.crown_width
         return self.crown_width(dbh_cm) * exp(sigma * residual - sigma * sigma / 2)
+
+    def openness(self, ccf_percent: F8) -> F8:
+        """How open-grown trees (n,) are under a crown competition factor: 1 below 50 %, 0 above 150 %.
+
+        At 100 % the crowns of open-grown trees would just touch (Krajicek et al. 1961, Forest Science 7); the
+        limits are assumptions. Species without an open-grown form have 0.
+        """
+        if self.crown.open_grown is None:
+            return np.zeros(np.shape(ccf_percent))
+        return np.clip(1.5 - np.asarray(ccf_percent) / 100, 0.0, 1.0)
+
+    def widening(self, dbh_cm: F8, openness: F8) -> F8:
+        """Crown width (n,) over that of forest-grown trees, between those and open-grown ones."""
+        log_a, b = self.open_crown
+        alone = exp(log_a + b * log(dbh_cm)) / self.crown_width(dbh_cm)
+        return 1 + (np.maximum(alone, 1.0) - 1) * openness
 
     def crown_base_m(self, dbh_cm: F8, height_m: F8, rivals: tuple[F8, F8], residual: F8 | float = 0.0) -> F8:
         """Height of the lowest living branch, under `competition`.

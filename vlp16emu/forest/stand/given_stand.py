@@ -158,7 +158,10 @@ def _set_crowns(trees: Trees, table: Table, kinds: list[Species], seed: int) -> 
         trees["crown_base_m"][no_base] = kind.crown_base_m(
             dbh_cm[no_base], height_m[no_base], rivals, ratio[no_base]
         )
-        trees["crown_width_m"][no_width] = kind.crown_width_m(dbh_cm[no_width], wide[no_width])
+        openness = kind.openness(pressure[1][no_width])
+        trees["crown_width_m"][no_width] = kind.crown_width_m(
+            dbh_cm[no_width], wide[no_width]
+        ) * kind.widening(dbh_cm[no_width], openness)
 
 
 def _check_sizes(table: Table, species: list[Species]) -> None:

@@ -27,7 +27,7 @@ from vlp16emu.forest.settings import MOST_STEMS_PER_HA, Forest, SpeciesShare, St
 from vlp16emu.forest.stand.points import Land, PointPattern, pattern_of
 from vlp16emu.forest.tiles import around
 from vlp16emu.random import generator
-from vlp16emu.types import F8
+from vlp16emu.types import F8, I8
 from vlp16emu.world.vectors import places_m
 
 TREE = np.dtype(  # one tree
@@ -72,7 +72,6 @@ _LEVELS = np.linspace(-1.2, 1.2, VARIANTS)
 stem."""
 _MOST_SIGMAS = 2.5
 """Limit of residuals: larger ones are likely measuring errors; keeps crowns near their prototypes."""
-_LEAN_SIGMA_DEG = 1.5  # one sigma of lean along each horizontal axis; assumption
 _HEAD_ROOM_M = 2.5  # height up to which a leaning stem must stay clear of the path: above a walker's head
 _STEM_GAP_M = 0.05  # least gap between two stems at the ground; assumption
 _TILES_KEPT = 1024  # tiles whose trees are kept for their neighbours: more than a window with its border has
@@ -155,6 +154,11 @@ def residuals(normal: F8) -> F8:
     return z
 
 
+def shape_of(trees: Trees, shapes: I8) -> I8:
+    """Return which of its `shapes` (n,) each crown has, from the last digits of its azimuth."""
+    return np.floor(shapes * (trees["crown_azimuth_deg"] % 1.0)).astype(np.int64)
+
+
 def class_scale(ratio: float, number: int) -> float:
     """Return the size of a class relative to class 0, an integer power of a ratio, correctly rounded."""
     return float(pow(fractions.Fraction(ratio), number))
@@ -229,6 +233,8 @@ class Stand:
         samples = [_sample(*storey) for storey in zip(self._patterns, self._cohorts, strict=True)]
         self._rivals_cm, per_ha_m2 = (np.concatenate(column) for column in zip(*samples, strict=True))
         self._rivals_m2 = per_ha_m2[:, :2]
+        ccf_percent = 100 * float(self._rivals_m2[:, 1].sum()) / 10_000
+        self._openness = [float(row.species.openness(np.array(ccf_percent))) for row in self._all_cohorts]
         cover = float(per_ha_m2[:, 2].sum()) / 10_000
         self._ground_per_crown = 1 / max(cover, 1 / _OPEN_GROWN)
         self._crown = cache(self.crown)
@@ -254,13 +260,18 @@ class Stand:
                 tuple(areas[in_cohort] for areas in pressure),
             )
             trees["crown_base_m"][in_cohort] = cohort.species.crown_base_m(*sizes, values[in_cohort, 6])
+            openness = cohort.species.openness(pressure[1][in_cohort])
+            trees["crown_width_m"][in_cohort] *= cohort.species.widening(sizes[0], openness)
         kinds, kind_of = np.unique(trees[["cohort", "crown_class"]], return_inverse=True)
         crowns = [self._crown(*kind, variant) for kind in kinds.tolist() for variant in range(VARIANTS)]
         ratios = np.array([1 - key.crown_base_m / key.height_m for key in crowns]).reshape(-1, VARIANTS)[
             kind_of
         ]
         own_ratio = 1 - trees["crown_base_m"] / trees["height_m"]
-        trees["crown_variant"] = np.abs(ratios - own_ratio[:, None]).argmin(axis=1)
+        shapes = np.array([cohort.species.crown.shapes for cohort in self._all_cohorts])[trees["cohort"]]
+        trees["crown_variant"] = np.abs(ratios - own_ratio[:, None]).argmin(axis=1) + VARIANTS * shape_of(
+            trees, shapes
+        )
         clear = path_gap_m(trees, values[:, 2], self._land.path) >= self._land.path.clearance_m
         return trees[~beaten & clear]
 
@@ -288,9 +299,6 @@ class Stand:
         trees = np.zeros(len(position), TREE)
         trees["x_m"], trees["y_m"] = position.T
         trees["z_m"] = self._land.height_m(trees["x_m"], trees["y_m"])
-        lean_x, lean_y = _LEAN_SIGMA_DEG * normal[:, :2].T
-        trees["lean_deg"] = hypot(lean_x, lean_y)
-        trees["lean_towards_deg"] = np.degrees(atan2(lean_y, lean_x)) % 360
         trees["crown_azimuth_deg"] = 360 * uniform[:, 0]
         trees["storey"] = number
         if self._section.crooked_stems:
@@ -299,6 +307,10 @@ class Stand:
         share = np.array([cohort.share.share for cohort in cohorts])
         cohort_of = np.searchsorted(np.cumsum(share / share.sum())[:-1], uniform[:, 1], side="right")
         trees["cohort"] = sum(map(len, self._cohorts[:number])) + cohort_of
+        lean_deg = np.array([cohort.species.lean_deg for cohort in cohorts])[cohort_of]
+        lean_x, lean_y = lean_deg * normal[:, :2].T
+        trees["lean_deg"] = hypot(lean_x, lean_y)
+        trees["lean_towards_deg"] = np.degrees(atan2(lean_y, lean_x)) % 360
         residual = residuals(normal[:, 2:])
         for i, cohort in enumerate(cohorts):
             in_cohort = cohort_of == i
@@ -316,15 +328,16 @@ class Stand:
         row = self._all_cohorts[cohort]
         dbh_cm = np.array([row.share.dbh_cm * class_scale(_CLASS_RATIO, crown_class)])
         height_m = row.height_m(dbh_cm)
-        width_m = row.species.crown_width_m(dbh_cm)
+        openness = self._openness[cohort]
+        width_m = row.species.crown_width_m(dbh_cm) * row.species.widening(dbh_cm, np.array([openness]))
         leaf_area_m2 = row.species.leaf_area_index * self._ground_per_crown * _projection_m2(width_m)
         larger = self._rivals_cm > dbh_cm[:, None]
         rivals = competition(self._rivals_m2, 10_000.0, larger, np.ones_like(larger))
-        base_m = row.species.crown_base_m(dbh_cm, height_m, rivals, _LEVELS[variant])
+        base_m = row.species.crown_base_m(dbh_cm, height_m, rivals, _LEVELS[variant % VARIANTS])
         sizes = dbh_cm / 100, height_m, base_m, width_m, leaf_area_m2
         dbh, height, base, width, leaves = (float(size[0]) for size in sizes)
         options = self._section.season, self._section.dead_branches
-        return CrownKey(row.species.name, variant, dbh, height, base, width, leaves, *options)
+        return CrownKey(row.species.name, variant, dbh, height, base, width, leaves, *options, openness)
 
 
 def _sample(pattern: PointPattern, cohorts: list[_Cohort]) -> tuple[F8, F8]:
