@@ -113,17 +113,6 @@ def test_crowns_without_neighbours_are_as_wide_as_open_grown_ones(stems_per_ha, 
     assert (closed["crown_width_m"] / forest_m).mean() == pytest.approx(1.0, abs=0.04)
 
 
-def test_neighbouring_broadleaves_branch_in_several_ways():
-    """Trees of one diameter class have crowns of three lengths, each of two shapes, about as often; conifers
-    have one shape of each."""
-    for name, count in (("english_oak", 6), ("norway_spruce", 3)):
-        mix = (SpeciesShare(species=name, share=1.0, dbh_cm=40.0, height_m=26.0),)
-        trees = grown(make_stand(species=mix, stems_per_ha=300.0), 10)
-        variants = trees["crown_variant"]
-        assert set(variants.tolist()) == set(range(count)), name
-        assert stats.binomtest(int((variants >= 3).sum()), len(variants), (count - 3) / 6).pvalue > 0.001
-
-
 def of_classes(trees, columns):
     """Columns of trees about their means in classes of 5 cm of the DBH."""
     classes = np.round(20 * trees["dbh_m"])

@@ -29,7 +29,7 @@ from vlp16emu.random import generator
 from vlp16emu.types import F8, Mesh, PlantPart
 from vlp16emu.world.vectors import closed_body, places_m
 
-VARIANTS = 3  # crown lengths of the same species and diameter class; each has the `shapes` of its habit
+VARIANTS = 3  # crowns of the same species and diameter class, from short to long
 CROWN_PARTS = (
     PlantPart.BRANCH_FIRST_ORDER,
     PlantPart.BRANCH_HIGHER_ORDER,

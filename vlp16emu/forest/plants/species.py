@@ -109,8 +109,6 @@ class Habit(Section):
     """Exponent of the radius above the widest point of a domed crown, (1 - s)^dome, in place of `top_power`."""
     lopsided: Annotated[float, Field(ge=0, le=0.5)] = 0.0
     """Spread of a crown's radius over its azimuths, one sigma over the mean."""
-    shapes: Annotated[int, Field(ge=1, le=8)] = 1
-    """Crowns that branch differently, for each diameter class and crown ratio of a stand."""
     whorl_spacing_m: Annotated[float, Field(ge=0.02, le=5)]
     branches_per_whorl: Annotated[int, Field(ge=1, le=20)]
     """Branches per whorl; 1 makes a spiral."""

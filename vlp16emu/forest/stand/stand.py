@@ -27,7 +27,7 @@ from vlp16emu.forest.settings import MOST_STEMS_PER_HA, Forest, SpeciesShare, St
 from vlp16emu.forest.stand.points import Land, PointPattern, pattern_of
 from vlp16emu.forest.tiles import around
 from vlp16emu.random import generator
-from vlp16emu.types import F8, I8
+from vlp16emu.types import F8
 from vlp16emu.world.vectors import places_m
 
 TREE = np.dtype(  # one tree
@@ -154,11 +154,6 @@ def residuals(normal: F8) -> F8:
     return z
 
 
-def shape_of(trees: Trees, shapes: I8) -> I8:
-    """Return which of its `shapes` (n,) each crown has, from the last digits of its azimuth."""
-    return np.floor(shapes * (trees["crown_azimuth_deg"] % 1.0)).astype(np.int64)
-
-
 def class_scale(ratio: float, number: int) -> float:
     """Return the size of a class relative to class 0, an integer power of a ratio, correctly rounded."""
     return float(pow(fractions.Fraction(ratio), number))
@@ -268,10 +263,7 @@ class Stand:
             kind_of
         ]
         own_ratio = 1 - trees["crown_base_m"] / trees["height_m"]
-        shapes = np.array([cohort.species.crown.shapes for cohort in self._all_cohorts])[trees["cohort"]]
-        trees["crown_variant"] = np.abs(ratios - own_ratio[:, None]).argmin(axis=1) + VARIANTS * shape_of(
-            trees, shapes
-        )
+        trees["crown_variant"] = np.abs(ratios - own_ratio[:, None]).argmin(axis=1)
         clear = path_gap_m(trees, values[:, 2], self._land.path) >= self._land.path.clearance_m
         return trees[~beaten & clear]
 
@@ -333,7 +325,7 @@ class Stand:
         leaf_area_m2 = row.species.leaf_area_index * self._ground_per_crown * _projection_m2(width_m)
         larger = self._rivals_cm > dbh_cm[:, None]
         rivals = competition(self._rivals_m2, 10_000.0, larger, np.ones_like(larger))
-        base_m = row.species.crown_base_m(dbh_cm, height_m, rivals, _LEVELS[variant % VARIANTS])
+        base_m = row.species.crown_base_m(dbh_cm, height_m, rivals, _LEVELS[variant])
         sizes = dbh_cm / 100, height_m, base_m, width_m, leaf_area_m2
         dbh, height, base, width, leaves = (float(size[0]) for size in sizes)
         options = self._section.season, self._section.dead_branches
