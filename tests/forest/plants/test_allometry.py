@@ -216,8 +216,8 @@ def test_stem_volumes_vary_as_published_and_diameters_do_not(name, percent):
 
 @pytest.mark.parametrize("name", ["silver_birch", "sugar_maple"])
 def test_mass_of_equal_trees_scatters_as_measured(name):
-    """Trees of one DBH and height differ in mass by the 8 to 9 % that birches have about their equation (Repola
-    2008: 8.9 %), heavier with more stem volume; the middle tree has the mass of the equation."""
+    """Trees of one DBH and height differ in mass by the 8 to 9 % that birches have about their equation
+    (Repola 2008: 8.9 %), heavier with more stem volume; the middle tree has the mass of the equation."""
     species = TABLE[name]
     taper = species.taper_of(np.linspace(-2.5, 2.5, 101))
     drawn = species.taper_of(np.clip(np.random.default_rng(1).standard_normal(20_000), -2.5, 2.5))

@@ -223,9 +223,9 @@ def mean_profile(name, **fields):
 
 @pytest.mark.parametrize("name", TRAITS)
 def test_broadleaves_have_the_published_domes(name):
-    """The radius grows with the depth below the top to the published power, within 0.1 of the greatest radius on
-    average, and is greatest between 0.35 and 0.65 of the crown, as of measured oaks (0.42) and beeches (0.50 to
-    0.56)."""
+    """The radius grows with the depth below the top to the published power, within 0.1 of the greatest
+    radius on average, and is greatest between 0.35 and 0.65 of the crown, as of measured oaks (0.42) and
+    beeches (0.50 to 0.56)."""
     habit = flora().trees[name].crown
     assert habit.dome == pytest.approx(0.196 * (1 - TRAITS[name]) + 0.511 * TRAITS[name], abs=0.001)
     radius = mean_profile(name)
@@ -245,8 +245,8 @@ def test_trees_without_neighbours_are_wide_from_low_down():
 
 
 def test_crowns_of_equal_size_are_as_lopsided_as_measured():
-    """Radii of beeches towards four directions differ by about 0.2 of their mean, one sigma (0.06 to 0.7 in the
-    stands Cloture20 and Bechefa), and no two crowns are the same."""
+    """Radii of beeches towards four directions differ by about 0.2 of their mean, one sigma (0.06 to 0.7 in
+    the stands Cloture20 and Bechefa), and no two crowns are the same."""
     spreads = []
     for seed in range(12):
         x_m, y_m, _ = crown_meshes(seed, BEECH)[2].vertices_m.astype(np.float64).T

@@ -182,8 +182,8 @@ class Taper(Equation):
     equations: ClassVar = {"laasasenaho": (8, None), "brink": (3, None)}  # see `_form`
     model: Literal["laasasenaho", "brink"]
     flare: Annotated[tuple[float, float], Field(strict=False)] = (0.0, 1.0)
-    """Butt swell: relative extra radius at the ground, and the height over which it falls by a factor of e over
-    the height of the root flare."""
+    """Butt swell: relative extra radius at the ground, and the height over which it falls by a factor of e
+    over the height of the root flare."""
     top_share: Annotated[float, Field(ge=0.1, le=1)] = 1.0
     """Height of the stem over its unbroken height: 1, or less if the top has broken off."""
 
@@ -241,10 +241,10 @@ def _radii(taper: F8, dbh_m: F8, height_m: F8, above_ground_m: F8) -> F8:
 def taper_radius_m(taper: F8, dbh_m: F8, height_m: F8, above_ground_m: F8) -> F8:
     """Radius (n, r) over bark of stems (n,) at heights (n, r), half the DBH at breast height.
 
-    `taper` (n, 13) is the row of `Species.taper_rows` of each stem. Its last number t is the tree's own: the curve's ratio of
-    the radius to the radius at breast height is raised to the power 1 + t, so a greater t tapers more. Below
-    ground the radius is constant; at the tip it is 0 unless the top has broken off. Sources: Laasasenaho
-    (1982), Schmidt (2001).
+    `taper` (n, 13) is the row of `Species.taper_rows` of each stem. Its last number t is the tree's own:
+    the curve's ratio of the radius to the radius at breast height is raised to the power 1 + t, so a
+    greater t tapers more. Below ground the radius is constant; at the tip it is 0 unless the top has broken
+    off. Sources: Laasasenaho (1982), Schmidt (2001).
     """
     dbh_m = np.ascontiguousarray(dbh_m)
     height_m = np.ascontiguousarray(height_m)

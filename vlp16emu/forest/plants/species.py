@@ -106,7 +106,8 @@ class Habit(Section):
     top_power: Annotated[float, Field(ge=0.2, le=10)] = 1.0
     """Exponent of the radius above the widest point, 1 - s^top_power: 1 is a cone, 2 a parabola."""
     dome: Annotated[float, Field(ge=0.1, le=1)] | None = None
-    """Exponent of the radius above the widest point of a domed crown, (1 - s)^dome, in place of `top_power`."""
+    """Exponent of the radius above the widest point of a domed crown, (1 - s)^dome, in place of
+    `top_power`."""
     lopsided: Annotated[float, Field(ge=0, le=0.5)] = 0.0
     """Spread of a crown's radius over its azimuths, one sigma over the mean."""
     whorl_spacing_m: Annotated[float, Field(ge=0.02, le=5)]
@@ -158,11 +159,11 @@ class Habit(Section):
 
 _LEAST_FLARE_M = 0.08
 _MOST_FLARE_M = 1.0
-"""Limits of the height of a root flare: the thinnest trees have a collar, and breast height is above the flare
-of all but giants; assumptions."""
+"""Limits of the height of a root flare: the thinnest trees have a collar, and breast height is above the
+flare of all but giants; assumptions."""
 _MOST_SWELL_M = 0.62
-"""Greatest height of a flare whose swell and lobes are as high as itself: higher ones would reach the section at
-breast height, which real giants have too, but on which published tapers are scaled."""
+"""Greatest height of a flare whose swell and lobes are as high as itself: higher ones would reach the
+section at breast height, which real giants have too, but on which published tapers are scaled."""
 
 
 def flare_height_m(flare_height: F8 | float, dbh_m: F8) -> F8:
@@ -195,9 +196,9 @@ class StemForm(Section):
     lobes: Annotated[float, Field(ge=0, le=0.3)] = 0.0
     """Amplitude of the root lobes of the butt at the ground, over the radius there."""
     flare_height: Annotated[float, Field(ge=0.2, le=5)] = 1.2
-    """Height of the root flare over the DBH. The flare grows with the DBH: its diameter does in ten species with
-    R2 of 0.81 and more (Hilbert et al. 2020, Urban Forestry & Urban Greening 49), and with its shape decides how
-    high 202 spruces could be felled (Labelle et al. 2018, 10.3390/f9110709)."""
+    """Height of the root flare over the DBH. The flare grows with the DBH: its diameter does in ten species
+    with R2 of 0.81 and more (Hilbert et al. 2020, Urban Forestry & Urban Greening 49), and with its shape
+    decides how high 202 spruces could be felled (Labelle et al. 2018, 10.3390/f9110709)."""
     surface_roots: Fraction = 0.0
     """Share of lobes from which a root runs over the ground, for trees with a DBH over 0.3 m."""
     bark_mm_per_cm: Annotated[float, Field(ge=0, le=1)] = 0.0
@@ -344,9 +345,9 @@ class Species(Plant):
         mass_kg = self.biomass(100 * dbh_m, height_m, 100 * upper_m, crown_base_m)
         if self.biomass.model == "components":
             return mass_kg
-        # These equations know no upper diameter: a stem with more volume than its species' curve weighs more. Of
-        # 127 birches total mass at a DBH and height has a spread of 8.9 % (Repola 2008, Silva Fennica 42(4),
-        # model 1), the volume of birch stems 8.2 % (Laasasenaho 1982).
+        # These equations know no upper diameter: a stem with more volume than its species' curve weighs
+        # more. Of 127 birches total mass at a DBH and height has a spread of 8.9 % (Repola 2008, Silva
+        # Fennica 42(4), model 1), the volume of birch stems 8.2 % (Laasasenaho 1982).
         return mass_kg * exp(-_VOLUME_PER_TAPER * np.broadcast_to(taper, len(dbh_m)))
 
     def flare_m(self, dbh_m: F8) -> F8:

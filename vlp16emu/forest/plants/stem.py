@@ -29,15 +29,15 @@ _MOST_BOW = 0.5
 _LEAST_BOLE_M = 0.1
 """Least length over which a stem bends, for crowns that begin at the ground."""
 _LOWEST_BEND = -0.25
-"""Lowest height of a bend over the length of the bole: below the ground bends go on as polynomials, which would
-carry the buried foot of a bole of decimetres away."""
+"""Lowest height of a bend over the length of the bole: below the ground bends go on as polynomials, which
+would carry the buried foot of a bole of decimetres away."""
 _S_SHARE = 0.4  # amplitude of the S-shaped bend over the bow; assumption
 _SWEEP_M = 0.6  # height over which the sweep of the butt falls to 1/e; assumption
 _LOBES = (3, 6)
 _LOBES_HEIGHT = 0.9
 """Range of the number of lobes of a butt, and the height over which they fall to 1/e over that of the root
-flare: flutes are deeper at the butt than higher up (Singleton et al. 2003, Western Journal of Applied Forestry
-18); the numbers are assumptions."""
+flare: flutes are deeper at the butt than higher up (Singleton et al. 2003, Western Journal of Applied
+Forestry 18); the numbers are assumptions."""
 _EGG_SHARE = 0.2  # egg-shaped component of a section over the ovality; assumption
 _RIDGE_VERTICES = 3  # fewest mesh vertices per bark ridge
 _LEADER_SHARE = (0.3, 0.5)
@@ -61,7 +61,8 @@ class StemForms:
     bole_m: F8  # (n,) height of the crown base
     bends: F8  # (n, 3, 2) bow and S-shaped bend in m, and slope of the butt; east and north
     oval: F8  # (n, 4) ovality, its direction and its twist per metre upwards, phase of the egg shape; rad
-    # (n, 4) number, amplitude at the ground over the radius, phase of lobes, height of 1/e of the amplitude in m
+    # (n, 4) number, amplitude at the ground over the radius, phase of lobes, height of 1/e of the amplitude
+    # in m
     lobes: F8
     surface_roots: F8  # (n,) share of the lobes that have a surface root
     # (n, 6) depth in m at breast height, ridges around the stem if the mesh can have them, four phases
