@@ -1,7 +1,6 @@
 """The ground and the forest on it, from the table `[world]`."""
 
 import hashlib
-import logging
 import math
 from functools import cached_property
 from pathlib import Path
@@ -23,8 +22,6 @@ from vlp16emu.forest.stand.wind import TreeSway
 from vlp16emu.inputs import LARGEST_BYTES, read_bytes
 from vlp16emu.settings import Section
 from vlp16emu.types import F8, World
-
-_log = logging.getLogger(__name__)
 
 
 class ForestSite:
@@ -81,10 +78,8 @@ class ForestSite:
             ground.check(path_xy_m, reach_m)
         path = Corridor(path_xy_m, section.path_clearance_m)
         if isinstance(section, Forest) and path.clearance_m >= reach_m:
-            _log.warning(
-                "world.path_clearance_m = %g: leaves no tree within the %.0f m that are seen; expected less",
-                *(path.clearance_m, reach_m),
-            )
+            expected = f"less than the {reach_m:.0f} m that are seen, where it leaves no tree"
+            raise GeometryError("world.path_clearance_m", f"found {path.clearance_m:g}", expected)
         blows = wind if isinstance(wind, Wind) and wind.speed_m_s > 0 else None
         trails = ground.trails if isinstance(ground, TerrainHeights) else None
         land = Land(self._seed, self.height_m, path, flora(section.species_file), trails)

@@ -268,8 +268,30 @@ def test_without_a_form_stems_are_straight_and_round():
     assert np.ptp(sections_m(trees), axis=1).max() < 1e-12
 
 
-def test_a_root_flare_ends_half_a_metre_up_and_a_snag_at_full_width():
-    """Flare and stem share the ring 0.5 m above the foot; a dead tree's highest ring is over 0.4 of breast
+@pytest.mark.parametrize(
+    ("name", "dbh_m", "height_m"),
+    [
+        ("silver_birch", 0.07, 0.08),
+        ("silver_birch", 0.2, 0.18),
+        ("european_beech", 0.5, 0.65),
+        ("norway_spruce", 0.3, 0.45),
+        ("norway_spruce", 1.2, 1.0),
+    ],
+)
+def test_root_flares_grow_with_the_diameter(name, dbh_m, height_m):
+    """A flare ends at its species' share of the DBH above the foot, at a ring that it shares with the stem;
+    lobes and swell end with it, and the DBH stays below breast height."""
+    trees = make_trees(name, 3, dbh_m, x_m=0.0, z_m=0.0, lean_deg=0.0, form=0)
+    meshes = stem_meshes(trees, np.zeros(3), lambda x, y: 0 * x)
+    sides = Stems(trees).sides[0]
+    for flare, stem in zip(meshes[::2], meshes[1::2], strict=True):
+        assert stem.vertices_m[:sides, 2] == pytest.approx(np.full(sides, height_m), abs=5e-6)
+        assert flare.vertices_m[: 1 + 5 * sides, 2].max() == pytest.approx(height_m, abs=5e-6)
+    assert (np.diff(Stems(trees).above_ground_m, axis=1) > 0).all()
+
+
+def test_a_root_flare_and_its_stem_share_a_ring_and_a_snag_ends_at_full_width():
+    """Flare and stem share the ring at the flare's top; a dead tree's highest ring is over 0.4 of breast
     height, and its tip stands off the axis."""
     assert STEM_PARTS == (PlantPart.ROOT_FLARE, PlantPart.STEM)
     trees = make_trees("snag", 6, np.linspace(0.05, 1.2, 6), x_m=0.0, z_m=0.0, lean_deg=0.0, form=0)
@@ -278,7 +300,7 @@ def test_a_root_flare_ends_half_a_metre_up_and_a_snag_at_full_width():
         trees, Stems(trees).sides, meshes[::2], meshes[1::2], strict=True
     ):
         assert np.array_equal(flare_m[-sides:], stem_m[:sides])
-        assert stem_m[:sides, 2] == pytest.approx(np.full(sides, 0.5), abs=5e-6)
+        assert stem_m[:sides, 2] == pytest.approx(np.full(sides, stem_m[0, 2]), abs=5e-6)
         width_m = 2 * np.hypot(*stem_m[-1 - sides : -1, :2].T).mean()
         assert width_m > 0.4 * tree["dbh_m"]
         assert np.hypot(*stem_m[-1, :2]) == pytest.approx(0.4 * width_m, rel=0.02)

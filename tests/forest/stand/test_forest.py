@@ -256,12 +256,16 @@ def test_a_track_may_stray_from_the_path(make_forest, aside_m):
         assert bare.far_tile(int(ix), int(iy)).ground_m.shape == (85, 85)
 
 
-@pytest.mark.parametrize(("clearance_m", "warned"), [(10.0, False), (20.0, True)])
-def test_a_path_that_keeps_all_trees_out_of_sight_is_named(forest, track_m, caplog, clearance_m, warned):
-    """A clearance of the range of the sensor leaves no stem that it sees."""
-    section = forest.section.model_copy(update={"path_clearance_m": clearance_m})
-    world, _ = ForestSite(section, 5).world(
-        track_m[:, :2], reach_m=20.0, farthest_m=20.0, wind=None, start_ns=0
-    )
-    gap_m = distance_m(feet_m(world.trees(track_m))[:, :2], track_m[:, :2])
-    assert (gap_m.min() > 20.0) == warned == ("path_clearance_m = 20: leaves no tree" in caplog.text)
+def test_a_path_that_keeps_all_trees_out_of_sight_is_refused(forest, track_m):
+    """A clearance of the range of the sensor would leave no stem that it sees; half of it leaves some."""
+    sites = [
+        ForestSite(forest.section.model_copy(update={"path_clearance_m": clearance_m}), 5)
+        for clearance_m in (10.0, 20.0)
+    ]
+    view = {"reach_m": 20.0, "farthest_m": 20.0, "wind": None, "start_ns": 0}
+    world, _ = sites[0].world(track_m[:, :2], **view)
+    assert distance_m(feet_m(world.trees(track_m))[:, :2], track_m[:, :2]).min() < 20.0
+    with pytest.raises(
+        GeometryError, match=r"world\.path_clearance_m: found 20; expected less than the 20 m"
+    ):
+        sites[1].world(track_m[:, :2], **view)

@@ -8,13 +8,15 @@ import pytest
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.polyline import Corridor
+from vlp16emu.forest.plants.prototypes import CrownKey, crown_meshes
 from vlp16emu.forest.plants.species import flora
 from vlp16emu.forest.plants.stem import stem_meshes
 from vlp16emu.forest.settings import Plot
 from vlp16emu.forest.stand.given_stand import GivenStand, read_stem_list
-from vlp16emu.forest.stand.inventory import INVENTORY, write_csv
+from vlp16emu.forest.stand.inventory import INVENTORY, far_stems, write_csv
 from vlp16emu.forest.stand.points import Land
 from vlp16emu.forest.stand.stand import TREE
+from vlp16emu.raycast.pieces import faces_of, split_into_pieces
 
 LIST = """\
 x,y,species,dbh_cm,height_m,crown_base_m,crown_width_m,lean_deg,lean_azimuth_deg,remark
@@ -56,33 +58,86 @@ def test_diameters_in_millimetres_are_refused(tmp_path):
     )
     with pytest.raises(GeometryError, match=message):
         read(tmp_path, rows.format(205, 210, 222))
-    assert read(tmp_path, rows.format(20.5, 210, 22.2))["dbh_m"].max() == 2.1
+    assert read(tmp_path, rows.format(20.5, 150, 22.2))["dbh_m"].max() == 1.5
+
+
+DBHS_CM, HEIGHTS_M = (1, 12, 40, 150, 200, 350, 481, 500), (2, 6, 15, 36, 45, 62, 100, 130)
+CHAMPIONS = {  # height in m and DBH in cm of the tallest and of the thickest known tree
+    "scots_pine": (46.6, 200.0),  # Ootsipalu, Estonia: 46.6 m
+    "european_beech": (49.3, 280.0),  # Gruendau, Germany: over 49 m
+    "english_oak": (48.4, 481.0),  # Kvilleken, Sweden: girth 15.1 m
+    "douglas_fir": (100.3, 485.0),  # Doerner Fir: 100.3 m in 1991; Queets Fir: 4.85 m
+    "red_maple": (43.9, 226.0),  # Great Smoky Mountains: 144 feet, girth of 23 feet 4 inches
+    "white_oak": (45.1, 309.0),  # Great Smoky Mountains: 148 feet
+}
+
+
+def refusal(kind, dbh_cm, height_m):
+    """Text of the refusal of a size, empty if it grows."""
+    if dbh_cm > kind.champion.dbh_cm:
+        most = f"{kind.champion.dbh_cm:.4g} cm at most"
+        return f"found {dbh_cm} cm; expected {most}, the DBH of the thickest known"
+    if height_m > kind.champion.height_m:
+        most = f"{kind.champion.height_m:g} m at most"
+        return f"found {height_m} m; expected {most}, the height of the tallest known"
+    # With E = 12 GPa and 500 kg/m^3 (Greenhill 1881): 4.92 m at a DBH of 1 cm.
+    buckles = height_m > 106 * (dbh_cm / 100) ** (2 / 3)
+    return f"{height_m / dbh_cm * 100:.0f} times as high as thick.* where a stem buckles" if buckles else ""
+
+
+def test_champions_are_those_of_the_lists():
+    """Limits of six species are the sizes that lists of tall and thick trees have."""
+    for name, (height_m, dbh_cm) in CHAMPIONS.items():
+        champion = flora().trees[name].champion
+        assert (champion.height_m, champion.dbh_cm) == (height_m, dbh_cm), name
 
 
 @pytest.mark.parametrize("species", sorted(flora().trees))
-def test_each_size_within_the_limits_grows_or_cannot_stand(tmp_path, species):
-    """A stem of any DBH and height stands within a few diameters of its foot, or is refused as one that
-    buckles: with E = 12 GPa and 500 kg/m^3 above 4.92 m at a DBH of 1 cm and above 139 m at 150 cm
-    (Greenhill 1881)."""
+def test_each_size_within_the_limits_grows_or_is_refused(tmp_path, species):
+    """A tree of any DBH and height grows within a few diameters of its foot, all numbers finite, or is
+    refused as higher or thicker than any known tree of its species, or as one that buckles."""
     header = "x,y,species,dbh_cm,height_m,crown_base_m\n"
     fillers = "".join(f"{x},0,{species},30,20,\n" for x in (5000, 5100))
+    kind = flora().trees[species]
     grown = set()
-    for dbh_cm, height_m, base in product((1, 12, 40, 150, 350, 500), (2, 6, 15, 45, 130), ("", 0)):
+    for dbh_cm, height_m, base in product(DBHS_CM, HEIGHTS_M, ("", 0)):
         text = f"{header}0,0,{species},{dbh_cm},{height_m},{base}\n{fillers}"
-        if height_m > 106 * (dbh_cm / 100) ** (2 / 3):
-            ratio = f"{height_m / dbh_cm * 100:.0f} times as high as thick"
-            with pytest.raises(GeometryError, match=f"{ratio}.* where a stem buckles under its own weight"):
+        if message := refusal(kind, dbh_cm, height_m):
+            with pytest.raises(GeometryError, match=message):
                 read(tmp_path, text)
             continue
         trees = read(tmp_path, text)[:1]
         grown.add((dbh_cm, height_m))
         trees["form"] = 12345
-        for mesh in stem_meshes(trees, np.zeros(3), lambda x, y: 0 * x + 0 * y):
+        sizes = [float(trees[name][0]) for name in ("dbh_m", "height_m", "crown_base_m", "crown_width_m")]
+        assert all(np.isfinite(sizes))
+        for mesh in stem_meshes(trees, np.zeros(3), lambda x, y: 0.3 * x + 0 * y):
             aside_m = np.abs(mesh.vertices_m[:, :2]).max()
             assert aside_m < 0.2 * height_m + 15 * dbh_cm / 100, (dbh_cm, height_m, base)
             assert np.abs(mesh.vertices_m[:, 2]).max() < height_m + 5 * dbh_cm / 100
-    assert grown.isdisjoint({(1, 6), (12, 45), (40, 130)})
-    assert {(1, 2), (12, 15), (40, 45), (150, 130), (500, 130)} <= grown
+            assert np.isfinite(split_into_pieces([faces_of(mesh)])[2]).all()
+        for mesh in crown_meshes(1, CrownKey(species, 0, *sizes, 5.0)):
+            assert np.isfinite(mesh.vertices_m).all(), (dbh_cm, height_m, base)
+        assert np.isfinite(far_stems(trees, 0)["radius_m"]).all()
+    assert grown.isdisjoint({(1, 6), (12, 45), (40, 130), (500, 130)})
+    assert {(1, 2), (12, 15), (40, 36), (150, 36)} <= grown
+
+
+@pytest.mark.parametrize("written", ["1,130", "1,60"])
+def test_a_height_that_was_written_is_blamed_for_those_drawn_from_it(tmp_path, written):
+    """Beside trees without a height, the line of the impossible one is named, and none without a number."""
+    rows = f"x,y,species,dbh_cm,height_m\n1,2,norway_spruce,30,\n5,2,norway_spruce,{written}\n"
+    with pytest.raises(GeometryError, match="line 3, column height_m: found"):
+        read(tmp_path, rows)
+
+
+def test_heights_drawn_from_a_curve_stay_below_the_tallest_known_tree(tmp_path):
+    """Thick and thin trees without a height beside a tall one grow no higher than real ones, nor buckle."""
+    sizes = (*(f"{dbh_cm}," for dbh_cm in (3, 5, 60, 150)), "30,45")
+    rows = "".join(f"{5 * i},2,scots_pine,{size}\n" for i, size in enumerate(sizes))
+    trees = read(tmp_path, f"x,y,species,dbh_cm,height_m\n{rows}")
+    assert trees["height_m"].max() <= 46.6
+    assert (trees["height_m"] <= 106 * trees["dbh_m"] ** (2 / 3) + 1e-9).all()
 
 
 def test_an_inventory_is_a_stem_list(tmp_path):
@@ -90,7 +145,7 @@ def test_an_inventory_is_a_stem_list(tmp_path):
     what is unknown is empty."""
     trees = np.zeros(2, INVENTORY)
     for name in INVENTORY.names:
-        trees[name] = [1.25, 2.5]
+        trees[name] = [1.25, 1.5]
     trees["species"] = [flora().trees[name].number for name in ("european_beech", "scots_pine")]
     trees["height_m"], trees["lean_towards_deg"] = [20.0, 30.0], [200.0, 45.0]
     trees["list_line"], trees["biomass_kg"] = 0, np.nan

@@ -94,6 +94,25 @@ def test_chance_has_the_distributions_that_it_should(trees):
     assert stats.kstest(birch["bark_reflectance"], stats.uniform(0.47, 0.16).cdf).pvalue > 0.01
 
 
+@pytest.mark.parametrize(
+    ("stems_per_ha", "log_a", "b"),
+    [(4.0, -0.3973, 0.7328), (4.0, 0.2662, 0.6072)],  # Hasenauer (1997): oaks, beech
+)
+def test_crowns_without_neighbours_are_as_wide_as_open_grown_ones(stems_per_ha, log_a, b):
+    """Lone trees have the published width of open-grown ones at their DBH, those of a closed stand that of
+    forest-grown ones, both on average within the spread of the mean."""
+    name = "english_oak" if log_a < 0 else "european_beech"
+    mix = (SpeciesShare(species=name, share=1.0, dbh_cm=45.0, height_m=20.0),)
+    alone, closed = (
+        grown(make_stand(species=mix, stems_per_ha=per_ha), across)
+        for per_ha, across in ((stems_per_ha, 30), (400.0, 8))
+    )
+    open_m = np.exp(log_a + b * np.log(100 * alone["dbh_m"]))
+    assert (alone["crown_width_m"] / open_m).mean() == pytest.approx(1.0, abs=0.06)
+    forest_m = flora().trees[name].crown_width_m(100 * closed["dbh_m"])
+    assert (closed["crown_width_m"] / forest_m).mean() == pytest.approx(1.0, abs=0.04)
+
+
 def of_classes(trees, columns):
     """Columns of trees about their means in classes of 5 cm of the DBH."""
     classes = np.round(20 * trees["dbh_m"])

@@ -23,6 +23,9 @@ _FOOT_M = 0.3048
 _TRUNCATION_CM = 6.9  # left truncation of the diameter distributions (Nagel and Biging 1995)
 _LARGEST_DBH_RATIO = 1.6  # largest over quadratic mean diameter of a stand; assumption
 _STUMP_SHARE = 0.01  # stump height over tree height, as in Vonderach and Kaendler (2021)
+_CROWN_BASE_DBH_CM = 120.0
+"""Greatest DBH in the square of the crown ratio equation, which would bring the crown of a thicker tree down
+to the ground; assumption."""
 _COMPONENT_TERMS = 8  # coefficients of one component of `components` biomass
 
 
@@ -77,7 +80,8 @@ def _logistic_crown_base(
 ) -> F8:
     """Logit of the crown base's relative height, Hasenauer and Monserud (1996); a, b1, b2, b3, c1, c2."""
     a, b1, b2, b3, c1, c2 = coefficients
-    size = a + b1 * 100 * height_m / dbh_cm + b2 * height_m + b3 * np.square(dbh_cm)
+    measured_cm = np.minimum(dbh_cm, _CROWN_BASE_DBH_CM)
+    size = a + b1 * 100 * height_m / dbh_cm + b2 * height_m + b3 * np.square(measured_cm)
     return size + c1 * larger_m2_per_ha + c2 * log(np.maximum(ccf_percent, 1.0))
 
 
@@ -178,14 +182,14 @@ class Taper(Equation):
     equations: ClassVar = {"laasasenaho": (8, None), "brink": (3, None)}  # see `_form`
     model: Literal["laasasenaho", "brink"]
     flare: Annotated[tuple[float, float], Field(strict=False)] = (0.0, 1.0)
-    """Butt swell: relative extra radius at the ground, and the height in m over which it falls by a factor of
-    e."""
+    """Butt swell: relative extra radius at the ground, and the height over which it falls by a factor of e
+    over the height of the root flare."""
     top_share: Annotated[float, Field(ge=0.1, le=1)] = 1.0
     """Height of the stem over its unbroken height: 1, or less if the top has broken off."""
 
     @property
     def row(self) -> F8:
-        """Row (13,) for `taper_radius_m`; the last number, a tree's own, is 0."""
+        """Row (13,) for `Species.taper_rows`; the last number, a tree's own, is 0."""
         row = np.zeros(13)
         row[:4] = self.model == "brink", self.top_share, *self.flare
         row[4 : 4 + len(self.coefficients)] = self.coefficients
@@ -237,10 +241,10 @@ def _radii(taper: F8, dbh_m: F8, height_m: F8, above_ground_m: F8) -> F8:
 def taper_radius_m(taper: F8, dbh_m: F8, height_m: F8, above_ground_m: F8) -> F8:
     """Radius (n, r) over bark of stems (n,) at heights (n, r), half the DBH at breast height.
 
-    `taper` (n, 13) is the `Taper.row` of each stem. Its last number t is the tree's own: the curve's ratio of
-    the radius to the radius at breast height is raised to the power 1 + t, so a greater t tapers more. Below
-    ground the radius is constant; at the tip it is 0 unless the top has broken off. Sources: Laasasenaho
-    (1982), Schmidt (2001).
+    `taper` (n, 13) is the row of `Species.taper_rows` of each stem. Its last number t is the tree's own:
+    the curve's ratio of the radius to the radius at breast height is raised to the power 1 + t, so a
+    greater t tapers more. Below ground the radius is constant; at the tip it is 0 unless the top has broken
+    off. Sources: Laasasenaho (1982), Schmidt (2001).
     """
     dbh_m = np.ascontiguousarray(dbh_m)
     height_m = np.ascontiguousarray(height_m)

@@ -65,6 +65,11 @@ GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 _STEEPEST = np.radians(85.0)  # branches hang or rise no steeper; keeps the azimuth of a branch defined
 THINNEST_M = 0.001  # smallest radius of a branch at its base; assumption
 _TIP_SHARE = 0.2  # radius just before the tip over the radius at the base; assumption
+_LEADER_RISE = np.radians(82.0)  # elevation of the highest limb of a decurrent crown; assumption
+_TWIGS_ABOVE = 0.05  # part of a domed crown's length that twigs and leaves add above its limbs; assumption
+_WAVES = 3
+_REACHES = (0.45, 1.7)
+"""Waves of a crown's outline around the stem, and its limits over the mean radius; assumptions."""
 _BISECTIONS = 16  # enough to find the length of a branch to a millimetre
 
 
@@ -107,20 +112,26 @@ def first_order(rng: np.random.Generator, habit: Habit, size_m: tuple[float, flo
         return np.radians(pair_deg[0] + (pair_deg[1] - pair_deg[0]) * relative)[:, None]
 
     share = (np.arange(_NODES[1] - 1) + 0.5) / (_NODES[1] - 1)
-    rise = angles_rad(habit.rise_deg) + rng.normal(0.0, np.radians(6.0), (n, 1))
+    rise = angles_rad(habit.rise_deg) + rng.normal(0.0, np.radians(habit.rise_spread_deg), (n, 1))
+    leader = slice(n - int(habit.decurrent > 0), n)  # the highest limb, which hides the tip of the stem
+    rise[leader] = _LEADER_RISE
     elevation = (
         rise - angles_rad(habit.droop_deg) * share + angles_rad(habit.upturn_deg) * (share * share * share)
     )
     base = np.zeros((n, 3))
-    base[:, 2] = relative * length_m
+    base_share = relative * (1 - habit.decurrent)
+    base[:, 2] = base_share * length_m
     unit = curves(rng, base * 0, azimuth, elevation, np.ones(n), habit.crook_deg)
-    branch_m = _lengths_m(habit, size_m, base[:, 2], unit) * rng.uniform(0.75, 1.05, n)
+    reach = _reaches(rng, habit, azimuth)
+    unbroken = rng.uniform(0.75, 1.05, n)
+    unbroken[leader] = 1.0
+    branch_m = _lengths_m(habit, size_m, base[:, 2], unit, reach) * unbroken
     nodes = base[:, None] + unit * branch_m[:, None, None]
     # Pipe model: the total section of all branches is a multiple of the section of the stem that feeds them
     # (Shinozaki et al. 1964). Thickness is proportional to length, and limited by the stem at the branch's
     # base.
     radius = stem_m[0] * np.sqrt(habit.branch_area) * branch_m / np.sqrt(np.square(branch_m).sum())
-    stem_here_m = np.interp(relative, np.linspace(0, 1, len(stem_m)), stem_m)
+    stem_here_m = np.interp(base_share, np.linspace(0, 1, len(stem_m)), stem_m)
     return Branches(nodes, azimuth, branch_m, np.clip(radius, THINNEST_M, 0.6 * stem_here_m))
 
 
@@ -231,8 +242,21 @@ def tubes(branches: Branches, sides: int, *, every: int = 1) -> Mesh:
     return Mesh(vertices.reshape(-1, 3).astype(np.float32), faces.reshape(-1, 3).astype(np.uint32))
 
 
-def _lengths_m(habit: Habit, size_m: tuple[float, float], base_m: F8, unit: F8) -> F8:
-    """Lengths (n,) at which branches from heights (n,) reach the envelope, along unit curves (n, m, 3)."""
+def _reaches(rng: np.random.Generator, habit: Habit, azimuth: F8) -> F8:
+    """Radius (n,) of a crown towards azimuths (n,) over its mean radius, a sum of three waves."""
+    if habit.lopsided == 0:
+        return np.ones(len(azimuth))
+    size = habit.lopsided / np.sqrt(_WAVES) * rng.standard_normal((2, _WAVES))
+    turns = np.outer(azimuth, np.arange(1, 1 + _WAVES))
+    waves = (size[0] * cos(turns) + size[1] * sin(turns)).sum(axis=1)
+    return np.clip(1 + waves, *_REACHES)
+
+
+def _lengths_m(habit: Habit, size_m: tuple[float, float], base_m: F8, unit: F8, reach: F8) -> F8:
+    """Lengths (n,) at which branches from heights (n,) reach the envelope, along unit curves (n, m, 3).
+
+    The envelope is scaled by `reach` (n,).
+    """
     length_m, width_m = size_m
     away = hypot(unit[..., 0], unit[..., 1])
     rows = np.arange(len(unit))
@@ -241,13 +265,15 @@ def _lengths_m(habit: Habit, size_m: tuple[float, float], base_m: F8, unit: F8) 
     up = unit[rows, outermost, 2]
     low, high = np.zeros(len(unit)), np.full(len(unit), length_m + width_m)
     least = habit.base_fraction
+    top_m = length_m if habit.dome is None else (1 - _TWIGS_ABOVE) * length_m
     for _ in range(_BISECTIONS):
         middle = (low + high) / 2
-        relative = np.clip((base_m + up * middle) / length_m, 0.0, 1.0)
+        relative = np.clip((base_m + up * middle) / top_m, 0.0, 1.0)
         below = sin(np.pi / 2 * np.minimum(relative / habit.widest_at, 1.0))
         above = np.clip((relative - habit.widest_at) / (1 - habit.widest_at), 0.0, 1.0)
-        radius = (least + (1 - least) * below) * (1 - power(above, habit.top_power))
-        inside = away * middle < width_m / 2 * np.maximum(radius, 0.05)
+        top = 1 - power(above, habit.top_power) if habit.dome is None else power(1 - above, habit.dome)
+        radius = (least + (1 - least) * below) * top
+        inside = away * middle < width_m / 2 * np.maximum(radius, 0.05) * reach
         low, high = np.where(inside, middle, low), np.where(inside, high, middle)
     return low
 

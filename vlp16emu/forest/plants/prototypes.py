@@ -54,6 +54,7 @@ class CrownKey:
     leaf_area_m2: float  # one-sided
     season: Season = "leaf_on"
     dead_branches: bool = False  # True if dead branches remain below the crown
+    openness: float = 0.0  # 0 in a closed stand, 1 without neighbours
 
     @property
     def crown_length_m(self) -> float:
@@ -126,10 +127,10 @@ def _orders(
     name = species.number, key.variant, round(key.dbh_m * 1e4)
     rng, bole_rng = (generator(seed, purpose, *name) for purpose in (Growth.CROWN, Growth.DEAD_BRANCH))
     at_m = np.append(*(np.linspace(key.crown_base_m, end_m, 16) for end_m in (key.height_m, 0.0)))
-    taper = species.taper.row[None]
+    taper = species.taper_rows(np.array([key.dbh_m]))
     stem_m = taper_radius_m(taper, np.array([key.dbh_m]), np.array([key.height_m]), at_m[None])[0]
-    habit = species.crown
-    longest_m = species.crown.base_fraction * key.crown_width_m / 2
+    habit = species.crown.in_stand(key.openness)
+    longest_m = habit.base_fraction * key.crown_width_m / 2
     living, *dead = bole_branches(bole_rng, habit, key.crown_base_m, longest_m, stem_m[16:])
     crown = [first_order(rng, habit, (key.crown_length_m, key.crown_width_m), stem_m[:16])]
     below = [living]

@@ -88,6 +88,14 @@ class Twigs(Section):
     droop_deg: float
 
 
+class OpenGrown(Section):
+    """Keys of a crown's habit that differ on a tree without neighbours."""
+
+    base_fraction: Fraction
+    widest_at: Annotated[float, Field(ge=0.01, le=0.99)]
+    rise_deg: Pair
+
+
 class Habit(Section):
     """Branching of a crown. Pairs are [crown base, crown top], with linear interpolation."""
 
@@ -95,15 +103,24 @@ class Habit(Section):
     """Crown radius at the crown base over the largest."""
     widest_at: Annotated[float, Field(ge=0.01, le=0.99)]
     """Relative height of the crown's greatest width."""
-    top_power: Annotated[float, Field(ge=0.2, le=10)]
+    top_power: Annotated[float, Field(ge=0.2, le=10)] = 1.0
     """Exponent of the radius above the widest point, 1 - s^top_power: 1 is a cone, 2 a parabola."""
+    dome: Annotated[float, Field(ge=0.1, le=1)] | None = None
+    """Exponent of the radius above the widest point of a domed crown, (1 - s)^dome, in place of
+    `top_power`."""
+    lopsided: Annotated[float, Field(ge=0, le=0.5)] = 0.0
+    """Spread of a crown's radius over its azimuths, one sigma over the mean."""
     whorl_spacing_m: Annotated[float, Field(ge=0.02, le=5)]
     branches_per_whorl: Annotated[int, Field(ge=1, le=20)]
     """Branches per whorl; 1 makes a spiral."""
     branch_area: Annotated[float, Field(ge=0.1, le=10)] = 2.0
     """Total section of all first-order branches over the stem's section at the crown base."""
+    decurrent: Annotated[float, Field(ge=0, le=0.8)] = 0.0
+    """Share of the crown, from its top, in which no first-order branch begins: limbs from below fill it."""
     rise_deg: Pair
     """Elevation of a first-order branch at the stem."""
+    rise_spread_deg: Annotated[float, Field(ge=0, le=45)] = 6.0
+    """One sigma of that elevation."""
     droop_deg: Pair
     """Decrease of its elevation towards the tip, linear in the distance along it."""
     upturn_deg: Pair
@@ -120,6 +137,43 @@ class Habit(Section):
     twigs: Twigs
     twiglets: Twigs | None = None
     """Third-order branches, for broad crowns."""
+    open_grown: OpenGrown | None = None
+    """Form of trees without neighbours; by default all trees have that of a closed stand."""
+
+    def in_stand(self, openness: float) -> "Habit":
+        """Return the habit between a closed stand, 0, and a place without neighbours, 1."""
+        if self.open_grown is None or openness == 0:
+            return self
+
+        def between(closed: float, alone: float) -> float:
+            return closed + (alone - closed) * openness
+
+        alone = self.open_grown
+        rise_deg = tuple(map(between, self.rise_deg, alone.rise_deg))
+        base_fraction = between(self.base_fraction, alone.base_fraction)
+        widest_at = between(self.widest_at, alone.widest_at)
+        return self.model_copy(
+            update={"base_fraction": base_fraction, "widest_at": widest_at, "rise_deg": rise_deg}
+        )
+
+
+_LEAST_FLARE_M = 0.08
+_MOST_FLARE_M = 1.0
+"""Limits of the height of a root flare: the thinnest trees have a collar, and breast height is above the
+flare of all but giants; assumptions."""
+_MOST_SWELL_M = 0.62
+"""Greatest height of a flare whose swell and lobes are as high as itself: higher ones would reach the
+section at breast height, which real giants have too, but on which published tapers are scaled."""
+
+
+def flare_height_m(flare_height: F8 | float, dbh_m: F8) -> F8:
+    """Height (n,) of root flares, `flare_height` times the DBH."""
+    return np.clip(flare_height * dbh_m, _LEAST_FLARE_M, _MOST_FLARE_M)
+
+
+def swell_m(flare_m: F8) -> F8:
+    """Height (n,) that scales the swell and the lobes of a butt with a root flare of these heights."""
+    return np.minimum(flare_m, _MOST_SWELL_M)
 
 
 class StemForm(Section):
@@ -141,6 +195,10 @@ class StemForm(Section):
     """Longest diameter of a section minus the perpendicular one, over the latter; without lobes and bark."""
     lobes: Annotated[float, Field(ge=0, le=0.3)] = 0.0
     """Amplitude of the root lobes of the butt at the ground, over the radius there."""
+    flare_height: Annotated[float, Field(ge=0.2, le=5)] = 1.2
+    """Height of the root flare over the DBH. The flare grows with the DBH: its diameter does in ten species
+    with R2 of 0.81 and more (Hilbert et al. 2020, Urban Forestry & Urban Greening 49), and with its shape
+    decides how high 202 spruces could be felled (Labelle et al. 2018, 10.3390/f9110709)."""
     surface_roots: Fraction = 0.0
     """Share of lobes from which a root runs over the ground, for trees with a DBH over 0.3 m."""
     bark_mm_per_cm: Annotated[float, Field(ge=0, le=1)] = 0.0
@@ -152,7 +210,7 @@ class StemForm(Section):
 
     @property
     def row(self) -> F8:
-        """Row (10,) of all numbers in order."""
+        """Row (11,) of all numbers in order."""
         return np.hstack([getattr(self, name) for name in type(self).model_fields])
 
 
@@ -167,6 +225,16 @@ class Spread(Section):
     """Spread of the logarithm of the crown width."""
     form: Annotated[float, Field(ge=0, le=0.3)] = 0.08
     """Spread of the logarithm of the stem's volume at a given diameter and height."""
+
+
+class Champion(Section):
+    """Height and DBH of the tallest and of the thickest known tree of a species, which may be two trees.
+
+    By default the largest of all: coast redwood has 116 m, Montezuma cypress more than 5 m.
+    """
+
+    height_m: Annotated[float, Field(ge=2, le=130)] = 130.0
+    dbh_cm: Annotated[float, Field(ge=1, le=500)] = 500.0
 
 
 class Plant(Section):
@@ -204,6 +272,7 @@ class Species(Plant):
 
     height_curve: HeightCurve
     spread: Spread = Spread()
+    champion: Champion = Champion()
     crown_width: CrownWidth
     crown_base: CrownBase
     open_crown: Pair = (0.1783, 0.5665)
@@ -213,6 +282,8 @@ class Species(Plant):
     """Coefficients of `truncated_weibull_cm`."""
     taper: Taper
     stem: StemForm = StemForm()
+    lean_deg: Annotated[float, Field(ge=0, le=15)] = 1.5
+    """One sigma of a stem's lean along each level axis; assumption."""
     crown: Habit
     foliage: Foliage | None = None  # none on a dead tree
     biomass: Biomass | None = None
@@ -226,6 +297,22 @@ class Species(Plant):
             return self.crown_width(dbh_cm)
         sigma = self.spread.crown_width
         return self.crown_width(dbh_cm) * exp(sigma * residual - sigma * sigma / 2)
+
+    def openness(self, ccf_percent: F8) -> F8:
+        """How open-grown trees (n,) are under a crown competition factor: 1 below 50 %, 0 above 150 %.
+
+        At 100 % the crowns of open-grown trees would just touch (Krajicek et al. 1961, Forest Science 7); the
+        limits are assumptions. Species without an open-grown form have 0.
+        """
+        if self.crown.open_grown is None:
+            return np.zeros(np.shape(ccf_percent))
+        return np.clip(1.5 - np.asarray(ccf_percent) / 100, 0.0, 1.0)
+
+    def widening(self, dbh_cm: F8, openness: F8) -> F8:
+        """Crown width (n,) over that of forest-grown trees, between those and open-grown ones."""
+        log_a, b = self.open_crown
+        alone = exp(log_a + b * log(dbh_cm)) / self.crown_width(dbh_cm)
+        return 1 + (np.maximum(alone, 1.0) - 1) * openness
 
     def crown_base_m(self, dbh_cm: F8, height_m: F8, rivals: tuple[F8, F8], residual: F8 | float = 0.0) -> F8:
         """Height of the lowest living branch, under `competition`.
@@ -252,10 +339,26 @@ class Species(Plant):
         """Dry mass above ground (n,), NaN without a known equation; `taper` (n,) is each tree's own."""
         if self.biomass is None:
             return np.full(len(dbh_m), np.nan)
-        rows = np.tile(self.taper.row, (len(dbh_m), 1))
+        rows = self.taper_rows(dbh_m)
         rows[:, -1] = taper
         upper_m = 2 * taper_radius_m(rows, dbh_m, height_m, _BIOMASS_AT * height_m[:, None])[:, 0]
-        return self.biomass(100 * dbh_m, height_m, 100 * upper_m, crown_base_m)
+        mass_kg = self.biomass(100 * dbh_m, height_m, 100 * upper_m, crown_base_m)
+        if self.biomass.model == "components":
+            return mass_kg
+        # These equations know no upper diameter: a stem with more volume than its species' curve weighs
+        # more. Of 127 birches total mass at a DBH and height has a spread of 8.9 % (Repola 2008, Silva
+        # Fennica 42(4), model 1), the volume of birch stems 8.2 % (Laasasenaho 1982).
+        return mass_kg * exp(-_VOLUME_PER_TAPER * np.broadcast_to(taper, len(dbh_m)))
+
+    def flare_m(self, dbh_m: F8) -> F8:
+        """Height (n,) of root flares above the ground."""
+        return flare_height_m(self.stem.flare_height, dbh_m)
+
+    def taper_rows(self, dbh_m: F8) -> F8:
+        """Tapers (n, 13) for `taper_radius_m` of stems without taper of their own."""
+        rows = np.tile(self.taper.row, (len(dbh_m), 1))
+        rows[:, 3] *= swell_m(self.flare_m(dbh_m))
+        return rows
 
 
 class Shrub(Plant):
@@ -384,10 +487,18 @@ def tapers(trees: Trees, *, table: Table | None = None) -> F8:
 
     `table` defaults to the program's.
     """
-    rows = {species.number: species.taper.row for species in (table or flora().trees).values()}
-    taper = np.array([rows[number] for number in trees["species"].tolist()]).reshape(-1, 13)
+    taper = np.zeros((len(trees), 13))
+    for species in (table or flora().trees).values():
+        is_species = trees["species"] == species.number
+        taper[is_species] = species.taper_rows(trees["dbh_m"][is_species])
     taper[:, -1] = trees["taper"]
     return taper
+
+
+def flares_m(trees: Trees, *, table: Table | None = None) -> F8:
+    """Return the heights (n,) of the root flares of trees (n,) `TREE` over their feet."""
+    share = {species.number: species.stem.flare_height for species in (table or flora().trees).values()}
+    return flare_height_m(np.array([share[number] for number in trees["species"].tolist()]), trees["dbh_m"])
 
 
 GROUND_MATERIALS = ("litter", "stone", "dead wood", "grass", "herb", "fern", "dwarf shrub", "moss")

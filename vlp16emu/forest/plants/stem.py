@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import atan2, cos, exp, expm1, hypot, matvec, norm, sin, tan
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M, taper_radius_m
 from vlp16emu.forest.plants.branches import merge, pipe_faces
-from vlp16emu.forest.plants.species import Table, Trees, flora, tapers
+from vlp16emu.forest.plants.species import Table, Trees, flare_height_m, flares_m, flora, swell_m, tapers
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.random import normal, uniform
@@ -27,15 +27,17 @@ _SIGMA_OVER_MEAN = np.sqrt(2 / np.pi)
 _MOST_BOW = 0.5
 """Greatest bow over the DBH: branches start on the straight axis, which must stay within the stem."""
 _LEAST_BOLE_M = 0.1
-"""Least length over which a stem bends, for crowns that begin at the ground: below the ground the bends go on
-as polynomials of the share of the bole."""
+"""Least length over which a stem bends, for crowns that begin at the ground."""
+_LOWEST_BEND = -0.25
+"""Lowest height of a bend over the length of the bole: below the ground bends go on as polynomials, which
+would carry the buried foot of a bole of decimetres away."""
 _S_SHARE = 0.4  # amplitude of the S-shaped bend over the bow; assumption
 _SWEEP_M = 0.6  # height over which the sweep of the butt falls to 1/e; assumption
 _LOBES = (3, 6)
-_LOBES_M = 0.45
-"""Range of the number of lobes of a butt, and the height over which they fall to 1/e: flutes are deeper at
-the butt than higher up (Singleton et al. 2003, Western Journal of Applied Forestry 18); the numbers are
-assumptions."""
+_LOBES_HEIGHT = 0.9
+"""Range of the number of lobes of a butt, and the height over which they fall to 1/e over that of the root
+flare: flutes are deeper at the butt than higher up (Singleton et al. 2003, Western Journal of Applied
+Forestry 18); the numbers are assumptions."""
 _EGG_SHARE = 0.2  # egg-shaped component of a section over the ovality; assumption
 _RIDGE_VERTICES = 3  # fewest mesh vertices per bark ridge
 _LEADER_SHARE = (0.3, 0.5)
@@ -44,6 +46,7 @@ _LEADER_GAP = (0.1, 0.22)
 """Ranges for a second leader: share of the section at the fork, angle to the first leader, and distance from
 it over the crown width; assumptions."""
 _LEADER_TOP = 0.93  # height of its tip, as a share of the way from fork to tip; assumption
+_BENT = [0, 1, 2, 3, 4, 5, 6, 8, 9]  # keys of `StemForm` that straight and round stems lack
 _DIRECTIONS = 720  # directions for a tape measurement of a section: accurate to 1e-5
 
 
@@ -58,7 +61,9 @@ class StemForms:
     bole_m: F8  # (n,) height of the crown base
     bends: F8  # (n, 3, 2) bow and S-shaped bend in m, and slope of the butt; east and north
     oval: F8  # (n, 4) ovality, its direction and its twist per metre upwards, phase of the egg shape; rad
-    lobes: F8  # (n, 3) number, amplitude at the ground over the radius, phase of lobes
+    # (n, 4) number, amplitude at the ground over the radius, phase of lobes, height of 1/e of the amplitude
+    # in m
+    lobes: F8
     surface_roots: F8  # (n,) share of the lobes that have a surface root
     # (n, 6) depth in m at breast height, ridges around the stem if the mesh can have them, four phases
     bark: F8
@@ -68,10 +73,12 @@ class StemForms:
 
     def aside_m(self, above_m: F8) -> F8:
         """Offset (n, r, 2), east and north, of axes from straight lines at heights (n, r) over their feet."""
-        u = np.minimum(above_m / np.maximum(self.bole_m, _LEAST_BOLE_M)[:, None], 1.0)
+        u = np.clip(above_m / np.maximum(self.bole_m, _LEAST_BOLE_M)[:, None], _LOWEST_BEND, 1.0)
         bow = 27 / 4 * u * np.square(1 - u)  # 1 at a third of the bole, with slope 0 at its end
         to_and_fro = 13.2 * u * np.square(1 - u) * (1 - 3 * u)
-        butt = _SWEEP_M * -expm1(-above_m / _SWEEP_M) * np.square(1 - u)
+        # Straight below the ground, where the curve would leave the foot of a thick stem by metres.
+        swept_m = _SWEEP_M * -expm1(-np.maximum(above_m, 0.0) / _SWEEP_M) + np.minimum(above_m, 0.0)
+        butt = swept_m * np.square(1 - u)
         bends = self.bends[:, None]
         aside: F8 = bow[..., None] * bends[:, :, 0] + to_and_fro[..., None] * bends[:, :, 1]
         return aside + butt[..., None] * bends[:, :, 2]
@@ -88,8 +95,8 @@ class StemForms:
         ovality, towards, turn, egg = (self.oval[:, i, None, None] for i in range(4))
         shape = 1 + ovality / 2 * cos(2 * (theta - towards - turn * z))
         shape += _EGG_SHARE * ovality / 2 * cos(3 * theta - egg)
-        number, size, at = (self.lobes[:, i, None, None] for i in range(3))
-        shape += size * exp(-up / _LOBES_M) * cos(number * theta - at)
+        number, size, at, high_m = (self.lobes[:, i, None, None] for i in range(4))
+        shape += size * exp(-up / high_m) * cos(number * theta - at)
         # Bark: ridges of two widths that wander upwards, and are shallower on thinner stems.
         depth_m, ridges, a, b, c, d = (self.bark[:, i, None, None] for i in range(6))
         many = np.minimum(np.round(ridges), theta.shape[-1] // _RIDGE_VERTICES)
@@ -110,9 +117,9 @@ class StemForms:
 def stem_forms(trees: NDArray[np.void], *, table: Table | None = None) -> StemForms:
     """Draw the forms of trees (n,) `TREE`, each from its own seed and the keys of its species."""
     rows = {species.number: species.stem.row for species in (table or flora().trees).values()}
-    keys = np.array([rows[number] for number in trees["species"].tolist()]).reshape(-1, 10)
-    keys[:, :9] *= (trees["form"] > 0)[:, None]
-    bow, butt_deg, fork_share, low, high, ovality, lobes, roots, bark_mm_per_cm, period_mm = keys.T
+    keys = np.array([rows[number] for number in trees["species"].tolist()]).reshape(-1, 11)
+    keys[:, _BENT] *= (trees["form"] > 0)[:, None]
+    bow, butt_deg, fork_share, low, high, ovality, lobes, flare, roots, bark_mm_per_cm, period_mm = keys.T
     seeds = [int(seed) for seed in trees["form"]]
     g = np.array([normal(seed, Growth.STEM_FORM, 0, 8, 0) for seed in seeds]).reshape(-1, 8)
     u = np.array([uniform(seed, Growth.STEM_FORM, 0, 16, 1) for seed in seeds]).reshape(-1, 16)
@@ -135,6 +142,7 @@ def stem_forms(trees: NDArray[np.void], *, table: Table | None = None) -> StemFo
                 np.floor(least_lobes + (most_lobes + 1 - least_lobes) * u[:, 5]),
                 lobes * (0.5 + u[:, 6]),
                 turns[:, 7],
+                _LOBES_HEIGHT * swell_m(flare_height_m(flare, trees["dbh_m"])),
             ]
         ),
         surface_roots=roots,
@@ -167,20 +175,15 @@ def tape_m(away_m: F8) -> F8:
     return 2 * np.array([(cos(turn) * corners).max(axis=1).mean() for corners in away_m])
 
 
-FLARE_TOP_M = 0.5  # height of the ring between root flare and stem, which both share; assumption
 _BURIED_M = 0.1  # depth of the foot below level ground, or below the lowest ground around it
 _SIDES = np.array([16, 24, 32, 40])
 _THICKER_M = np.array([0.16, 0.3, 0.45])
 """Sides of a stem's cross-section, and the DBH above which there are more; sides are 30 to 40 mm long on most
 stems."""
-_BUTT_M = (
-    0.0,
-    0.12,
-    0.28,
-    FLARE_TOP_M,
-    0.85,
-    BREAST_HEIGHT_M,
-)  # heights of rings from the ground to breast height
+_FLARE = (0.0, 0.24, 0.56, 1.0)
+"""Heights of rings of the root flare over its height: the highest is shared with the stem."""
+_BETWEEN = 0.45
+"""Height of one more ring below that at breast height, as a share of the way from the flare's top."""
 _UPPER = (0.035, 0.1, 0.2, 0.33, 0.48, 0.64, 0.8, 0.93)
 """Further rings, as shares of the way from breast height to the tip."""
 _LEADER_CIRCLES = 9
@@ -223,18 +226,24 @@ class Stems:
     ----------
     above_ground_m : (n, r) height over the foot at which rings meet the axis; the first ring is buried
     radius_m : (n, r) radius of the circle with the ring's area; the first ring is as wide as the second
+    flare_m : (n,) height of the root flare over the foot
     sides : (n,) number of sides of the cross-section
     forked, fork_m : (m,) indices of stems with a second leader, and the height of its first ring over the
         foot
     """
 
-    flare_rings = 2 + _BUTT_M.index(FLARE_TOP_M)  # number of rings of the root flare
+    flare_rings = 1 + len(_FLARE)  # number of rings of the root flare
 
     def __init__(self, trees: Trees, *, table: Table | None = None) -> None:
         self.trees = trees
         self.forms = stem_forms(trees, table=table)
         self._taper = tapers(trees, table=table)
-        butt = np.broadcast_to((-_BURIED_M, *_BUTT_M), (len(trees), 1 + len(_BUTT_M)))
+        self.flare_m = flares_m(trees, table=table)
+        between_m = self.flare_m + _BETWEEN * (BREAST_HEIGHT_M - self.flare_m)
+        breast_m = np.full(len(trees), BREAST_HEIGHT_M)
+        butt = np.column_stack(
+            [np.full(len(trees), -_BURIED_M), np.outer(self.flare_m, _FLARE), between_m, breast_m]
+        )
         upper = BREAST_HEIGHT_M + (trees["height_m"][:, None] - BREAST_HEIGHT_M) * np.array(_UPPER)
         self.above_ground_m = np.concatenate([butt, upper], axis=1)
         self.forked = np.flatnonzero(self.forms.forks[:, 0])
@@ -357,7 +366,7 @@ def root_points(stems: Stems, height_m: HeightField) -> tuple[I8, F8]:
     stem's foot: the centre of the end in the butt, rings from there, and the tip.
     """
     trees = stems.trees
-    (number, _, lobe_phase) = stems.forms.lobes.T
+    number, _, lobe_phase, _ = stems.forms.lobes.T
     seeds = [int(seed) for seed in trees["form"]]
     draws = np.array([uniform(seed, Growth.ROOT, 0, 5 * _MOST) for seed in seeds]).reshape(-1, _MOST, 5)
     is_there = (draws[..., 0] < stems.forms.surface_roots[:, None]) & (np.arange(_MOST) < number[:, None])

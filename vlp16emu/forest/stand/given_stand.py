@@ -32,6 +32,7 @@ from vlp16emu.types import F8
 from vlp16emu.world.vectors import places_m
 
 _APART_M = 0.05  # two stems nearer to each other count as one tree listed twice
+_ROUNDING = 1e-9  # relative rounding error of a DBH from cm
 # Limits in metres or degrees: beyond them a wrong unit is more likely than a tree.
 _COLUMNS = {
     "x_m": Column({"x_m": 1.0, "x": 1.0}),
@@ -61,7 +62,8 @@ def read_stem_list(
     ground.
 
     Cells from `height_m` on may be empty. Heights then follow the species' height curve through the quadratic
-    mean diameter of its measured trees and their mean height; crown base and width follow the species'
+    mean diameter of its measured trees and their mean height, no higher than a stem can stand and the tallest
+    known tree; crown base and width follow the species'
     equations, the neighbours, and a residual drawn by the seed, as are taper, reflectance and the azimuth of
     each crown about its stem; a stem without lean is upright.
 
@@ -85,6 +87,7 @@ def read_stem_list(
     trees["x_m"] = table.numbers("x_m") - origin_m[0]
     trees["y_m"] = table.numbers("y_m") - origin_m[1]
     trees["dbh_m"] = table.numbers("dbh_m")
+    _check_sizes(table, species)
     trees["height_m"] = _with_heights(table, species)
     kinds = [kind for kind in all_species.values() if kind.number in set(trees["species"].tolist())]
     _set_crowns(trees, table, kinds, seed)
@@ -113,8 +116,13 @@ def _with_heights(table: Table, species: list[Species]) -> F8:
         if missing.any():
             mean_cm = float(np.sqrt(np.mean(np.square(dbh_cm[measured]))))
             curve_m = kind.height_curve(dbh_cm[missing], mean_cm, float(height_m[measured].mean()))
-            height_m[missing] = np.maximum(curve_m, _COLUMNS["height_m"].low)
+            most_m = np.minimum(_buckling_m(dbh_cm[missing] / 100), kind.champion.height_m)
+            height_m[missing] = np.maximum(np.minimum(curve_m, most_m), _COLUMNS["height_m"].low)
     return height_m
+
+
+def _buckling_m(dbh_m: F8) -> F8:
+    return np.array([buckling_height_m(stem_m) for stem_m in dbh_m.tolist()])
 
 
 def _set_crowns(trees: Trees, table: Table, kinds: list[Species], seed: int) -> None:
@@ -150,27 +158,50 @@ def _set_crowns(trees: Trees, table: Table, kinds: list[Species], seed: int) -> 
         trees["crown_base_m"][no_base] = kind.crown_base_m(
             dbh_cm[no_base], height_m[no_base], rivals, ratio[no_base]
         )
-        trees["crown_width_m"][no_width] = kind.crown_width_m(dbh_cm[no_width], wide[no_width])
+        openness = kind.openness(pressure[1][no_width])
+        trees["crown_width_m"][no_width] = kind.crown_width_m(
+            dbh_cm[no_width], wide[no_width]
+        ) * kind.widening(dbh_cm[no_width], openness)
 
 
-def _check(table: Table, trees: Trees) -> None:
-    """Refuse lists with DBH in millimetres, stems that cannot stand, crowns above the tip, doubled trees."""
-    from scipy.spatial import cKDTree  # here: it takes a while to load
+def _check_sizes(table: Table, species: list[Species]) -> None:
+    """Refuse lists with DBH in millimetres, and sizes that no tree of the species has.
 
-    slenderness = trees["height_m"] / trees["dbh_m"]
-    if (middle := float(np.median(slenderness))) < LEAST_SLENDERNESS:
-        i = int(slenderness.argmin())
-        size = f"{100 * trees['dbh_m'][i]:g} cm at a height of {trees['height_m'][i]:g} m"
-        found = f"found {size}; half of all trees are less than {middle:.0f} times as high as thick"
-        expected = f"{LEAST_SLENDERNESS:g} times or more (is the DBH in mm?)"
-        raise GeometryError(table.where(i, "dbh_m"), found, expected)
-    most_m = np.array([buckling_height_m(dbh_m) for dbh_m in trees["dbh_m"].tolist()])
-    if (weak := np.flatnonzero(trees["height_m"] > most_m)).size:
+    Heights that the list lacks are not checked.
+    """
+    dbh_m = table.numbers("dbh_m")
+    height_m = table.numbers("height_m")
+    slenderness = height_m / dbh_m
+    if (measured := np.flatnonzero(~np.isnan(height_m))).size:
+        middle = float(np.median(slenderness[measured]))
+        if middle < LEAST_SLENDERNESS:
+            i = int(measured[slenderness[measured].argmin()])
+            size = f"{100 * dbh_m[i]:g} cm at a height of {height_m[i]:g} m"
+            found = f"found {size}; half of all trees are less than {middle:.0f} times as high as thick"
+            expected = f"{LEAST_SLENDERNESS:g} times or more (is the DBH in mm?)"
+            raise GeometryError(table.where(i, "dbh_m"), found, expected)
+    champion_m = np.array([(kind.champion.height_m, kind.champion.dbh_cm / 100) for kind in species])
+    if (thick := np.flatnonzero(dbh_m > (1 + _ROUNDING) * champion_m[:, 1])).size:
+        i = int(thick[0])
+        expected = f"{100 * champion_m[i, 1]:.4g} cm at most, the DBH of the thickest known {species[i].name}"
+        raise GeometryError(table.where(i, "dbh_m"), f"found {100 * dbh_m[i]:g} cm", expected)
+    if (tall := np.flatnonzero(height_m > champion_m[:, 0])).size:
+        i = int(tall[0])
+        expected = f"{champion_m[i, 0]:g} m at most, the height of the tallest known {species[i].name}"
+        raise GeometryError(table.where(i, "height_m"), f"found {height_m[i]:g} m", expected)
+    most_m = _buckling_m(dbh_m)
+    if (weak := np.flatnonzero(height_m > most_m)).size:
         i = int(weak[0])
-        size = f"{trees['height_m'][i]:g} m at a DBH of {100 * trees['dbh_m'][i]:g} cm"
+        size = f"{height_m[i]:g} m at a DBH of {100 * dbh_m[i]:g} cm"
         found = f"found {size}, {slenderness[i]:.0f} times as high as thick"
         expected = f"{most_m[i]:.3g} m at most, where a stem buckles under its own weight"
         raise GeometryError(table.where(i, "height_m"), found, expected)
+
+
+def _check(table: Table, trees: Trees) -> None:
+    """Refuse crowns above the tip, and doubled trees."""
+    from scipy.spatial import cKDTree  # here: it takes a while to load
+
     if (above := np.flatnonzero(trees["crown_base_m"] >= trees["height_m"])).size:
         i = int(above[0])
         found = f"found {trees['crown_base_m'][i]:g}"

@@ -25,7 +25,6 @@ from vlp16emu.forest.plants.prototypes import (
 )
 from vlp16emu.forest.plants.species import Table, Trees, flora
 from vlp16emu.forest.plants.stem import (
-    FLARE_TOP_M,
     STEM_CIRCLE,
     STEM_PARTS,
     Stems,
@@ -230,7 +229,7 @@ def far_stems(trees: Trees, first_row: int, *, table: Table | None = None) -> ND
         np.column_stack([stems_of_trees.radius_m, stems_of_trees.tip_radius_m]),
         1,
     )
-    first["flare_m"] = FLARE_TOP_M / first["axis"][:, 2]
+    first["flare_m"] = stems_of_trees.flare_m / first["axis"][:, 2]
     first["row"] = first_row + 2 * np.arange(len(trees))[:, None] + [0, 1]
     above_m, radius_m = stems_of_trees.leaders(np.linspace(0.0, 1.0, above_m.shape[1]))
     second = profiles(foot_m[stems_of_trees.forked], stems_of_trees.leader_axis_m(above_m), radius_m, 0)

@@ -12,7 +12,16 @@ from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.polyline import Corridor
 from vlp16emu.forest.plants.allometry import taper_radius_m, truncated_weibull_cm
 from vlp16emu.forest.plants.prototypes import VARIANTS, CrownKey
-from vlp16emu.forest.plants.species import BARK_SPREAD, LEAF_SPREAD, Flora, Table, Trees, find_species, tapers
+from vlp16emu.forest.plants.species import (
+    BARK_SPREAD,
+    LEAF_SPREAD,
+    Flora,
+    Species,
+    Table,
+    Trees,
+    find_species,
+    tapers,
+)
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import MOST_STEMS_PER_HA, Forest, SpeciesShare, Storey
 from vlp16emu.forest.stand.points import Land, PointPattern, pattern_of
@@ -63,7 +72,6 @@ _LEVELS = np.linspace(-1.2, 1.2, VARIANTS)
 stem."""
 _MOST_SIGMAS = 2.5
 """Limit of residuals: larger ones are likely measuring errors; keeps crowns near their prototypes."""
-_LEAN_SIGMA_DEG = 1.5  # one sigma of lean along each horizontal axis; assumption
 _HEAD_ROOM_M = 2.5  # height up to which a leaning stem must stay clear of the path: above a walker's head
 _STEM_GAP_M = 0.05  # least gap between two stems at the ground; assumption
 _TILES_KEPT = 1024  # tiles whose trees are kept for their neighbours: more than a window with its border has
@@ -80,6 +88,7 @@ class _Cohort:
     def __init__(self, share: SpeciesShare, plants: Flora) -> None:
         self.share = share
         self.species = find_species([share.species], plants.trees, "species")[0]
+        _check_size(share, self.species)
         midpoints = (np.arange(4096) + 0.5) / 4096
         raw_cm = truncated_weibull_cm(self.species.diameters, midpoints, share.dbh_cm)
         self._scale = share.dbh_cm / math.sqrt(float(np.mean(np.square(raw_cm))))
@@ -107,6 +116,17 @@ class _Cohort:
         trees["bark_reflectance"] = species.bark_reflectance + BARK_SPREAD * (2 * uniform[:, 1] - 1)
         trees["leaf_reflectance"] = species.leaf_reflectance + LEAF_SPREAD * (2 * uniform[:, 2] - 1)
         return trees
+
+
+def _check_size(share: SpeciesShare, species: Species) -> None:
+    """Raise GeometryError for a mean tree that is larger than the largest known of its species."""
+    champion = species.champion
+    if share.height_m > champion.height_m:
+        expected = f"{champion.height_m:g} at most, the height of the tallest known"
+        raise GeometryError(f"species {species.name}: height_m", f"found {share.height_m:g}", expected)
+    if share.dbh_cm > champion.dbh_cm:
+        expected = f"{champion.dbh_cm:g} at most, the DBH of the thickest known"
+        raise GeometryError(f"species {species.name}: dbh_cm", f"found {share.dbh_cm:g}", expected)
 
 
 def competition(
@@ -208,6 +228,8 @@ class Stand:
         samples = [_sample(*storey) for storey in zip(self._patterns, self._cohorts, strict=True)]
         self._rivals_cm, per_ha_m2 = (np.concatenate(column) for column in zip(*samples, strict=True))
         self._rivals_m2 = per_ha_m2[:, :2]
+        ccf_percent = 100 * float(self._rivals_m2[:, 1].sum()) / 10_000
+        self._openness = [float(row.species.openness(np.array(ccf_percent))) for row in self._all_cohorts]
         cover = float(per_ha_m2[:, 2].sum()) / 10_000
         self._ground_per_crown = 1 / max(cover, 1 / _OPEN_GROWN)
         self._crown = cache(self.crown)
@@ -233,6 +255,8 @@ class Stand:
                 tuple(areas[in_cohort] for areas in pressure),
             )
             trees["crown_base_m"][in_cohort] = cohort.species.crown_base_m(*sizes, values[in_cohort, 6])
+            openness = cohort.species.openness(pressure[1][in_cohort])
+            trees["crown_width_m"][in_cohort] *= cohort.species.widening(sizes[0], openness)
         kinds, kind_of = np.unique(trees[["cohort", "crown_class"]], return_inverse=True)
         crowns = [self._crown(*kind, variant) for kind in kinds.tolist() for variant in range(VARIANTS)]
         ratios = np.array([1 - key.crown_base_m / key.height_m for key in crowns]).reshape(-1, VARIANTS)[
@@ -267,9 +291,6 @@ class Stand:
         trees = np.zeros(len(position), TREE)
         trees["x_m"], trees["y_m"] = position.T
         trees["z_m"] = self._land.height_m(trees["x_m"], trees["y_m"])
-        lean_x, lean_y = _LEAN_SIGMA_DEG * normal[:, :2].T
-        trees["lean_deg"] = hypot(lean_x, lean_y)
-        trees["lean_towards_deg"] = np.degrees(atan2(lean_y, lean_x)) % 360
         trees["crown_azimuth_deg"] = 360 * uniform[:, 0]
         trees["storey"] = number
         if self._section.crooked_stems:
@@ -278,6 +299,10 @@ class Stand:
         share = np.array([cohort.share.share for cohort in cohorts])
         cohort_of = np.searchsorted(np.cumsum(share / share.sum())[:-1], uniform[:, 1], side="right")
         trees["cohort"] = sum(map(len, self._cohorts[:number])) + cohort_of
+        lean_deg = np.array([cohort.species.lean_deg for cohort in cohorts])[cohort_of]
+        lean_x, lean_y = lean_deg * normal[:, :2].T
+        trees["lean_deg"] = hypot(lean_x, lean_y)
+        trees["lean_towards_deg"] = np.degrees(atan2(lean_y, lean_x)) % 360
         residual = residuals(normal[:, 2:])
         for i, cohort in enumerate(cohorts):
             in_cohort = cohort_of == i
@@ -295,7 +320,8 @@ class Stand:
         row = self._all_cohorts[cohort]
         dbh_cm = np.array([row.share.dbh_cm * class_scale(_CLASS_RATIO, crown_class)])
         height_m = row.height_m(dbh_cm)
-        width_m = row.species.crown_width_m(dbh_cm)
+        openness = self._openness[cohort]
+        width_m = row.species.crown_width_m(dbh_cm) * row.species.widening(dbh_cm, np.array([openness]))
         leaf_area_m2 = row.species.leaf_area_index * self._ground_per_crown * _projection_m2(width_m)
         larger = self._rivals_cm > dbh_cm[:, None]
         rivals = competition(self._rivals_m2, 10_000.0, larger, np.ones_like(larger))
@@ -303,7 +329,7 @@ class Stand:
         sizes = dbh_cm / 100, height_m, base_m, width_m, leaf_area_m2
         dbh, height, base, width, leaves = (float(size[0]) for size in sizes)
         options = self._section.season, self._section.dead_branches
-        return CrownKey(row.species.name, variant, dbh, height, base, width, leaves, *options)
+        return CrownKey(row.species.name, variant, dbh, height, base, width, leaves, *options, openness)
 
 
 def _sample(pattern: PointPattern, cohorts: list[_Cohort]) -> tuple[F8, F8]:
