@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 
 from vlp16emu.cli.app import run
-from vlp16emu.cli.verb import leaves_of
+from vlp16emu.cli.verb import options_of_function
 from vlp16emu.doors import DOORS, door
 
 NO_PORTS = "--data-port 9 --position-port 10"
@@ -165,7 +165,7 @@ MINE = b"mine, and of no run\n"
 def paths_of(verb):
     """Names of arguments and options that take a path, each with its index among the arguments."""
     at = -1
-    for leaf in leaves_of(door(verb, "verbs")):
+    for leaf in options_of_function(door(verb, "verbs")):
         at += not leaf.name.startswith("-")
         if "Path" in str(leaf.kind) or leaf.name in WITH_PATHS:
             yield leaf.name, at
