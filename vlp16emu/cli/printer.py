@@ -178,7 +178,7 @@ def count(number: int) -> str:
 
 def quantity(number: float, noun: str) -> str:
     """Format a number of things: `1 core`, `2 cores`, `99.5 revolutions`."""
-    text = f"{number:.12g}" if isinstance(number, float) else count(number)
+    text = count(number) if isinstance(number, int) else f"{number:.12g}"
     return f"{text} {noun}{'' if number == 1 else 's'}"
 
 

@@ -67,7 +67,7 @@ class Event(Section):
         return self
 
 
-def _bounded(number_type: type, **bounds: float) -> Any:
+def _bounded(number_type: type, **bounds: Any) -> Any:
     """Return the type of a number within bounds, as `pydantic.Field` names them."""
     return Annotated[number_type, Field(**bounds)]
 

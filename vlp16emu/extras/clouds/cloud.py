@@ -114,7 +114,7 @@ class Column:
 
         Fixed-point numbers become fractions.
         """
-        if self.decimals and values.dtype.property_dtype == "i":
+        if self.decimals and values.dtype.kind == "i":
             values = values / 10**self.decimals
         return dict(zip(self.ply, values.reshape(len(values), len(self.ply)).T, strict=True))
 
@@ -295,7 +295,7 @@ class PcdFile(PlyFile):
             "VERSION 0.7",
             f"FIELDS {' '.join(self._vertex_dtype.names or ())}",
             f"SIZE {' '.join(str(field.itemsize) for field in fields)}",
-            f"TYPE {' '.join(field.property_dtype.upper() for field in fields)}",
+            f"TYPE {' '.join(field.kind.upper() for field in fields)}",
             f"COUNT {' '.join('1' for _ in fields)}",
             f"WIDTH {self.points:<20}",
             "HEIGHT 1",
