@@ -178,9 +178,8 @@ def _exit_code(error: OSError, code: int | None) -> int:
     """
     try:
         print(end="", flush=True)
-        if (
-            error.filename is None and error.errno in _WRITE_ERRORS
-        ):  # for a long text nothing is left to flush
+        is_of_write = error.filename is None and error.errno in _WRITE_ERRORS
+        if is_of_write:  # for a long text nothing is left to flush
             raise error
     except OSError:  # standard output cannot be written
         # The rest of the output is discarded: Python would write it at exit, and report the error again.

@@ -312,8 +312,8 @@ def _outlet_text(result: "OutletResult") -> str:
 
 
 def _receiver_text(gps_in: "GpsInResult") -> str:
-    heard = gps_in.heard
-    counts = {"sentences": heard.sentences, "pulses": heard.pulses, "garbled": heard.refused}
+    line = gps_in.heard
+    counts = {"sentences": line.sentences, "pulses": line.pulses, "garbled": line.refused}
     text = ", ".join(f"{count(number)} {name}" for name, number in counts.items())
     return f"{text} from {gps_in.port}; {gps_in.state.name.lower()}{_away_text(gps_in.away)}"
 

@@ -45,7 +45,7 @@ def bench(each_unit, monkeypatch):
     )
     stream, sink = Stream(engine), SimpleNamespace(address="127.0.0.1", redirect=lambda *_: None)
     control = Control(feed, sink, stream, None)
-    with control.following():
+    with control.follow_settings():
         yield SimpleNamespace(device=control.devices[0], stream=stream, feed=feed)
 
 

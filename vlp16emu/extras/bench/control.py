@@ -91,7 +91,7 @@ class WebInterfaces(WebPart):
             server = WebServer(device, listener, fault=fault, delay_s=partial(control.delay_s, number))
             self._open.enter_context(server)
             self.places.append(server.address)
-        self._open.enter_context(control.following())
+        self._open.enter_context(control.follow_settings())
         self._control = control
 
     def end(self, _error: BaseException | None) -> None:
@@ -105,6 +105,7 @@ class WebInterfaces(WebPart):
 
 
 def _settings_of(unit: Unit, host: str) -> DeviceSettings:
+    """Return the settings of a unit in the scene, with the host that it sends to."""
     sensor = require_packets(unit.section)
     settings = DeviceSettings(
         host=host, data_port=sensor.data_port, position_port=sensor.position_port, address=sensor.address
@@ -146,8 +147,8 @@ class Control:
         self._apply_lock = threading.Lock()
         self._lead_ns = _LEAD_NS
         self._ahead_ns = 0
-        self._calm_s = 0.0
-        self._prompt = _PROMPT_CHANGES
+        self._calm_from_s = 0.0
+        self._prompt_left = _PROMPT_CHANGES
         self.devices = [self._device(unit, saved) for unit in feed.engine.parts.units]
         """State of the web interface of each sensor."""
 
@@ -164,7 +165,7 @@ class Control:
         )
 
     @contextmanager
-    def following(self) -> Iterator[None]:
+    def follow_settings(self) -> Iterator[None]:
         """Make the stream follow settings; saved settings hold from the first packet on."""
         for number, device in enumerate(self.devices):
             self._redirect(number, self._factory[number], device.settings)
@@ -195,9 +196,8 @@ class Control:
             where, found, expected = explain(error, event_adapter().json_schema())
             raise InputError(f"event {kind}{where.removeprefix('[0]')}", found, expected) from None
         except ValueError as error:
-            raise InputError(
-                f"event {kind}", f"found unit {unit} of {self._scenario.title}", str(error)
-            ) from None
+            found = f"found unit {unit} of {self._scenario.title}"
+            raise InputError(f"event {kind}", found, str(error)) from None
         with self._lock:
             self._new_events += events
         self._apply_pending()
@@ -205,17 +205,18 @@ class Control:
 
     def fault(self, unit: int) -> int | None:
         """Return the HTTP status of all answers of a unit now, 0 for no answer; None without a fault."""
-        return next((error.status or 0 for error in self._web_events(unit, "http_error")), None)
+        return next((event.status or 0 for event in self._web_events(unit, "http_error")), None)
 
     def delay_s(self, unit: int) -> float:
         """Return the time from a request to its answer now, in seconds; 0 if no event delays it."""
         return next((event.by_s for event in self._web_events(unit, "http_delay")), 0.0)
 
     def _web_events(self, unit: int, kind: str) -> Iterator[Event]:
+        """Yield the events of a kind and a unit that hold now."""
         since_ns = self._since_ns()
         for event in self._events:
-            is_now = event.begin_ns <= since_ns < event.end_ns
-            if is_now and (event.kind, event.unit) == (kind, unit + 1):
+            is_such = (event.kind, event.unit) == (kind, unit + 1)
+            if is_such and event.begin_ns <= since_ns < event.end_ns:
                 yield event
 
     def status(self, unit: int) -> DeviceStatus:
@@ -224,8 +225,8 @@ class Control:
         sensor = self._feed.engine.parts.units[unit]
         since_ns = self._since_ns()
         now_ns = self._scenario.start_ns + since_ns
-        off = sensor.state.silences.before(since_ns)
-        power_up_ns = off[1] if off else -seconds_to_ns(sensor.section.powered_for_s or 0.0)
+        silence = sensor.state.silences.before(since_ns)
+        power_up_ns = silence[1] if silence else -seconds_to_ns(sensor.section.powered_for_s or 0.0)
         settings = self.devices[unit].settings
         rpm = sensor.head.rotor.rpm_at(since_ns)
         second_ns = max(now_ns // S_NS * S_NS - self._scenario.start_ns, 0)
@@ -290,9 +291,9 @@ class Control:
             while self._future_events and self._future_events[0].at_s <= since_s:
                 events.append(self._future_events.pop(0))
         for event in events:  # without the lock, which a device that is being set may wait for
-            self.devices[event.unit - 1].adopt(partial(self._after, event))
+            self.devices[event.unit - 1].adopt(partial(self._settings_after, event))
 
-    def _after(self, event: Event, settings: DeviceSettings) -> DeviceSettings:
+    def _settings_after(self, event: Event, settings: DeviceSettings) -> DeviceSettings:
         """Return the settings of a unit after an event."""
         if event.effect == "power":
             return self._factory[event.unit - 1]
@@ -315,16 +316,18 @@ class Control:
             if (from_ns := self._apply_pending()) is not None:
                 next_s = begin_s + max(_FLOOD_INTERVAL_S, _FLOOD_FACTOR * (time.monotonic() - begin_s))
                 self._wait_until_ahead(from_ns)
-                self._over.wait(0.0 if self._prompt else max(next_s - time.monotonic(), 0.0))
+                self._over.wait(0.0 if self._prompt_left else max(next_s - time.monotonic(), 0.0))
 
     def _apply_pending(self) -> int | None:
         """Compute packets again from a moment ahead, if there are new settings, and return its UTC."""
         with self._apply_lock:
             until_ns = self._stream.made_until_ns
-            self._prompt = _PROMPT_CHANGES if time.monotonic() >= self._calm_s else self._prompt
+            self._prompt_left = (
+                _PROMPT_CHANGES if time.monotonic() >= self._calm_from_s else self._prompt_left
+            )
             self._ahead_ns = max(self._ahead_ns, until_ns - self._stream.due_in_ns(0))
             from_ns = self._since_ns(self._lead_ns)
-            if not self._prompt and until_ns < FOREVER_NS:  # some packets are not yet computed
+            if not self._prompt_left and until_ns < FOREVER_NS:  # some packets are not yet computed
                 from_ns = max(from_ns, until_ns - self._scenario.start_ns)
             at_s = round(math.ceil(from_ns / S_NS / _STEP_S) * _STEP_S, 3)
             with self._lock:
@@ -336,8 +339,8 @@ class Control:
                 self._events = self._events + settings + events
             if not settings and not events:
                 return None
-            self._calm_s = time.monotonic() + _CALM_S
-            self._prompt = max(self._prompt - 1, 0)
+            self._calm_from_s = time.monotonic() + _CALM_S
+            self._prompt_left = max(self._prompt_left - 1, 0)
             self._at_ns = self._scenario.start_ns + seconds_to_ns(at_s)
             engine = self._feed.engine.with_events(self._events)
             due_ns = self._scenario.start_ns + from_ns

@@ -67,7 +67,7 @@ class Event(Section):
         return self
 
 
-def _bounded(number_type: type, **bounds: Any) -> Any:
+def _number(number_type: type, **bounds: Any) -> Any:
     """Return the type of a number within bounds, as `pydantic.Field` names them."""
     return Annotated[number_type, Field(**bounds)]
 
@@ -86,44 +86,44 @@ KEYS: dict[str, tuple[Any, Any, str]] = {
         "First and last azimuth that is sent, whole degrees; (0, 359) is all around.",
     ),
     "phase_lock_deg": (_SETTINGS["phase_lock_deg"] | None, None, _PHASE_LOCK_MEANING),
-    "amplitude_rpm": (_bounded(float, gt=0, le=100), 6.0, "Greatest difference from the set speed."),
-    "period_s": (_bounded(float, ge=0.05, le=1000), 1.0, "Time from one greatest speed to the next."),
+    "amplitude_rpm": (_number(float, gt=0, le=100), 6.0, "Greatest difference from the set speed."),
+    "period_s": (_number(float, ge=0.05, le=1000), 1.0, "Time from one greatest speed to the next."),
     "off_s": (
-        _bounded(float, gt=0, le=3600),
+        _number(float, gt=0, le=3600),
         5.0,
         "Time without packets: power off, and start of the sensor.",
     ),
-    "dead_laser.laser": (_bounded(int, ge=0, le=15), ..., "Number of the laser in order of firing, from 0."),
+    "dead_laser.laser": (_number(int, ge=0, le=15), ..., "Number of the laser in order of firing, from 0."),
     "sector_deg": (Sector, ..., "First and last azimuth of the dirt, clockwise."),
     "transmission": (Fraction, 0.3, "Share of the light that passes, in each direction."),
     "offset_us": (
-        _bounded(float, ge=-1e9, le=1e9),
+        _number(float, ge=-1e9, le=1e9),
         0.0,
         "Offset of the clock from then on, positive if fast.",
     ),
     "drift_ppm": (
-        _bounded(float, ge=-1000, le=1000),
+        _number(float, ge=-1000, le=1000),
         0.0,
         "Rate error of the clock from then on, positive if fast.",
     ),
-    "characters": (_bounded(int, ge=1, le=60), 1, "Number of characters that are replaced."),
-    "late_sentence.by_s": (_bounded(float, gt=0, le=60), 0.5, "Delay, beside `gps.sentence_delay_s`."),
-    "http_delay.by_s": (_bounded(float, gt=0, le=60), 5.0, "Time from a request to its answer."),
+    "characters": (_number(int, ge=1, le=60), 1, "Number of characters that are replaced."),
+    "late_sentence.by_s": (_number(float, gt=0, le=60), 0.5, "Delay, beside `gps.sentence_delay_s`."),
+    "http_delay.by_s": (_number(float, gt=0, le=60), 5.0, "Time from a request to its answer."),
     "packets": (Literal["data", "position", "both"], "data", "Kinds of packets that it affects."),
-    "count": (_bounded(int, ge=1, le=1_000_000_000) | None, None, _COUNT_MEANING),
-    "share": (_bounded(float, gt=0, le=1), 1.0, "Probability for each packet."),
-    "after_s": (_bounded(float, ge=0, le=10), 0.0, "Time from the first copy to the second."),
-    "by": (_bounded(int, ge=1, le=100), 1, "Number of packets of its kind that overtake a packet."),
-    "by_s": (_bounded(float, gt=0, le=10), 0.05, "Delay of the packets."),
+    "count": (_number(int, ge=1, le=1_000_000_000) | None, None, _COUNT_MEANING),
+    "share": (_number(float, gt=0, le=1), 1.0, "Probability for each packet."),
+    "after_s": (_number(float, ge=0, le=10), 0.0, "Time from the first copy to the second."),
+    "by": (_number(int, ge=1, le=100), 1, "Number of packets of its kind that overtake a packet."),
+    "by_s": (_number(float, gt=0, le=10), 0.05, "Delay of the packets."),
     "up_to_s": (
-        _bounded(float, gt=0, le=10),
+        _number(float, gt=0, le=10),
         0.02,
         "Greatest delay; delays are uniformly distributed up to it.",
     ),
-    "bits": (_bounded(int, ge=1, le=4096), 8, "Number of bits that are flipped in a packet."),
-    "to_bytes": (_bounded(int, ge=0, le=1205), 600, "Remaining bytes of the payload."),
+    "bits": (_number(int, ge=1, le=4096), 8, "Number of bits that are flipped in a packet."),
+    "to_bytes": (_number(int, ge=0, le=1205), 600, "Remaining bytes of the payload."),
     "status": (
-        _bounded(int, ge=400, le=599) | None,
+        _number(int, ge=400, le=599) | None,
         None,
         "HTTP status of the answers; no answer if not given.",
     ),

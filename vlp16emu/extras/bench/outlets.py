@@ -216,7 +216,7 @@ def _check_port(name: str, where: str) -> None:
 
 
 class SerialPort:
-    """A serial port at 8N1 without flow control, which tries once a second to open a vanished device again.
+    """A serial port at 8N1 without flow control, which opens a vanished device again once it is back.
 
     It is for one thread, which reads and writes by `use`.
 

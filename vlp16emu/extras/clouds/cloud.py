@@ -261,9 +261,8 @@ class PlyFile(PointWriter):
 
     @staticmethod
     def _property_dtype(column: Column) -> str:
-        return (
-            "<f8" if column.property_dtype == "<u4" else column.property_dtype
-        )  # float64 holds all numbers of uint32
+        dtype = column.property_dtype
+        return "<f8" if dtype == "<u4" else dtype  # float64 holds all numbers of uint32
 
     def _header(self) -> bytes:
         kinds = ((name, _PLY_KINDS[self._vertex_dtype[name].str]) for name in self._vertex_dtype.names or ())
@@ -278,7 +277,7 @@ class PlyFile(PointWriter):
 
 
 class PcdFile(PlyFile):
-    """Binary PCD 0.7, which differs from PLY only in its header; coordinates are float32 as in PCL's types.
+    """Binary PCD 0.7, which differs from PLY in its header, and in float32 coordinates as in PCL's types.
 
     Source: pointclouds.org, The PCD (Point Cloud Data) file format.
     """

@@ -118,9 +118,8 @@ class Trajectory:
         *per_minute_m, yaw_deg = drift
         yaw = rotations(np.radians(yaw_deg * minutes), 0.0, 0.0)
         from_first_m = matvec(yaw, world_p_sensor_m - self.first_m)
-        return matmul(yaw, world_R_sensor), self.first_m + from_first_m + minutes[:, None] * np.array(
-            per_minute_m
-        )
+        shift_m = minutes[:, None] * np.array(per_minute_m)
+        return matmul(yaw, world_R_sensor), self.first_m + from_first_m + shift_m
 
 
 class CaptureTruth:

@@ -85,7 +85,7 @@ class Chunk:
 
 
 def cut_scans(chunks: Iterable[Chunk], pose_at: Callable[[int], F8] | None = None) -> Iterator[Scan]:
-    """Cut points into whole revolutions; partial ones at both ends and at a jump of the clock are left out.
+    """Cut points into whole revolutions; partial ones at the ends and at a jump of the clock are left out.
 
     Parameters
     ----------
@@ -108,11 +108,9 @@ def cut_scans(chunks: Iterable[Chunk], pose_at: Callable[[int], F8] | None = Non
         if pending.t_ns[-1] - pending.t_ns[0] > _LONGEST_NS:
             pending = None
             is_whole = False
-    if (
-        pending is not None
-        and (is_whole or _begins_at_zero(pending.azimuth_deg))
-        and _ends_at_zero(pending.azimuth_deg)
-    ):
+    if pending is None or not _ends_at_zero(pending.azimuth_deg):
+        return
+    if is_whole or _begins_at_zero(pending.azimuth_deg):
         yield _scan(pending, pose_at)
 
 
@@ -239,7 +237,7 @@ def scans_of(engine: Engine, number: int, span_s: tuple[float, float], *, truth:
 
 
 def _chunk_of_returns(unit: Unit, returns: Returns, begin_ns: int, end_ns: int, *, truth: bool) -> Chunk:
-    """Return the points of a block whose azimuth is read within a span: each echo once, the last one first."""
+    """Return the points of a block whose azimuth is read in a span: each echo once, the last one first."""
     firings = returns.firings
     step = SEQUENCES_PER_BLOCK
     reading_ns = firings.t_ns[::step, 0]

@@ -133,7 +133,7 @@ def _is_address(name: str) -> bool:
 def scene_page(
     server: viser.ViserServer, emulator: Emulator, open_scene: OpenScene, unit: int, radius_m: float
 ) -> "Page":
-    """Grow a scene and draw it up to a radius around its path, which can be edited if it is that of a walk.
+    """Grow a scene and draw it up to a radius around its path, which can be edited if it is a walk.
 
     Raises InputError if there is no such unit, or the stand cannot be grown.
     """

@@ -137,7 +137,7 @@ class Canvas:
 
 
 class LaserRows:
-    """Image of a revolution as its lasers see it: a band for each ring, the highest on top, over the azimuth.
+    """Image of a revolution as its lasers see it: a band over the azimuth for each ring, the highest on top.
 
     Parameters
     ----------

@@ -182,9 +182,8 @@ class CaptureSweeps:
             self._next += 1
             if len(self._scans_read) > _MOST_SCANS:
                 del self._scans_read[min(self._scans_read)]
-        return place_scan(self._scans_read[number], self._trajectory)._replace(
-            faults=tuple(self._faults[number])
-        )
+        sweep = place_scan(self._scans_read[number], self._trajectory)
+        return sweep._replace(faults=tuple(self._faults[number]))
 
     def close(self) -> None:
         """Close the capture."""
