@@ -12,7 +12,6 @@ import typer
 
 from vlp16emu.cli.arguments import AsJson, PlotFile, RunOptions, SceneName, Settings
 from vlp16emu.cli.printer import (
-    count,
     members,
     print_file,
     print_json,
@@ -29,6 +28,7 @@ from vlp16emu.cli.terminal import Progress, compile_first, make_emulator
 from vlp16emu.errors import InputError
 from vlp16emu.run.options import Duration, Option
 from vlp16emu.trees import Tree
+from vlp16emu.units import count_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -213,7 +213,7 @@ def cache(
         tree[name] = {"folder": folder, "files": files, "bytes": used_bytes, "most_bytes": store.most_bytes}
         limit = "" if clear else f" of at most {size(store.most_bytes)}"
         rows[name] = (
-            f"{count(files)} files, {size(used_bytes)}{limit}, in {folder or 'no folder: nothing is kept'}"
+            f"{count_text(files)} files, {size(used_bytes)}{limit}, in {folder or 'no folder: nothing is kept'}"
         )
     if as_json:
         print_json(tree)
@@ -320,7 +320,7 @@ def _bark_classes(shares: list[float]) -> dict[str, str]:
     """Return the number of stems by the share of their bark; a circle can be fitted to half of the bark."""
     names = ("none", "under a quarter", "under a half", "a half and more")
     counts = Counter(sum((share > 0.0, share >= 0.25, share >= 0.5)) for share in shares)
-    return {name: count(counts[number]) for number, name in enumerate(names)}
+    return {name: count_text(counts[number]) for number, name in enumerate(names)}
 
 
 _MOST_PULSES = 1_000_000
@@ -377,8 +377,8 @@ def _print_accuracy(measured: "Accuracy") -> None:
     errors = measured.rows[0].errors
     print_line(f"{measured.scene}, seed {measured.seed}: error against run time")
     print(
-        f"  {count(errors.pulses)} pulses, {count(errors.returns)} with a return; answer of "
-        f"{count(measured.answer_rays)} sub-rays, itself wrong by {1e3 * measured.answer_rmse_m:.2f} mm\n"
+        f"  {count_text(errors.pulses)} pulses, {count_text(errors.returns)} with a return; answer of "
+        f"{count_text(measured.answer_rays)} sub-rays, itself wrong by {1e3 * measured.answer_rmse_m:.2f} mm\n"
     )
     heads = [head for head, _ in _COLUMNS.values()]
     lines = [["setting of the beam", "us/pulse", "rays", *heads]]

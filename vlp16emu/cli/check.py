@@ -186,8 +186,8 @@ def compare(
     print(f"{len(differing)} of {len(rows)} statistics differ by more than real units do")
     if unlike_both := sum(all(row.unlike) for row in rows):
         print(
-            f"{unlike_both} are like no real unit in both captures (*): the real ones show rooms and streets, "
-            "not foliage"
+            f"{unlike_both} are like no real unit in both captures (*): the real ones show rooms and "
+            "streets, not foliage"
         )
     print_file(plot)
 

@@ -13,6 +13,7 @@ import typer
 
 from vlp16emu.errors import printable
 from vlp16emu.trees import Table, Tree
+from vlp16emu.units import count_text
 
 if TYPE_CHECKING:  # help prints none of them
     from vlp16emu.extras.accuracy.audit import AuditFinding
@@ -155,7 +156,7 @@ def rows_of(result: object) -> dict[str, str]:
         if name == "units":
             rows |= {f"unit {unit.unit}": _unit_text(unit) for unit in value}
         elif name == "messages":
-            rows |= {topic: f"{count(number)} messages" for topic, number in value.items()}
+            rows |= {topic: f"{count_text(number)} messages" for topic, number in value.items()}
         elif is_dataclass(value) and name not in _FORMATTERS:
             rows |= rows_of(value)
         elif text := _member_text(name, value):
@@ -171,14 +172,9 @@ def _member_text(name: str, value: object) -> str:
     return f"{text}{_unit_suffix(name)}" if text else ""
 
 
-def count(number: int) -> str:
-    """Format a whole number in groups of three digits (ISO 80000-1, section 7.3.1)."""
-    return f"{number:,}".replace(",", " ")
-
-
 def quantity(number: float, noun: str) -> str:
     """Format a number of things: `1 core`, `2 cores`, `99.5 revolutions`."""
-    text = count(number) if isinstance(number, int) else f"{number:.12g}"
+    text = count_text(number) if isinstance(number, int) else f"{number:.12g}"
     return f"{text} {noun}{'' if number == 1 else 's'}"
 
 
@@ -198,7 +194,7 @@ def behind_text(times: "Sequence[FellBehind]") -> str:
     causes = ", ".join(dict.fromkeys(time.cause for time in times[:3]))
     if len(times) == 1:
         return f"once, by {total_s:.2f} s, at {first_s:.1f} s: {causes}"
-    return f"{count(len(times))} times, by {total_s:.2f} s at most, first at {first_s:.1f} s: {causes}"
+    return f"{count_text(len(times))} times, by {total_s:.2f} s at most, first at {first_s:.1f} s: {causes}"
 
 
 def audit_text(audit: "AuditFinding") -> str:
@@ -244,7 +240,7 @@ def text_of(value: object) -> str:
     if isinstance(value, Enum):
         return value.name.lower()
     if isinstance(value, int):
-        return count(value)
+        return count_text(value)
     if isinstance(value, float):
         return f"{round(value, 3):.12g}"
     if is_dataclass(value) or isinstance(value, Mapping):
@@ -271,15 +267,15 @@ def _label(name: str) -> str:
 def _unit_text(unit: "UnitSent") -> str:
     """Format the traffic of one sensor, and the turn of its rotor if it is known."""
     text = f"{unit.name}, ports {unit.data_port} and {unit.position_port}: "
-    text += f"{count(unit.packets)} data, {count(unit.position_packets)} position"
+    text += f"{count_text(unit.packets)} data, {count_text(unit.position_packets)} position"
     if unit.returns is not None:
-        text += f", {count(unit.returns)} returns"
+        text += f", {count_text(unit.returns)} returns"
     return text if unit.turn is None else f"{text}; {_turn_text(unit.turn)}"
 
 
 def _turn_text(turn: "Turn") -> str:
     revolutions = quantity(round(turn.revolutions, 1), "revolution")
-    sequences = count(round(turn.sequences_per_revolution))
+    sequences = count_text(round(turn.sequences_per_revolution))
     return f"{revolutions} of {sequences} firing sequences, {turn.azimuth_step_deg:.4g} deg apart"
 
 
@@ -299,22 +295,22 @@ def _first_text(first: "FirstPacket") -> str:
 
 
 def _outlet_text(result: "OutletResult") -> str:
-    text = f"{count(result.messages)} to {result.to}"
+    text = f"{count_text(result.messages)} to {result.to}"
     if result.dropped:
-        text += f", {count(result.dropped)} dropped"
+        text += f", {count_text(result.dropped)} dropped"
     if result.line:
         line = result.line.upper()
         if result.pulses is None:
             text += f"; no pulses, as it has no line {line}"
         else:
-            text += f"; {count(result.pulses)} on {line}"
+            text += f"; {count_text(result.pulses)} on {line}"
     return text + _away_text(result.away)
 
 
 def _receiver_text(gps_in: "GpsInResult") -> str:
     line = gps_in.heard
     counts = {"sentences": line.sentences, "pulses": line.pulses, "garbled": line.refused}
-    text = ", ".join(f"{count(number)} {name}" for name, number in counts.items())
+    text = ", ".join(f"{count_text(number)} {name}" for name, number in counts.items())
     return f"{text} from {gps_in.port}; {gps_in.state.name.lower()}{_away_text(gps_in.away)}"
 
 
@@ -334,11 +330,11 @@ def _away_text(times: "Sequence[Away]") -> str:
     if not times:
         return ""
     total_s = sum(time.away_s for time in times)
-    return f"; the device was away {count(len(times))} times, for {total_s:.1f} s"
+    return f"; the device was away {count_text(len(times))} times, for {total_s:.1f} s"
 
 
 def _skipped_text(skipped: Mapping[str, int]) -> str:
-    return ", ".join(f"{count(number)} {kind} packets" for kind, number in skipped.items())
+    return ", ".join(f"{count_text(number)} {kind} packets" for kind, number in skipped.items())
 
 
 _FORMATTERS: dict[str, Callable[[Any], str]] = {

@@ -23,7 +23,7 @@ from vlp16emu.cli.arguments import (
     UnitName,
     WhichClock,
 )
-from vlp16emu.cli.printer import count, finish, print_json, print_rows, print_table, quantity, size
+from vlp16emu.cli.printer import finish, print_json, print_rows, print_table, quantity, size
 from vlp16emu.cli.terminal import Progress, compile_first, make_emulator, running, stop_on_ctrl_c
 from vlp16emu.errors import InputError, TrajectoryError
 from vlp16emu.extras.options import DatasetOptions, ImageOptions, PictureLook, PointOptions, TrajectoryErrors
@@ -39,6 +39,7 @@ from vlp16emu.run.options import (
     WhichUnit,
 )
 from vlp16emu.trees import Tree
+from vlp16emu.units import count_text
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -255,7 +256,7 @@ def _print_estimate(estimate: "DatasetEstimate") -> None:
         "run time": f"{_duration(3600 * estimate.hours)} at least, on {quantity(estimate.cores, 'core')}",
         "measured": f"{len(estimate.probes)} of {pairs} of stand and sensor, on this machine",
     }
-    print_rows(f"{count(estimate.missing)} of {quantity(estimate.walks, 'walk')} to be made", rows)
+    print_rows(f"{count_text(estimate.missing)} of {quantity(estimate.walks, 'walk')} to be made", rows)
     if estimate.probes:
         print()
         head = ["stand and sensor", "measured", "growth, CPU", "CPU per s", "MB per s"]

@@ -369,7 +369,7 @@ def _delay_events(events: list[Event], by_s: float) -> list[Event]:
 
 
 def _position_text(sentence: bytes) -> str:
-    """Return the position of the receiver in the format of the sensor: `49 00.00N 200 .00W`."""
+    """Return the position of the receiver as the sensor shows it, such as `49 00.60N 08 24.25E`."""
     import pynmea2  # here: a sensor without a receiver does not need it
 
     try:

@@ -104,7 +104,7 @@ class DeviceStatus:
 
     t_ns: int  # UTC of the emulated instant
     pps: PpsState
-    position: str  # in the sensor's format, such as `49 00.00N 200 .00W`; empty without a fix
+    position: str  # as the sensor shows it, such as `49 00.60N 08 24.25E`; empty without a fix
     motor_rpm: float
     motor_on: bool
     phase_locked: bool

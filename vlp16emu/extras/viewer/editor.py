@@ -25,6 +25,7 @@ from vlp16emu.run.emulator import Emulator
 from vlp16emu.scenario import Scenario, load
 from vlp16emu.trees import Tree
 from vlp16emu.types import F8, U1
+from vlp16emu.units import count_text
 
 _FARTHEST_M = 10_000.0  # limit of a way point from the scene's origin: nobody drags it farther
 _GIZMOS = 24  # way points that all have arrows; of more only the selected one, as arrows hide the path
@@ -320,9 +321,9 @@ class Editor:
         else:
             is_whole = outlook.run_time_s - outlook.recorded_s < 1 / PER_S
             part = "all of it" if is_whole else f"the first {outlook.recorded_s:.1f} s"
-            data = _in_thousands(outlook.data_packets)
-            position = _in_thousands(outlook.position_packets)
-            lines.append(f"recorded: {part}, {_in_thousands(outlook.revolutions)} revolutions,")
+            data = count_text(outlook.data_packets)
+            position = count_text(outlook.position_packets)
+            lines.append(f"recorded: {part}, {count_text(round(outlook.revolutions))} revolutions,")
             lines.append(f"{data} data and {position} position packets")
         if self._is_growing:
             lines.append("growing the stand along the path ...")
@@ -444,11 +445,6 @@ def _list_of_marks(outlook: Outlook) -> str:
             style = f"color:rgb{_RGB[kind]};font-weight:bold"
             parts.append(html_box([f'<span style="{style}">{len(words)} {_MEANING[kind]}</span>', *words]))
     return f'<div style="max-height:{_LISTED_EM}em;overflow-y:auto">{"".join(parts)}</div>' if parts else ""
-
-
-def _in_thousands(number: float) -> str:
-    """Return a whole number in groups of three digits."""
-    return f"{number:,.0f}".replace(",", " ")
 
 
 def _clip(value: object, low: float, high: float) -> float:

@@ -16,14 +16,13 @@ from typing import Any
 
 import numpy as np
 import viser
-from scipy.spatial.transform import Rotation
 
 from vlp16emu.errors import OutputError, PacketError
 from vlp16emu.extras.clouds.scan import Chunk, chunk_of_packets, cut_scans
 from vlp16emu.extras.viewer.layers import colours_of, html_box, layers_of_scan, legend_of
 from vlp16emu.extras.viewer.live import Batch, PageSetup, instant_ns, receive
 from vlp16emu.extras.viewer.live_settings import SettingsPanel
-from vlp16emu.extras.viewer.page import guarded_server
+from vlp16emu.extras.viewer.page import draw_points, guarded_server, set_pose
 from vlp16emu.extras.viewer.sweeps import Sweep, to_world
 from vlp16emu.packets import DATA_BYTES, DATA_PAYLOAD, RETURN_MODE_BYTE, decode_position
 from vlp16emu.sinks import LOOPBACK, TOLERANCE_NS
@@ -206,23 +205,12 @@ class LiveView:
         for slot in self._points.keys() - contents.keys():
             self._points.pop(slot)[1].remove()
         if (world_T_sensor := sweeps[-1][1].scan.world_T_sensor) is not None:
-            self._sensor.position = world_T_sensor[:3, 3]
-            self._sensor.wxyz = Rotation.from_matrix(world_T_sensor[:3, :3]).as_quat(scalar_first=True)
+            set_pose(self._sensor, world_T_sensor)
 
     def _draw_points(self, slot: int, sweep: Sweep, layer: str, size_m: float) -> viser.PointCloudHandle:
         colours, entries = colours_of(sweep.scan, layer, self._setup.species)
-        middle_m = sweep.world_m.mean(axis=0) if len(sweep.world_m) else np.zeros(3)
         self._legend.content = legend_of(entries)
-        return self._server.scene.add_point_cloud(
-            f"/world/sweep/{slot}",
-            (sweep.world_m - middle_m).astype(np.float32),
-            colours,
-            point_size=size_m,
-            point_shape="circle",
-            point_shading="flat",
-            precision="float32",
-            position=middle_m,
-        )
+        return draw_points(self._server, f"/world/sweep/{slot}", sweep.world_m, colours, size_m)
 
     def _draw_path(self) -> None:
         path_m = np.array([*self._path_m, self._place_m])

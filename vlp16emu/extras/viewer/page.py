@@ -36,7 +36,8 @@ from vlp16emu.extras.viewer.stand import pieces_of
 from vlp16emu.extras.viewer.sweeps import CaptureSweeps, SceneSweeps, Sweep
 from vlp16emu.extras.walk.settings import Walk
 from vlp16emu.run.emulator import Emulator
-from vlp16emu.types import F8
+from vlp16emu.types import F8, U1
+from vlp16emu.units import count_text
 
 LOOPBACK = frozenset({"127.0.0.1", "localhost"})
 EVERYWHERE = "0.0.0.0"  # noqa: S104  # only where a user asks for it
@@ -209,6 +210,29 @@ def _look_from(server: viser.ViserServer, place_m: F8, ahead_m: F8) -> None:
     camera.look_at = (place_m[0] + 6 * east, place_m[1] + 6 * north, place_m[2])
 
 
+def draw_points(
+    server: viser.ViserServer, name: str, world_m: F8, rgb: U1, size_m: float
+) -> viser.PointCloudHandle:
+    """Draw points (n, 3) in colours (n, 3) as discs, about their middle: browsers compute in float32."""
+    middle_m = world_m.mean(axis=0) if len(world_m) else np.zeros(3)
+    return server.scene.add_point_cloud(
+        name,
+        (world_m - middle_m).astype(np.float32),
+        rgb,
+        point_size=size_m,
+        point_shape="circle",
+        point_shading="flat",
+        precision="float32",
+        position=middle_m,
+    )
+
+
+def set_pose(frame: viser.FrameHandle, world_T_frame: F8) -> None:
+    """Move the axes of a frame to a pose (4, 4)."""
+    frame.position = world_T_frame[:3, 3]
+    frame.wxyz = Rotation.from_matrix(world_T_frame[:3, :3]).as_quat(scalar_first=True)
+
+
 class Page:
     """Points of sweeps and the axes of their sensor, with their controls.
 
@@ -284,28 +308,16 @@ class Page:
             self._time_s = time_s
         sweeps = list(self._drawn_sweeps)[-max(self._together.value, 1) :]
         points_m = np.concatenate([sweep.world_m for sweep in sweeps])
-        middle_m = points_m.mean(axis=0) if len(points_m) else np.zeros(3)
         layers = [colours_of(sweep.scan, layer, self._species) for sweep in sweeps]
         rgb = np.concatenate([colours for colours, _ in layers])
         with self._server.atomic():
-            self._server.scene.add_point_cloud(
-                "/sweep",
-                (points_m - middle_m).astype(np.float32),
-                rgb,
-                point_size=size_m,
-                point_shape="circle",
-                point_shading="flat",
-                precision="float32",
-                position=middle_m,
-            )
+            draw_points(self._server, "/sweep", points_m, rgb, size_m)
             if (world_T_sensor := sweeps[-1].scan.world_T_sensor) is not None:
-                self._frame.position = world_T_sensor[:3, 3]
-                self._frame.wxyz = Rotation.from_matrix(world_T_sensor[:3, :3]).as_quat(scalar_first=True)
+                set_pose(self._frame, world_T_sensor)
             if self.root is not None:
                 self.root.visible = self._stand.value
         self._legend.content = legend_of(layers[-1][1])
-        points = f"{len(points_m):,}".replace(",", " ")
-        self._text.content = f"{points} points by {layer}, sweep at {time_s:.1f} s"
+        self._text.content = f"{count_text(len(points_m))} points by {layer}, sweep at {time_s:.1f} s"
         self._faults.content = html_box(map(escape, sweeps[-1].faults[:_LISTED]))
 
     def _advance(self, began_s: float) -> None:

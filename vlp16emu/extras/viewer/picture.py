@@ -22,7 +22,7 @@ from vlp16emu.run.emulator import Emulator
 from vlp16emu.run.options import Span
 from vlp16emu.trees import Tree
 from vlp16emu.types import F8, I8, U1
-from vlp16emu.units import S_NS
+from vlp16emu.units import S_NS, count_text
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -282,8 +282,9 @@ class _Drawing:
 
     def image(self, *, so_far: bool = False) -> "Image":
         """Return the picture with its captions; `so_far` for the time until now, not of the whole span."""
-        count = self.points
-        number = f"{count / 1e6:.2f} million" if count >= _MILLIONS else f"{count:,}".replace(",", " ")
+        number = count_text(self.points)
+        if self.points >= _MILLIONS:
+            number = f"{self.points / 1e6:.2f} million"
         suffix = " of a revolution" if self.shows_one else ""
         legend = _LEGENDS.get(self.colour, f"by {self.colour}")
         captions = self._source.title, f"{self._time(so_far=so_far)}; {number} points{suffix}, {legend}"
