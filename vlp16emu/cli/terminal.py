@@ -61,7 +61,7 @@ _REFRESH_S = 0.5  # drawing takes a millisecond, which can delay a packet that i
 
 
 class Progress:
-    """Bar on stderr; nothing if stderr is no terminal.
+    """Progress bar on stderr, if that is a terminal.
 
     The thread that calls `show` draws it: another thread would disturb the pacing of packets. Before the
     first call, a thread of its own counts the seconds.

@@ -100,7 +100,7 @@ class DeviceInfo(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class DeviceStatus:
-    """The sensor at an instant."""
+    """State of the sensor at an instant."""
 
     t_ns: int  # UTC of the emulated instant
     pps: PpsState

@@ -131,7 +131,7 @@ class PacketFault:
 
 @dataclass
 class Wire:
-    """Wire that applies faults to a stream of packets; for one stream."""
+    """Wire that applies faults to the packets of one stream."""
 
     faults: list[PacketFault]  # faults of all units, in `_ORDER`
     numbers: Counter[int]  # number of the next data packet of each unit

@@ -354,7 +354,7 @@ class SerialSink(PacketSink):
 
     def _write(self, payload: bytes) -> bool:
         def write(port: Any) -> int | None:
-            """Wait for room first: pyserial would poll for it and use a whole core."""
+            """Write once there is room, which pyserial would poll for on a whole core; None without room."""
             with suppress(UnsupportedOperation):  # a port without descriptor, such as loop://
                 if not select.select([], [port.fileno()], [], _PATIENCE_S)[1]:
                     return None

@@ -139,8 +139,8 @@ def _shift_sentence(field: bytes, by_s: int, now_ns: int | None) -> bytes:
 class Present:
     """Shift of packets by whole seconds to the present of the system's clock.
 
-    So the intervals between pulses of the receiver, sentences and stamps do not change. The stream begins at
-    the instant with the first packet's fraction of a second: it waits for less than a second.
+    Intervals between pulses of the receiver, sentences and stamps do not change. The stream begins at the
+    instant with the first packet's fraction of a second: it waits for less than a second.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ class Present:
         self._ahead_ns = at_ns - first.due_ns
 
     def shift(self, packet: Packet) -> Packet:
-        """Return a packet of the present."""
+        """Return a packet moved to the present."""
         return shift_packet(packet, self.moved_s, self.utc_ns(packet.due_ns))
 
     def utc_ns(self, due_ns: int) -> int:

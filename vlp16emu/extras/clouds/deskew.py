@@ -147,7 +147,7 @@ class CaptureTruth:
         return tuple(column for column in columns if column.name not in known_names)
 
     def values_of(self, table: PacketTable, points: Points, rows: I8) -> dict[str, AnyArray]:
-        """Return labels and true values (n,) of the points `kept`; heights are at true positions."""
+        """Return labels and true values (n,) of the points in `rows` (n,); heights are at true positions."""
         values = self._rows.rows(table["timestamp_us"], points.packet[rows], points.slot[rows])
         if self._labels is None or not values:
             return values

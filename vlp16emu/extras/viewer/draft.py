@@ -1,4 +1,4 @@
-"""A walk that is being drawn: its way points, stops and speed, and the versions of it; it knows no page."""
+"""A walk that a user draws: its way points, stops and speed, and its versions; without a page."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -128,7 +128,13 @@ class Draft:
         return replace(self, way_points=tuple(self.way_points[index] for index in sorted(indices)))
 
     def settings(self, first: "Draft", walk: Walk) -> dict[str, object]:
-        """Return the keys of a scene, with `walk` and its draft `first`, that this draft changes."""
+        """Return the keys of a scene that this draft changes, with their values.
+
+        Parameters
+        ----------
+        first : draft of the scene
+        walk : motion of the scene
+        """
         changed = dict[str, object]()
         if self.way_points != first.way_points:
             changed["motion.way_points_m"] = [[point.x_m, point.y_m] for point in self.way_points]

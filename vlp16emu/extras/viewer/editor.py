@@ -67,7 +67,7 @@ class OpenScene:
     def walkable(self, error: InputError) -> Scenario:
         """Return the scene with as many of its way points as a person can walk along; raise `error` if none.
 
-        A phone notes its place each second with an error of metres: nobody walks through all these places.
+        A phone records a position each second, with an error of metres: nobody walks through all of them.
         """
         walk = self.scenario.motion
         if not isinstance(walk, Walk):
@@ -115,15 +115,15 @@ class Editor:
         self._around = Surroundings(open_scene.scenario, emulator.parts.units, stand)
         self._versions = Versions(Draft.of(open_scene.scenario))
         self._versions.change(Draft.of(emulator.scenario))
-        self._shown_draft = self._versions.draft
+        self._grown_draft = self._versions.draft
         self._saved_draft = self._versions.first
         self._dragged: Draft | None = None  # the draft while a way point is dragged
         self._selected = 0  # number of the selected way point, from 0
         self._is_growing = False
         self._note = ""
-        if self._shown_draft != self._saved_draft:
+        if self._grown_draft != self._saved_draft:
             count = len(self._saved_draft.way_points)
-            count_left = len(self._shown_draft.way_points)
+            count_left = len(self._grown_draft.way_points)
             self._note = (
                 f"Nobody can walk through all {count} way points; {count_left} are left. Undo shows why."
             )
@@ -209,7 +209,7 @@ class Editor:
         self._selected = number
 
     def _insert_after(self) -> None:
-        """Insert a way point on the curve, near the middle of the leg after the chosen one."""
+        """Insert a way point on the curve, near the middle of the leg after the selected one."""
         draft = self._versions.draft
         last = len(draft.way_points) - 1
         leg = min(self._selected, last - 1)
@@ -281,7 +281,7 @@ class Editor:
 
     def _adopt_stand(self, draft: Draft, emulator: Emulator, around: Surroundings) -> None:
         """Compare later drafts with the stand that was grown around a draft."""
-        self._shown_draft = draft
+        self._grown_draft = draft
         self._emulator = emulator
         self._around = around
 
@@ -327,7 +327,7 @@ class Editor:
             lines.append(f"{data} data and {position} position packets")
         if self._is_growing:
             lines.append("growing the stand along the path ...")
-        elif draft != self._shown_draft:
+        elif draft != self._grown_draft:
             lines.append("stand and sweeps are those of an earlier path: see preview")
         if self._scene.to is None:
             lines.append("to save it, start with --save FILE.toml")
@@ -383,7 +383,7 @@ class Editor:
         rgb: U1,
         request: Callable[[int], None],
     ) -> viser.BatchedMeshHandle:
-        """Draw balls that can be clicked, or move those of before if their number is the same."""
+        """Draw balls that can be clicked, or move the earlier ones if their number is the same."""
         if balls_before is not None and len(balls_before.batched_positions) == len(positions_m):
             balls_before.batched_positions = positions_m.astype(np.float32)
             balls_before.batched_colors = rgb
@@ -409,7 +409,7 @@ class Editor:
         self._insert(x_m, y_m)
 
     def _add_gizmo(self, index: int) -> None:
-        """Add the arrows of a way point, which slides level, and goes to the ground when it is let go."""
+        """Add arrows that drag a way point horizontally; it drops to the ground when it is released."""
         scene = self._server.scene
         name = f"/gizmos/{index}"
         look: Tree = {"scale": 1.6, "line_width": 4.0}
@@ -437,7 +437,7 @@ class Editor:
 
 
 def _list_of_marks(outlook: Outlook) -> str:
-    """Return what is in the way as HTML, by what becomes of it, the most serious first."""
+    """Return the marks as HTML, listed by kind, the most serious first."""
     parts = []
     for kind in reversed(_RGB):
         words = [escape(mark.words) for mark in outlook.marks if mark.kind == kind]

@@ -124,7 +124,7 @@ class LivePage(StreamPart):
         self._stream: SceneStream
 
     def follow(self, stream: SceneStream) -> None:
-        """Become a part of a stream."""
+        """Join a stream as one of its parts."""
         self._stream = stream
         stream.add(self)
 

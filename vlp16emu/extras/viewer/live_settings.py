@@ -1,6 +1,6 @@
 """Controls for the settings of a streaming sensor, on its page.
 
-They are one more client of the sensor's web interface.
+They act as a client of the sensor's web interface.
 """
 
 import json

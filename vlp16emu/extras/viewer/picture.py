@@ -179,7 +179,7 @@ def check_suffix(path: Path) -> None:
 
 
 class Source(NamedTuple):
-    """Sweeps of a picture, and what surrounds them."""
+    """Sweeps of a picture, with the path, the species and the title."""
 
     sweeps: Iterator[Sweep]  # one after another; memory does not grow with them
     path_m: F8 | None  # (k, 3) path of the sensor; None to look around the origin
