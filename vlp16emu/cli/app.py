@@ -27,8 +27,6 @@ from vlp16emu.output import is_ending
 
 _CLEANUP_S = 0.8  # time that an interrupted command has to remove unfinished output
 
-_CLEANUP_S = 0.8  # time that an interrupted command has to remove unfinished output
-
 _SHOWN_NAME = 60  # characters of a name that is too long for a file
 
 _WRITE_ERRORS = errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EIO, errno.EPIPE
