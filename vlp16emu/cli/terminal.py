@@ -126,7 +126,7 @@ class Progress:
             self._draw(task, done_s)
 
     def show_share(self, task: str, share: float) -> None:
-        """Show a task of which a share, 0 to 1, is done; draws at most twice a second."""
+        """Show a task and the share of it that is done, 0 to 1; draws at most twice a second."""
         self.show(task, share * self._total_s)
 
     def say(self, line: str) -> None:
