@@ -121,8 +121,8 @@ def test_a_path_that_nobody_can_walk_is_not_saved(editor, opened):
 def test_a_preview_grows_the_new_path(editor, shown):
     """The emulator of the preview goes along the new path to its end, also if less of it is recorded."""
     grown, place = Event(), [8.0, -5.0]
-    take = editor._take_grown
-    editor._take_grown = lambda *result: (take(*result), grown.set())
+    take = editor._adopt_stand
+    editor._adopt_stand = lambda *result: (take(*result), grown.set())
     ask(editor, lambda: editor._drag(2, *place, is_end=True), editor._begin_preview)
     assert grown.wait(60)
     (emulator,) = shown
