@@ -213,7 +213,8 @@ def cache(
         tree[name] = {"folder": folder, "files": files, "bytes": used_bytes, "most_bytes": store.most_bytes}
         limit = "" if clear else f" of at most {size(store.most_bytes)}"
         rows[name] = (
-            f"{count_text(files)} files, {size(used_bytes)}{limit}, in {folder or 'no folder: nothing is kept'}"
+            f"{count_text(files)} files, {size(used_bytes)}{limit}, "
+            f"in {folder or 'no folder: nothing is kept'}"
         )
     if as_json:
         print_json(tree)
@@ -378,7 +379,8 @@ def _print_accuracy(measured: "Accuracy") -> None:
     print_line(f"{measured.scene}, seed {measured.seed}: error against run time")
     print(
         f"  {count_text(errors.pulses)} pulses, {count_text(errors.returns)} with a return; answer of "
-        f"{count_text(measured.answer_rays)} sub-rays, itself wrong by {1e3 * measured.answer_rmse_m:.2f} mm\n"
+        f"{count_text(measured.answer_rays)} sub-rays, "
+        f"itself wrong by {1e3 * measured.answer_rmse_m:.2f} mm\n"
     )
     heads = [head for head, _ in _COLUMNS.values()]
     lines = [["setting of the beam", "us/pulse", "rays", *heads]]
