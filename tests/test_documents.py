@@ -13,7 +13,7 @@ import pytest
 from printed import TIMES, differences, shown_block
 
 from vlp16emu.cli.app import run
-from vlp16emu.cli.verb import leaves_of
+from vlp16emu.cli.verb import options_of_function
 from vlp16emu.doors import door
 from vlp16emu.errors import InputError
 from vlp16emu.scenario import load, scene_files
@@ -146,7 +146,7 @@ def in_a_moment(command):
     words = ["static_bench" if word in scene_files() else word for word in words]
     if "--duration" in words:
         words[words.index("--duration") + 1] = "0.3"
-    elif any(leaf.name == "--duration" for leaf in leaves_of(door(words[0], "verbs"))):
+    elif any(leaf.name == "--duration" for leaf in options_of_function(door(words[0], "verbs"))):
         words += ["--duration", "0.3"]
     return words + SHORT.get(words[0], "").split()
 

@@ -64,9 +64,9 @@ def test_a_standing_rotor_holds_no_points():
     longest = 0
 
     class Counted(Chunk):
-        def then(self, later):
+        def extended_by(self, later):
             nonlocal longest
-            whole = super().then(later)
+            whole = super().extended_by(later)
             longest = max(longest, int(whole.t_ns[-1] - whole.t_ns[0]))
             return Counted(whole.t_ns, whole.azimuth_deg, whole.reading, whole.arrays)
 

@@ -15,10 +15,10 @@ from vlp16emu.extras.accuracy.audit import Audit
 from vlp16emu.extras.bag.write import bag_of_run
 from vlp16emu.extras.bench.changes import with_events
 from vlp16emu.extras.bench.control import WebInterfaces
-from vlp16emu.extras.bench.events import checked, tables
-from vlp16emu.extras.bench.faults import arriving
+from vlp16emu.extras.bench.events import check_events, event_adapter
+from vlp16emu.extras.bench.faults import arriving_packets
 from vlp16emu.extras.bench.gps_in import GpsReader
-from vlp16emu.extras.bench.outlets import Beside, OutletSinks
+from vlp16emu.extras.bench.outlets import DevicePackets, OutletSinks
 from vlp16emu.extras.bench.retime import Present
 from vlp16emu.extras.camera.settings import Camera
 from vlp16emu.extras.captures.containers import frames
@@ -66,14 +66,14 @@ def loads(part: Part[T]) -> Callable[[T], tuple[Part[Any], object]]:
 PARTS = (
     loads(AUDIT)(Audit),
     loads(BAG)(bag_of_run),
-    loads(BESIDE)(Beside),
+    loads(BESIDE)(DevicePackets),
     loads(CAMERA_SECTION)(Camera),
-    loads(CHECKED_EVENTS)(checked),
+    loads(CHECKED_EVENTS)(check_events),
     loads(DISPLACE)(displace),
     loads(EVENTS)(with_events),
-    loads(EVENT_TABLES)(tables),
+    loads(EVENT_TABLES)(event_adapter),
     loads(FAR)(far_caster),
-    loads(FAULTS)(arriving),
+    loads(FAULTS)(arriving_packets),
     loads(FIELD)(in_the_field),
     loads(FOREST_SITE)(ForestSite),
     loads(FRAMES)(frames),

@@ -28,3 +28,8 @@ def seconds_to_ns(seconds: float) -> int:
     if abs(seconds) > FOREVER_NS / S_NS:
         raise InputError("time", f"found {seconds:g} s", f"at most {FOREVER_NS / S_NS:g} s")
     return round(seconds * S_NS)
+
+
+def count_text(number: int) -> str:
+    """Format a whole number in groups of three digits (ISO 80000-1, section 7.3.1)."""
+    return f"{number:,}".replace(",", " ")

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from vlp16emu.cli.verb import leaves_of
+from vlp16emu.cli.verb import options_of_function
 from vlp16emu.doors import door
 
 NO_PORTS = "--data-port 9 --position-port 10"
@@ -126,7 +126,7 @@ def texts_of(verb):
     """Arguments and options of a verb that take a text other than a number or one of some words."""
     return [
         leaf
-        for leaf in leaves_of(door(verb, "verbs"))
+        for leaf in options_of_function(door(verb, "verbs"))
         if leaf.kind not in (bool, int, float) and not leaf.option.words
     ]
 
@@ -145,7 +145,7 @@ def names_host(leaf):
 def paths_of(verb):
     """Names of arguments and options that take a path, each with its index among the arguments."""
     at = -1
-    for leaf in leaves_of(door(verb, "verbs")):
+    for leaf in options_of_function(door(verb, "verbs")):
         at += not leaf.name.startswith("-")
         if is_path(leaf):
             yield leaf.name, at

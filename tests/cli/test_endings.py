@@ -205,7 +205,7 @@ def test_a_signal_that_meets_a_library_is_not_printed(monkeypatch, capsys):
         def __del__(self):
             raise KeyboardInterrupt
 
-    monkeypatch.setattr("sys.unraisablehook", app._unraisable)
+    monkeypatch.setattr("sys.unraisablehook", app._hide_interrupt)
     interrupted, printed = threading.Event(), []
     monkeypatch.setattr(app, "_was_interrupted", interrupted)
     for _ in range(2):

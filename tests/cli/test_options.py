@@ -10,7 +10,7 @@ import pytest
 
 from vlp16emu import Emulator, replay
 from vlp16emu.cli.arguments import RunOptions
-from vlp16emu.cli.verb import leaves_of
+from vlp16emu.cli.verb import options_of_function
 from vlp16emu.doors import DOORS, door
 from vlp16emu.errors import InputError
 from vlp16emu.run import options as runs
@@ -25,7 +25,7 @@ METAVARS = {"_s": {"S"}, "_hz": {"HZ"}, "_m": {"M"}, "_deg": {"DEG"}, "_px": {"W
 @cache
 def leaves(verb):
     """Options of a verb."""
-    return list(leaves_of(door(verb, "verbs")))
+    return list(options_of_function(door(verb, "verbs")))
 
 
 def test_an_option_is_declared_once():

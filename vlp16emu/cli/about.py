@@ -3,6 +3,8 @@
 import logging
 import os
 import time
+from collections import Counter
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,7 +12,6 @@ import typer
 
 from vlp16emu.cli.arguments import AsJson, PlotFile, RunOptions, SceneName, Settings
 from vlp16emu.cli.printer import (
-    count,
     members,
     print_file,
     print_json,
@@ -27,6 +28,7 @@ from vlp16emu.cli.terminal import Progress, compile_first, make_emulator
 from vlp16emu.errors import InputError
 from vlp16emu.run.options import Duration, Option
 from vlp16emu.trees import Tree
+from vlp16emu.units import count_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -44,21 +46,27 @@ def scenes(*, as_json: AsJson = False) -> None:
     """
     from vlp16emu.scenario import load, scene_files
 
-    known = {}
+    rows = list[Tree]()
     for name, path in scene_files().items():
         try:
-            known[name] = load(str(path)), path
+            scenario = load(str(path))
         except InputError as error:
             _log.warning("%s; left out", error)
-    if not as_json:
-        print_rows("scenes", {name: f"{s.duration_s:g} s  {s.title}" for name, (s, _) in known.items()})
-        return
-    rows = [
-        {"name": name, "title": s.title, "duration_s": s.duration_s}
-        | {"motion": s.motion.kind, "world": s.world.kind, "file": path}
-        for name, (s, path) in known.items()
-    ]
-    print_json({"scenes": rows})
+            continue
+        rows.append(
+            {
+                "name": name,
+                "title": scenario.title,
+                "duration_s": scenario.duration_s,
+                "motion": scenario.motion.kind,
+                "world": scenario.world.kind,
+                "file": path,
+            }
+        )
+    if as_json:
+        print_json({"scenes": rows})
+    else:
+        print_rows("scenes", {row["name"]: f"{row['duration_s']:g} s  {row['title']}" for row in rows})
 
 
 def schema() -> None:
@@ -79,7 +87,7 @@ _TOO_SLOW = (
 
 def plan(
     scene: SceneName,
-    making: RunOptions,
+    emulator_options: RunOptions,
     *,
     duration_s: Duration = None,
     sample_s: Annotated[
@@ -102,17 +110,17 @@ def plan(
     from vlp16emu.extras.plot.sheet import plotting
 
     with plotting(plot) as draw:
-        report = report_of("plan", _plan(scene, making, duration_s, sample_s, repeats))
+        report = report_of("plan", _plan(scene, emulator_options, duration_s, sample_s, repeats))
         draw(report)
     if as_json:
         print_json(report)
         return
-    for title, on in (("has", True), ("leaves out", False)):
-        if features := {need["name"]: need["costs"] for need in report["features"] if need["on"] is on}:
+    for title, is_on in (("has", True), ("leaves out", False)):
+        if features := {need["name"]: need["costs"] for need in report["features"] if need["on"] is is_on}:
             print_rows(f"{scene} {title}", features)
     print_rows("in reach", rows_of(report["world"]))
     print_rows(
-        "libraries", {name: "loaded" if on else "left out" for name, on in report["libraries"].items()}
+        "libraries", {name: "loaded" if is_on else "left out" for name, is_on in report["libraries"].items()}
     )
     costs = {stage["name"]: f"{stage['cpu_s_per_s']:.3f}" for stage in report["stages"]}
     print_rows("cost by stage, seconds of one core per simulated second", costs)
@@ -124,16 +132,18 @@ def plan(
     print_file(plot)
 
 
-def _plan(scene: str, making: RunOptions, duration_s: float | None, sample_s: float, repeats: int) -> Tree:
+def _plan(
+    scene: str, emulator_options: RunOptions, duration_s: float | None, sample_s: float, repeats: int
+) -> Tree:
     """Measure a scene, and return its plan."""
     began_s = time.perf_counter()
-    emulator = make_emulator(scene, making)
+    emulator = make_emulator(scene, emulator_options)
     _, stop_s = emulator.scenario.span_s(0.0, duration_s)
-    emulator.packets(0.0, stop_s)  # not taken: it refuses a walk that ends before
+    emulator.packets(0.0, stop_s)  # refuses a walk that ends before; no packet is computed
     from vlp16emu.extras.plan import libraries, needs, recording_outlook, stages, stream_outlook, surroundings
 
     emulator.record(os.devnull, duration_s=min(0.1, emulator.scenario.duration_s))
-    started_s = time.perf_counter() - began_s
+    startup_s = time.perf_counter() - began_s
     measured = emulator.record(os.devnull, duration_s=min(sample_s, emulator.scenario.duration_s))
     audited = measured.audit is not None and not measured.audit.exact
     engine = emulator.engine
@@ -145,9 +155,9 @@ def _plan(scene: str, making: RunOptions, duration_s: float | None, sample_s: fl
         "features": needs(engine, audited=audited),
         "world": surroundings(engine),
         "stages": stages(engine, repeats),
-        "measured": {"started_s": started_s}
+        "measured": {"started_s": startup_s}
         | {name: getattr(measured, name) for name in ("simulated_s", "wall_s", "real_time_factor")},
-        "recording": recording_outlook(engine, measured, started_s, stop_s),
+        "recording": recording_outlook(engine, measured, startup_s, stop_s),
         "stream": stream_outlook(emulator.scenario, measured.real_time_factor),
     }
 
@@ -161,14 +171,15 @@ def doctor(*, as_json: AsJson = False) -> None:
     from vlp16emu.extras.doctor import Condition, all_checks
 
     checks = list(all_checks())
-    counts = {finding.value: sum(check.finding is finding for check in checks) for finding in Condition}
+    counts = {condition.value: sum(check.finding is condition for check in checks) for condition in Condition}
     if as_json:
         print_json({"checks": checks, **counts})
     else:
-        mends = {check.name: f"; {check.mend}" if check.mend else "" for check in checks}
-        print_rows(
-            "this machine", {one.name: f"{one.finding:<7}  {one.found}{mends[one.name]}" for one in checks}
-        )
+        rows = {}
+        for check in checks:
+            remedy = f"; {check.mend}" if check.mend else ""
+            rows[check.name] = f"{check.finding:<7}  {check.found}{remedy}"
+        print_rows("this machine", rows)
     if counts[Condition.PROBLEM]:
         raise typer.Exit(1)
 
@@ -196,12 +207,15 @@ def cache(
         compile_first(None)
     tree: Tree = {"cleared": clear}
     rows = {}
-    for name, kept in ("worlds", user_store()), ("kernels", user_kernels()):
-        files, used = kept.clear() if clear else kept.kept()
-        folder = str(kept.folder) if kept.folder else None
-        tree[name] = {"folder": folder, "files": files, "bytes": used, "most_bytes": kept.most_bytes}
-        limit = "" if clear else f" of at most {size(kept.most_bytes)}"
-        rows[name] = f"{count(files)} files, {size(used)}{limit}, in {folder or 'no folder: nothing is kept'}"
+    for name, store in (("worlds", user_store()), ("kernels", user_kernels())):
+        files, used_bytes = store.clear() if clear else store.kept()
+        folder = str(store.folder) if store.folder else None
+        tree[name] = {"folder": folder, "files": files, "bytes": used_bytes, "most_bytes": store.most_bytes}
+        limit = "" if clear else f" of at most {size(store.most_bytes)}"
+        rows[name] = (
+            f"{count_text(files)} files, {size(used_bytes)}{limit}, "
+            f"in {folder or 'no folder: nothing is kept'}"
+        )
     if as_json:
         print_json(tree)
     else:
@@ -258,11 +272,11 @@ def forest(
     from vlp16emu.output import spare
     from vlp16emu.scenario import find, load, named_files
 
-    given = zip(_SUFFIXES, (inventory, stems, ground, glb), strict=True)
-    wanted = {name: path for name, path in given if path is not None}
+    paths = {"--inventory": inventory, "--stems": stems, "--ground": ground, "--glb": glb}
+    outputs = {name: path for name, path in paths.items() if path is not None}
     scenario = load(scene, settings or ())
     inputs = [find(scene), *named_files(scenario)]
-    for name, path in wanted.items():  # before anything heavy
+    for name, path in outputs.items():  # before anything heavy
         spare(inputs, path)
         if path.suffix != (suffix := _SUFFIXES[name]):
             raise InputError(f"{name} {path}", f"found the ending {path.suffix!r}", suffix)
@@ -271,49 +285,47 @@ def forest(
         from vlp16emu.extras.survey import write_survey
 
         with Progress(0.0):
-            summary = write_survey(scene, scenario, radius_m, wanted, bark=bark)
-        written = {name.removeprefix("--"): str(path) for name, path in wanted.items()}
-        report = report_of("forest", {**summary, "files": written})
+            summary = write_survey(scene, scenario, radius_m, outputs, bark=bark)
+        files = {name.removeprefix("--"): str(path) for name, path in outputs.items()}
+        report = report_of("forest", {**summary, "files": files})
         draw(report)
     if as_json:
         print_json(report)
         return
     _print_forest(summary)
-    for file in (*wanted.values(), plot):
+    for file in (*outputs.values(), plot):
         print_file(file)
 
 
-_MAPPED = "stems", "ground", "profile", "hall_m"  # members that only plots and programs use
+_TABLES = ("trees", "things", "named", "stems", "ground", "profile", "hall_m")
+"""Members of the summary beside its figures; of the last four, plots and programs use all."""
 
 
 def _print_forest(summary: Tree) -> None:
-    figures = dict(summary)
-    tables = {
-        name: figures.pop(name, ()) for name in ("scene", "title", "trees", "things", "named", *_MAPPED)
-    }
+    heads = ("scene", "title")
+    figures = {name: value for name, value in summary.items() if name not in (*heads, *_TABLES)}
     print_rows(f"{summary['scene']}: {summary['title']}", rows_of(figures))
-    if tables["trees"]:
-        print_table(table_of(tables["trees"]))
-    if seen := dict(tables["stems"] or {}).get("bark_seen"):
-        print_rows(
-            "stems within the radius, by the share of their bark at 1.3 m that the path sees", _classes(seen)
-        )
-    if tables["things"]:
-        print_rows("on the ground", {kind: text_of(things) for kind, things in tables["things"].items()})
-    if tables["named"]:
-        print_rows("things", {one["name"]: text_of(one) for one in tables["named"]})
+    if trees := summary.get("trees"):
+        print_table(table_of(trees))
+    stems = summary.get("stems") or {}
+    if shares := stems.get("bark_seen"):
+        title = "stems within the radius, by the share of their bark at 1.3 m that the path sees"
+        print_rows(title, _bark_classes(shares))
+    if things := summary.get("things"):
+        print_rows("on the ground", {kind: text_of(value) for kind, value in things.items()})
+    if objects := summary.get("named"):
+        print_rows("things", {thing["name"]: text_of(thing) for thing in objects})
 
 
-def _classes(shares: list[float]) -> dict[str, str]:
-    """Return the number of shares in each class; half of the bark allows the fit of a circle."""
-    counts = {"none": 0, "under a quarter": 0, "under a half": 0, "a half and more": 0}
-    for share in shares:
-        counts[list(counts)[(share > 0) + (share >= 0.25) + (share >= 0.5)]] += 1
-    return {name: count(number) for name, number in counts.items()}
+def _bark_classes(shares: list[float]) -> dict[str, str]:
+    """Return the number of stems by the share of their bark; a circle can be fitted to half of the bark."""
+    names = ("none", "under a quarter", "under a half", "a half and more")
+    counts = Counter(sum((share > 0.0, share >= 0.25, share >= 0.5)) for share in shares)
+    return {name: count_text(counts[number]) for number, name in enumerate(names)}
 
 
 _MOST_PULSES = 1_000_000
-_TIMES = 8  # factor on the pulses for means of worlds, whose single pulses cannot be compared
+_FOLIAGE_FACTOR = 8  # on the pulses for means of worlds, whose single pulses cannot be compared
 
 
 def accuracy(
@@ -338,23 +350,26 @@ def accuracy(
         compile_first(scenario.world.kind)
         from vlp16emu.extras.accuracy.sweep import choices, measure_accuracy, measure_foliage
 
-        with Progress(whole_s := scenario.duration_s) as bar:
-            show = lambda share: bar.show("measuring", share * whole_s)  # noqa: E731
-            measured = measure_accuracy(scenario, Path(scene).stem, pulses=pulses, done=show)
-            show = lambda share: bar.show("comparing worlds", share * whole_s)  # noqa: E731
-            foliage = measure_foliage(scenario, pulses=_TIMES * pulses, done=show)
-        best = choices(measured.rows)
-        taken = [{"wanted_m": wanted_m, "take": name} for name, wanted_m in best.items()]
-        report = report_of("accuracy", dict(members(measured)) | {"foliage": foliage, "choices": taken})
+        with Progress(scenario.duration_s) as bar:
+            beam = measure_accuracy(
+                scenario, Path(scene).stem, pulses=pulses, done=partial(bar.show_share, "measuring")
+            )
+            foliage = measure_foliage(
+                scenario, pulses=_FOLIAGE_FACTOR * pulses, done=partial(bar.show_share, "comparing worlds")
+            )
+        best = choices(beam.rows)
+        choice_rows = [{"wanted_m": wanted_m, "take": name} for name, wanted_m in best.items()]
+        tables = {"foliage": foliage, "choices": choice_rows}
+        report = report_of("accuracy", dict(members(beam)) | tables)
         draw(report)
     if as_json:
         print_json(report)
         return
-    _print_accuracy(measured)
+    _print_accuracy(beam)
     if foliage:
         _print_foliage(foliage)
-    words = "; ".join(f"{wanted_m:g} m: {name}" for name, wanted_m in best.items())
-    print(f"For a mean error of {words}" if words else "No setting has a mean error below 0.5 m")
+    advice = "; ".join(f"{wanted_m:g} m: {name}" for name, wanted_m in best.items())
+    print(f"For a mean error of {advice}" if advice else "No setting has a mean error below 0.5 m")
     print_file(plot)
 
 
@@ -363,24 +378,27 @@ def _print_accuracy(measured: "Accuracy") -> None:
     errors = measured.rows[0].errors
     print_line(f"{measured.scene}, seed {measured.seed}: error against run time")
     print(
-        f"  {count(errors.pulses)} pulses, {count(errors.returns)} with a return; answer of "
-        f"{count(measured.answer_rays)} sub-rays, itself wrong by {1e3 * measured.answer_rmse_m:.2f} mm\n"
+        f"  {count_text(errors.pulses)} pulses, {count_text(errors.returns)} with a return; answer of "
+        f"{count_text(measured.answer_rays)} sub-rays, "
+        f"itself wrong by {1e3 * measured.answer_rmse_m:.2f} mm\n"
     )
-    heads = "us/pulse", "rays", *(head for head, _ in _COLUMNS.values())
-    lines = [["setting of the beam", *heads]]
+    heads = [head for head, _ in _COLUMNS.values()]
+    lines = [["setting of the beam", "us/pulse", "rays", *heads]]
     for row in measured.rows:
         cells = [f"{row.us_per_pulse:.2f}", f"{row.rays_per_pulse:.1f}"]
-        for name, (_, unit) in _COLUMNS.items():
-            value = unit * getattr(row.errors, name)
-            cells.append(f"{value:.{max(_digits(value), 1)}f}")
+        for name, (_, factor) in _COLUMNS.items():
+            value = factor * getattr(row.errors, name)
+            cells.append(f"{value:.{max(_decimals(value), 1)}f}")
         lines.append([_with_star(row.name, in_use=row.in_use), *cells])
-        ends = [_interval(name, row.intervals[name]) for name in _COLUMNS]
-        lines.append(["  95 %", f"+-{row.us_spread / 2:.2f}", "", *ends])
+        intervals = [_interval(name, row.intervals[name]) for name in _COLUMNS]
+        lines.append(["  95 %", f"+-{row.us_spread / 2:.2f}", "", *intervals])
     print_table(lines)
-    more = 4 * errors.pulses  # an interval shrinks with the root of the number of pulses
-    halve = f"--pulses {more} halves them" if more <= _MOST_PULSES else "no more pulses can be evaluated"
+    pulses = 4 * errors.pulses  # an interval shrinks with the root of the number of pulses
+    advice = "no more pulses can be evaluated"
+    if pulses <= _MOST_PULSES:
+        advice = f"--pulses {pulses} halves them"
     print(
-        f"  95 %: interval of an error for all pulses of the scene; {halve}. ? is an interval wider than "
+        f"  95 %: interval of an error for all pulses of the scene; {advice}. ? is an interval wider than "
         "a factor of ten.\n"
         "  +-: half of the range of repeated run times."
     )
@@ -397,24 +415,27 @@ _COLUMNS: dict[str, tuple[str, float]] = {
     "wrong_last": ("last", 100.0),
     "reflectivity_rmse": ("refl.", 1.0),
 }
-"""Head and unit of the columns of errors."""
+"""Head of each column of errors, and the factor to the unit of the column."""
 
 
 def _interval(name: str, ends: "Interval") -> str:
     """Format an interval in the unit of its column."""
     if ends is None:
         return "?"
-    values = [_COLUMNS[name][1] * end for end in ends]
-    return "..".join(f"{value:.{_digits(value)}f}" for value in values)
+    _, factor = _COLUMNS[name]
+    values = [factor * end for end in ends]
+    return "..".join(f"{value:.{_decimals(value)}f}" for value in values)
 
 
-def _digits(value: float) -> int:
-    """Return the decimals of a number with about two significant digits."""
-    return next((digits for least, digits in ((10.0, 0), (1.0, 1)) if abs(value) >= least), 2)
+def _decimals(value: float) -> int:
+    """Return the number of decimals that gives a value about two significant digits."""
+    if abs(value) >= 10.0:
+        return 0
+    return 1 if abs(value) >= 1.0 else 2
 
 
 def _print_foliage(levels: "Sequence[LevelOfDetail]") -> None:
-    """Print the means of each world; differences from the explicit world beyond chance are marked."""
+    """Print the means of each world, and mark differences from the explicit world beyond chance."""
     print(
         "\nWorlds cast leaf by leaf to some distance, means over all pulses without noise; a pulse "
         "without a return\n"
@@ -433,5 +454,6 @@ def _print_foliage(levels: "Sequence[LevelOfDetail]") -> None:
 
 
 def _with_star(name: str, *, in_use: bool) -> str:
-    short = name.removeprefix("beam.model=").removeprefix("world.").replace("beam.", "")
-    return f"{short} *" if in_use else short
+    """Return the short name of a setting, with a star if the scene uses it."""
+    short_name = name.removeprefix("beam.model=").removeprefix("world.").replace("beam.", "")
+    return f"{short_name} *" if in_use else short_name

@@ -25,28 +25,31 @@ from vlp16emu.doors import DOORS, door, has_door
 from vlp16emu.errors import InputError, Vlp16emuError, printable
 from vlp16emu.output import is_ending
 
-_LEFT_S = 0.8  # time that an interrupted command has to remove unfinished output
+_CLEANUP_S = 0.8  # time that an interrupted command has to remove unfinished output
 
 _SHOWN_NAME = 60  # characters of a name that is too long for a file
 
-_OF_WRITING = errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EIO, errno.EPIPE
+_WRITE_ERRORS = errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EIO, errno.EPIPE
 """Errors of a write to standard output; errors of files carry their names, as `output.py` opens them."""
 
-_OF_LIMITS = "can't start new thread", "can't allocate", "failed to map segment"
+_LIMIT_TEXTS = "can't start new thread", "can't allocate", "failed to map segment"
 """Texts of Python's and the loader's errors where memory or threads are limited, as in containers."""
 
 _was_interrupted = threading.Event()
 
 
 def program(names: Collection[str]) -> typer.Typer:
-    """Return the program with some verbs."""
-    made = typer.Typer(
+    """Return the program with the verbs of some names.
+
+    Raises InputError if there is one name, and its part of the package is not installed.
+    """
+    app = typer.Typer(
         add_completion=False,
         rich_markup_mode=None,  # plain text reads well in every terminal, file and pipe
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     )
-    made.callback(invoke_without_command=True)(_root)
+    app.callback(invoke_without_command=True)(_root)
     examples = Path(__file__).with_name("examples.txt").read_text(encoding="utf-8").splitlines()
     for name in names:
         try:
@@ -57,8 +60,8 @@ def program(names: Collection[str]) -> typer.Typer:
             continue
         lines = "\n".join(f"  vlp16emu {line}" for line in examples if line.partition(" ")[0] == name)
         epilog = f"Examples:\n\n\b\n{lines}" if lines else None
-        made.command(name, epilog=epilog)(command(verb))
-    return made
+        app.command(name, epilog=epilog)(command(verb))
+    return app
 
 
 def _root(
@@ -87,9 +90,9 @@ def run(arguments: Sequence[str]) -> int:
     """
     try:
         check_numba_threads()
-        first = next((word for word in arguments if not word.startswith("-")), None)
-        is_verb = first is not None and has_door(first, "verbs")
-        app = program([first] if first and is_verb else DOORS["verbs"])  # the others need not be loaded
+        verb = next((word for word in arguments if not word.startswith("-")), None)
+        is_verb = verb is not None and has_door(verb, "verbs")
+        app = program([verb] if verb and is_verb else DOORS["verbs"])  # the others need not be loaded
         return app(arguments, prog_name="vlp16emu", standalone_mode=False) or 0
     except Vlp16emuError as error:
         if _was_interrupted.is_set():  # a library has made another error of the interrupt
@@ -111,7 +114,7 @@ def run(arguments: Sequence[str]) -> int:
         _print_error(f"out of memory: {error}" if str(error) else "out of memory")
         return 1
     except (RuntimeError, ImportError) as error:
-        if not any(text in str(error) for text in _OF_LIMITS):
+        if not any(text in str(error) for text in _LIMIT_TEXTS):
             raise
         _print_error(f"out of memory or threads: {error}")
         return 1
@@ -127,11 +130,10 @@ def main() -> None:
             if signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, _interrupt)
         _set_up()
-        sys.unraisablehook = _unraisable
+        sys.unraisablehook = _hide_interrupt
         for output in (sys.stdout, sys.stderr):
-            if isinstance(
-                output, io.TextIOWrapper
-            ):  # file names may hold characters that a terminal cannot show
+            # File names may hold characters that a terminal cannot show.
+            if isinstance(output, io.TextIOWrapper):
                 output.reconfigure(errors="backslashreplace")
         code = run(sys.argv[1:])
         gc.freeze()  # saves the collection at exit
@@ -142,7 +144,7 @@ def main() -> None:
         if _was_interrupted.is_set():  # inside a class definition Python raises another error
             code = INTERRUPTED
         elif isinstance(error, OSError):
-            code = _code_of(error, code)
+            code = _exit_code(error, code)
         else:
             raise
     if code == INTERRUPTED:
@@ -166,30 +168,29 @@ def _set_up() -> None:
     warnings_on_stderr.setFormatter(_LineFormatter("warning: %(message)s"))
     logging.basicConfig(handlers=[warnings_on_stderr])
     if not sys.warnoptions:
-        warnings.simplefilter(
-            "ignore", RuntimeWarning
-        )  # from numpy; the error line that follows says what is wrong
+        # From numpy: the error line that follows says what is wrong.
+        warnings.simplefilter("ignore", RuntimeWarning)
 
 
 class _LineFormatter(logging.Formatter):
-    """A format of warnings with control characters escaped, as they quote names of files."""
+    """A format of warnings that escapes control characters, as they quote names of files."""
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # logging's name
         return printable(super().formatMessage(record))
 
 
-def _code_of(error: OSError, code: int | None) -> int:
+def _exit_code(error: OSError, code: int | None) -> int:
     """Report an unexpected OSError and return the exit code.
 
-    A verb that has ended has the exit code `code`.
+    `code` is the exit code of the verb, None if it has not ended.
     """
     try:
         print(end="", flush=True)
-        if error.filename is None and error.errno in _OF_WRITING:  # for a long text nothing is left to flush
+        is_of_write = error.filename is None and error.errno in _WRITE_ERRORS
+        if is_of_write:  # for a long text nothing is left to flush
             raise error
     except OSError:  # standard output cannot be written
-        # The rest of the output is discarded: Python would try to write it at exit and report the error
-        # again.
+        # The rest of the output is discarded: Python would write it at exit, and report the error again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     else:
         where = error.filename or ("the current folder" if error.errno == errno.ENOENT else "the system")
@@ -197,9 +198,7 @@ def _code_of(error: OSError, code: int | None) -> int:
         return 1
     if is_ending.is_set():  # its terminal is gone
         return INTERRUPTED
-    if code or isinstance(
-        error, BrokenPipeError
-    ):  # the reason has been printed, or the reader has closed the pipe
+    if code or isinstance(error, BrokenPipeError):  # the reason is printed, or the reader closed the pipe
         return code or 1
     _print_error(f"standard output: {error.strerror}")
     return 1
@@ -211,13 +210,13 @@ def _interrupt(_signal: int, _frame: object) -> None:
     is_ending.set()
     for number in ENDINGS:
         signal.signal(number, lambda *_: os._exit(INTERRUPTED))
-    timer = threading.Timer(_LEFT_S, os._exit, [INTERRUPTED])
+    timer = threading.Timer(_CLEANUP_S, os._exit, [INTERRUPTED])
     timer.daemon = True
     timer.start()
     raise KeyboardInterrupt
 
 
-def _unraisable(error: "sys.UnraisableHookArgs") -> None:
+def _hide_interrupt(error: "sys.UnraisableHookArgs") -> None:
     """Hide the KeyboardInterrupt of a callback or `__del__` in a library, which cannot propagate it."""
     if not _was_interrupted.is_set():
         sys.__unraisablehook__(error)

@@ -7,13 +7,24 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vlp16emu.cli.arguments import AsJson, CaptureFile, PlotFile, UnitName
-from vlp16emu.cli.printer import members, print_file, print_json, print_line, print_rows, report_of, rows_of
+from vlp16emu.cli.printer import (
+    members,
+    print_file,
+    print_json,
+    print_line,
+    print_rows,
+    quantity,
+    report_of,
+    rows_of,
+)
 from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.extras.options import ScoreInputs
 from vlp16emu.run.options import Option
 from vlp16emu.trees import Tree
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from vlp16emu.extras.compare import Compared
     from vlp16emu.extras.verify.run import Verification
 
@@ -56,20 +67,25 @@ def verify(
     if file.is_fifo():  # a pipe cannot be read twice, and the units are searched first
         raise CaptureError(str(file), "a pipe", "a file, which can be read twice")
     units = units_in(file) if unit is None else [chosen_unit(file, unit, where="--unit")]
-    if len(units) < 2:
-        results = {str(file): verify_units(file, units or [None])[0]}
-        tree: Tree = {"file": file} | _tree(results[str(file)])
-    else:
-        results = dict(zip(map(str, units), verify_units(file, units), strict=True))
-        trees = [{"unit": unit} | _tree(result) for unit, result in results.items()]
-        tree = {"file": file, "clean": all(tree["clean"] for tree in trees), "units": trees}
+    results = verify_units(file, units or [None])
+    titles = [str(file)] if len(results) == 1 else list(map(str, units))
     if as_json:
-        print_json(tree)
+        _print_verification_json(file, titles, results)
     else:
-        for whose, result in results.items():
-            _print(whose, result)
-    if not tree["clean"]:
+        for title, result in zip(titles, results, strict=True):
+            _print_verification(title, result)
+    if not all(result.is_clean for result in results):
         raise typer.Exit(1)
+
+
+def _print_verification_json(file: Path, titles: list[str], results: "Sequence[Verification]") -> None:
+    """Print the results of one capture; those of several units are in a list."""
+    trees = [_members_of(result) for result in results]
+    if len(trees) == 1:
+        print_json({"file": file} | trees[0])
+        return
+    units = [{"unit": title} | tree for title, tree in zip(titles, trees, strict=True)]
+    print_json({"file": file, "clean": all(tree["clean"] for tree in trees), "units": units})
 
 
 def _verify_bag(file: Path, unit: str | None, slam: str, *, as_json: bool) -> None:
@@ -91,22 +107,28 @@ def _verify_bag(file: Path, unit: str | None, slam: str, *, as_json: bool) -> No
     else:
         for finding in result.findings:
             print_line(str(finding))
-        counts = {name: len(result.of(name)) for name in result.programs}
-        verdicts = {name: f"{n} finding{'s' * (n > 1)}" if n else "fit" for name, n in counts.items()}
-        for name, files in result.configurations.items():
-            verdicts[name] += f", with {', '.join(files)}" if files else ""
-        summary = "fit" if not result.findings else "not fit for all" if slam == "all" else "not fit"
+        verdicts = {}
+        for name in result.programs:
+            number = len(result.of(name))
+            files = result.configurations[name]
+            verdict = quantity(number, "finding") if number else "fit"
+            verdicts[name] = f"{verdict}, with {', '.join(files)}" if files else verdict
+        summary = "fit"
+        if result.findings:
+            summary = "not fit for all" if slam == "all" else "not fit"
         print_rows(f"{file}: {summary}", verdicts)
     if result.findings:
         raise typer.Exit(1)
 
 
-def _tree(result: "Verification") -> Tree:
-    counted = "position_packets", "other_frames", "lost_packets", "void_sentences"
+def _members_of(result: "Verification") -> Tree:
     return {
         "clean": result.is_clean,
         "packets": result.data_packets,
-        **{name: getattr(result, name) for name in counted},
+        "position_packets": result.position_packets,
+        "other_frames": result.other_frames,
+        "lost_packets": result.lost_packets,
+        "void_sentences": result.void_sentences,
         "duration_s": result.span_s,
         "rpm": result.rpm,
         "cut": result.is_cut,
@@ -117,17 +139,15 @@ def _tree(result: "Verification") -> Tree:
     }
 
 
-def _print(whose: str, result: "Verification") -> None:
+def _print_verification(title: str, result: "Verification") -> None:
     for finding in result.findings:
         print_line(str(finding))
-    tree = _tree(result)
-    counts = tree.pop("broken_rules"), tree.pop("notes")
-    rows = rows_of(
-        {name: value for name, value in tree.items() if name not in ("clean", "findings") and value}
-    )
-    for what, numbers in zip(("broken", "note"), counts, strict=True):
-        rows |= {f"{what}: {rule}": str(number) for rule, number in numbers.items()}
-    print_rows(f"{whose}: {'clean' if result.is_clean else 'not what a VLP-16 sends'}", rows)
+    listed = ("clean", "broken_rules", "notes", "findings")
+    tree = {name: value for name, value in _members_of(result).items() if name not in listed and value}
+    rows = rows_of(tree)
+    rows |= {f"broken: {rule}": str(number) for rule, number in result.counts.items()}
+    rows |= {f"note: {rule}": str(number) for rule, number in result.notes.items()}
+    print_rows(f"{title}: {'clean' if result.is_clean else 'not what a VLP-16 sends'}", rows)
 
 
 def compare(
@@ -149,29 +169,35 @@ def compare(
     with plotting(plot, [file, other]) as draw:
         sequences = read_sequences(file), read_sequences(other)
         rows = compare_statistics(*sequences)
-        apart = [row.name for row in rows if row.apart]
-        found = {"files": [file, other], "apart": apart, "statistics": [row._asdict() for row in rows]}
-        report = report_of("compare", {**found, "histograms": histograms_of(*sequences)})
+        differing = [row.name for row in rows if row.apart]
+        tree = {
+            "files": [file, other],
+            "apart": differing,
+            "statistics": [row._asdict() for row in rows],
+            "histograms": histograms_of(*sequences),
+        }
+        report = report_of("compare", tree)
         draw(report)
     if as_json:
         print_json(report)
         return
     head = {"": "     first     second   distance"}
-    print_rows(f"{file} and {other}", head | {row.text: _line(row) for row in rows})
-    print(f"{len(apart)} of {len(rows)} statistics differ by more than real units do")
-    if both := sum(all(row.unlike) for row in rows):
+    print_rows(f"{file} and {other}", head | {row.text: _difference_text(row) for row in rows})
+    print(f"{len(differing)} of {len(rows)} statistics differ by more than real units do")
+    if unlike_both := sum(all(row.unlike) for row in rows):
         print(
-            f"{both} are like no real unit in both captures (*): the real ones show rooms and streets, "
-            "not foliage"
+            f"{unlike_both} are like no real unit in both captures (*): the real ones show rooms and "
+            "streets, not foliage"
         )
     print_file(plot)
 
 
-def _line(row: "Compared") -> str:
+def _difference_text(row: "Compared") -> str:
     """Format a statistic, with a note if the captures differ, or if only one of them is like real units."""
     notes = ["differs"] if row.apart else []
-    if row.unlike[0] != row.unlike[1]:
-        notes.append(f"{'first' if row.unlike[0] else 'second'} like no real unit")
+    first_is_unlike, second_is_unlike = row.unlike
+    if first_is_unlike != second_is_unlike:
+        notes.append(f"{'first' if first_is_unlike else 'second'} like no real unit")
     mark = "*" if all(row.unlike) else " "
     return f"{row.first:10.4g} {row.second:10.4g} {row.distance:10.2f}{mark} {', '.join(notes)}".rstrip()
 
@@ -190,16 +216,16 @@ def fit(
 
     if out is not None:
         spare((file,), out)
-    tables = {
-        name: "".join(f"{key} = {json.dumps(value)}\n" for key, value in table.items())  # TOML's syntax, too
-        for name, table in fit_settings(read_sequences(file)).items()
-    }
-    text = "\n".join(f"[{name}]\n{lines}" for name, lines in tables.items())
+    tables = []
+    for name, table in fit_settings(read_sequences(file)).items():
+        lines = [f"{key} = {json.dumps(value)}\n" for key, value in table.items()]  # also the syntax of TOML
+        tables.append(f"[{name}]\n{''.join(lines)}")
+    text = "\n".join(tables)
     if out is None or out == STDOUT:
         print(text, end="")
         return
-    with OutputFile(out, where=f"--out {out}") as output, output.writing() as opened:
-        opened.write(text.encode())
+    with OutputFile(out, where=f"--out {out}") as output, output.writing() as toml_file:
+        toml_file.write(text.encode())
     print_line(f"wrote {out}")
 
 

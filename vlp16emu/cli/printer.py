@@ -13,6 +13,7 @@ import typer
 
 from vlp16emu.errors import printable
 from vlp16emu.trees import Table, Tree
+from vlp16emu.units import count_text
 
 if TYPE_CHECKING:  # help prints none of them
     from vlp16emu.extras.accuracy.audit import AuditFinding
@@ -23,11 +24,19 @@ if TYPE_CHECKING:  # help prints none of them
     from vlp16emu.sinks import FellBehind
     from vlp16emu.sinks.pacing import Lateness
 
-INTERRUPTED = (
-    130  # exit code after Ctrl-C: 128 + SIGINT, as shells count (POSIX.1-2024, Shell, section 2.8.2)
-)
-_UNITS = {"_per_s": "per s", "_s": "s", "_us": "us", "_ns": "ns", "_m": "m", "_deg": "deg", "_hz": "Hz"}
-_UNITS |= {"per_ha": "per ha", "_ha": "ha"}
+INTERRUPTED = 130
+"""Exit code after Ctrl-C: 128 + SIGINT, as shells count (POSIX.1-2024, Shell, section 2.8.2)."""
+_UNIT_SYMBOLS = {
+    "_per_s": "per s",
+    "_s": "s",
+    "_us": "us",
+    "_ns": "ns",
+    "_m": "m",
+    "_deg": "deg",
+    "_hz": "Hz",
+    "per_ha": "per ha",
+    "_ha": "ha",
+}
 """Unit by the ending of a member's name."""
 _LABELS = {
     "audit": "range error",
@@ -48,37 +57,35 @@ _LABELS = {
     "wall_s": "run time",
     "walk_share": "of the walk",
 }
-_NUMBERS = re.compile(
-    r"\[\n([^][{}\"]*)\]"
-)  # a list of numbers as `json` indents it; text never holds a line feed
+_NUMBER_LIST = re.compile(r"\[\n([^][{}\"]*)\]")
+"""A list of numbers as `json` indents it; text never holds a line feed."""
 _SMALL_BYTES = 100_000
-_WIDEST = 10.0  # ratio of the ends of an interval; beyond it not even the order of magnitude is known
+_WIDEST_RATIO = 10.0  # of the ends of an interval; beyond it not even the order of magnitude is known
 
 
 def finish(result: object, title: str | None = None, *, as_json: bool) -> None:
     """Print a result, a dataclass or mapping, as rows under a title or as JSON.
 
-    The program exits with 130 if it was interrupted.
-
-    Without a title, the first line says that the first member was written.
+    Without a title, the first line says that the first member was written. The program exits with 130 if the
+    result was interrupted.
     """
-    (_, place), *others = members(result)
-    interrupted = bool(dict(others).get("interrupted"))
+    tree = dict(members(result))
+    is_interrupted = bool(tree.get("interrupted"))
     if as_json:
         print_json(result)
     elif title is None:
-        print_rows(f"{'interrupted, kept' if interrupted else 'wrote'} {place}", rows_of(dict(others)))
+        file = tree.pop(next(iter(tree)))
+        print_rows(f"{'interrupted, kept' if is_interrupted else 'wrote'} {file}", rows_of(tree))
     else:
-        print_rows(title, rows_of(result))
-    if interrupted:
+        print_rows(title, rows_of(tree))
+    if is_interrupted:
         raise typer.Exit(INTERRUPTED)
 
 
 def print_json(result: object) -> None:
     """Print one JSON object, each list of numbers on one line."""
-    print(
-        _NUMBERS.sub(lambda found: f"[{' '.join(found[1].split())}]", json.dumps(tree_of(result), indent=2))
-    )
+    text = json.dumps(tree_of(result), indent=2)
+    print(_NUMBER_LIST.sub(lambda match: f"[{' '.join(match[1].split())}]", text))
 
 
 def report_of(verb: str, tree: Table) -> Tree:
@@ -116,21 +123,23 @@ def print_table(rows: Sequence[Sequence[str]]) -> None:
 
 def table_of(rows: Sequence[object]) -> list[list[str]]:
     """Return dataclasses as rows of cells, under a header of field names with units."""
-    return [
-        [name.replace("_", " ") for name, _ in members(rows[0])],
-        *([value if isinstance(value, str) else f"{value:.4g}" for _, value in members(row)] for row in rows),
-    ]
+    head = [name.replace("_", " ") for name, _ in members(rows[0])]
+    return [head, *([_cell(value) for _, value in members(row)] for row in rows)]
+
+
+def _cell(value: str | float) -> str:
+    return value if isinstance(value, str) else f"{value:.4g}"
 
 
 def tree_of(value: object) -> object:
-    """Return a result in JSON types, with the properties of dataclasses beside their fields.
+    """Return a result in JSON types; NaN becomes None.
 
-    It is NaN becomes null.
+    The properties of a dataclass stand beside its fields.
     """
     if is_dataclass(value) or isinstance(value, Mapping):
-        return {name: tree_of(one) for name, one in members(value)}
+        return {name: tree_of(item) for name, item in members(value)}
     if isinstance(value, list | tuple | frozenset):
-        return [tree_of(one) for one in value]
+        return [tree_of(item) for item in value]
     if isinstance(value, Enum) and not isinstance(value, str):
         return value.name.lower()
     if isinstance(value, float) and value != value:  # noqa: PLR0124  # NaN, which JSON does not have
@@ -144,60 +153,66 @@ def rows_of(result: object) -> dict[str, str]:
     for name, value in members(result):
         if value is None:
             continue
-        label = _label(name)
-        text = (_WORDS.get(name) or text_of)(value)
         if name == "units":
-            rows |= {f"unit {unit.unit}": _unit(unit) for unit in value}
+            rows |= {f"unit {unit.unit}": _unit_text(unit) for unit in value}
         elif name == "messages":
-            rows |= {topic: f"{count(number)} messages" for topic, number in value.items()}
-        elif is_dataclass(value) and name not in _WORDS:
+            rows |= {topic: f"{count_text(number)} messages" for topic, number in value.items()}
+        elif is_dataclass(value) and name not in _FORMATTERS:
             rows |= rows_of(value)
-        elif text:
-            rows[label] = text if name in _WORDS else f"{text}{_unit_of(name)}"
+        elif text := _member_text(name, value):
+            rows[_label(name)] = text
     return rows
 
 
-def count(number: int) -> str:
-    """Format a whole number in groups of three digits (ISO 80000-1, section 7.3.1)."""
-    return f"{number:,}".replace(",", " ")
+def _member_text(name: str, value: object) -> str:
+    """Format a member with its unit; empty for an empty member."""
+    if name in _FORMATTERS:
+        return _FORMATTERS[name](value)
+    text = text_of(value)
+    return f"{text}{_unit_suffix(name)}" if text else ""
+
+
+def quantity(number: float, noun: str) -> str:
+    """Format a number of things: `1 core`, `2 cores`, `99.5 revolutions`."""
+    text = count_text(number) if isinstance(number, int) else f"{number:.12g}"
+    return f"{text} {noun}{'' if number == 1 else 's'}"
 
 
 def size(number_of_bytes: int) -> str:
     """Format a file's size in MB (10^6 bytes), a small one in kB."""
-    return (
-        f"{number_of_bytes / 1e6:.1f} MB"
-        if number_of_bytes >= _SMALL_BYTES
-        else f"{number_of_bytes / 1e3:.1f} kB"
-    )
+    if number_of_bytes < _SMALL_BYTES:
+        return f"{number_of_bytes / 1e3:.1f} kB"
+    return f"{number_of_bytes / 1e6:.1f} MB"
 
 
 def behind_text(times: "Sequence[FellBehind]") -> str:
     """Format how often, by how much, when first and why a stream fell behind."""
     if not times:
         return "never"
-    often = "once" if len(times) == 1 else f"{count(len(times))} times"
-    most = f"by {max(one.total_s for one in times):.2f} s" + (" at most" if len(times) > 1 else "")
-    first = "first at" if len(times) > 1 else "at"
-    causes = ", ".join(dict.fromkeys(one.cause for one in times[:3]))
-    return f"{often}, {most}, {first} {times[0].at_s:.1f} s: {causes}"
+    total_s = max(time.total_s for time in times)
+    first_s = times[0].at_s
+    causes = ", ".join(dict.fromkeys(time.cause for time in times[:3]))
+    if len(times) == 1:
+        return f"once, by {total_s:.2f} s, at {first_s:.1f} s: {causes}"
+    return f"{count_text(len(times))} times, by {total_s:.2f} s at most, first at {first_s:.1f} s: {causes}"
 
 
-def audit_text(found: "AuditFinding") -> str:
+def audit_text(audit: "AuditFinding") -> str:
     """Format the result of an audit."""
-    if found.exact:
+    if audit.exact:
         return "rounding to float32 only: by the scene's choice a pulse is one ray"
-    if found.range_rmse_m is None:
-        return f"not known: {found.pulses} pulses cast again had no return"
-    low_m, high_m = found.range_rmse_low_m, found.range_rmse_high_m
+    if audit.range_rmse_m is None:
+        return f"not known: {audit.pulses} pulses cast again had no return"
+    low_m, high_m = audit.range_rmse_low_m, audit.range_rmse_high_m
     if low_m is None or high_m is None:
-        sure = "interval not known from so few"
-    elif high_m > _WIDEST * low_m:
-        sure = "run too short for an interval"
+        interval = "interval not known from so few"
+    elif high_m > _WIDEST_RATIO * low_m:
+        interval = "run too short for an interval"
     else:
-        sure = f"95 %: {1e3 * low_m:.1f} to {1e3 * high_m:.1f} mm"
-    shares = {"lost": found.lost, "invented": found.invented, "of another echo": found.other_echo}
+        interval = f"95 %: {1e3 * low_m:.1f} to {1e3 * high_m:.1f} mm"
+    shares = {"lost": audit.lost, "invented": audit.invented, "of another echo": audit.other_echo}
     texts = ", ".join(f"{100 * (share or 0.0):.1f} % {name}" for name, share in shares.items())
-    return f"RMSE {1e3 * found.range_rmse_m:.1f} mm before noise ({sure}), {texts}"
+    return f"RMSE {1e3 * audit.range_rmse_m:.1f} mm before noise ({interval}), {texts}"
 
 
 def members(result: object) -> Iterator[tuple[str, Any]]:
@@ -210,131 +225,138 @@ def members(result: object) -> Iterator[tuple[str, Any]]:
     yield from ((field.name, getattr(result, field.name)) for field in fields(result))
     for owner in kind.__mro__:
         yield from (
-            (name, getattr(result, name)) for name, one in vars(owner).items() if isinstance(one, property)
+            (name, getattr(result, name))
+            for name, attribute in vars(owner).items()
+            if isinstance(attribute, property)
         )
-
-
-def _unit_of(name: str) -> str:
-    return next((f" {unit}" for end, unit in _UNITS.items() if name.endswith(end)), "")
-
-
-def _label(name: str) -> str:
-    bare = next((name.removesuffix(end) for end in _UNITS if name.endswith(end)), name)
-    return _LABELS.get(name) or (bare if "." in bare else bare.replace("_", " "))  # names of files stay
 
 
 def text_of(value: object) -> str:
     """Format a value; empty for None and empty members."""
     if value is None or value is False or isinstance(value, str):
         return value or ""
-    if value is True or isinstance(value, Enum):
-        return "yes" if value is True else value.name.lower()
+    if value is True:
+        return "yes"
+    if isinstance(value, Enum):
+        return value.name.lower()
     if isinstance(value, int):
-        return count(value)
+        return count_text(value)
     if isinstance(value, float):
         return f"{round(value, 3):.12g}"
     if is_dataclass(value) or isinstance(value, Mapping):
-        pairs = ((name, text_of(one)) for name, one in members(value))
-        return ", ".join(f"{_label(name)} {text}{_unit_of(name)}" for name, text in pairs if text)
+        pairs = ((name, text_of(member)) for name, member in members(value))
+        return ", ".join(f"{_label(name)} {text}{_unit_suffix(name)}" for name, text in pairs if text)
     if isinstance(value, list | tuple):
-        return (
-            "; ".join(map(text_of, value))
-            if value and is_dataclass(value[0])
-            else ", ".join(map(text_of, value))
-        )
+        separator = "; " if value and is_dataclass(value[0]) else ", "
+        return separator.join(map(text_of, value))
     return str(value)
 
 
-def _unit(unit: "UnitSent") -> str:
-    sent = f"{count(unit.packets)} data, {count(unit.position_packets)} position"
-    sent += "" if unit.returns is None else f", {count(unit.returns)} returns"
-    turn = "" if unit.turn is None else f"; {_turn(unit.turn)}"
-    return f"{unit.name}, ports {unit.data_port} and {unit.position_port}: {sent}{turn}"
+def _unit_suffix(name: str) -> str:
+    return next((f" {symbol}" for end, symbol in _UNIT_SYMBOLS.items() if name.endswith(end)), "")
 
 
-def _turn(turn: "Turn") -> str:
-    turns = round(turn.revolutions, 1)
-    return (
-        f"{turns:.12g} revolution{'' if turns == 1 else 's'} of "
-        f"{count(round(turn.sequences_per_revolution))} firing "
-        f"sequences, {turn.azimuth_step_deg:.4g} deg apart"
+def _label(name: str) -> str:
+    """Return the label of a member: its name in words, without unit; names of files stay."""
+    if name in _LABELS:
+        return _LABELS[name]
+    bare_name = next((name.removesuffix(end) for end in _UNIT_SYMBOLS if name.endswith(end)), name)
+    return bare_name if "." in bare_name else bare_name.replace("_", " ")
+
+
+def _unit_text(unit: "UnitSent") -> str:
+    """Format the traffic of one sensor, and the turn of its rotor if it is known."""
+    text = f"{unit.name}, ports {unit.data_port} and {unit.position_port}: "
+    text += f"{count_text(unit.packets)} data, {count_text(unit.position_packets)} position"
+    if unit.returns is not None:
+        text += f", {count_text(unit.returns)} returns"
+    return text if unit.turn is None else f"{text}; {_turn_text(unit.turn)}"
+
+
+def _turn_text(turn: "Turn") -> str:
+    revolutions = quantity(round(turn.revolutions, 1), "revolution")
+    sequences = count_text(round(turn.sequences_per_revolution))
+    return f"{revolutions} of {sequences} firing sequences, {turn.azimuth_step_deg:.4g} deg apart"
+
+
+def _lateness_text(lateness: "Lateness") -> str:
+    times_ns = (lateness.median_ns, lateness.p99_ns, lateness.max_ns)
+    median, p99, maximum = (
+        f"{t_ns * 1e-3:.0f} us" if t_ns < 1e7 else f"{t_ns * 1e-9:.2f} s" for t_ns in times_ns
     )
+    return f"median {median}, 99 % within {p99}, at most {maximum}"
 
 
-def _lateness(late: "Lateness") -> str:
-    median, p99, most = (
-        f"{ns * 1e-3:.0f} us" if ns < 1e7 else f"{ns * 1e-9:.2f} s"
-        for ns in (late.median_ns, late.p99_ns, late.max_ns)
-    )
-    return f"median {median}, 99 % within {p99}, at most {most}"
-
-
-def _first(first: "FirstPacket") -> str:
+def _first_text(first: "FirstPacket") -> str:
     if first.sensor_ns is None:
         return ""
     late_ms = (first.host_ns - first.sensor_ns) * 1e-6
     return f"{late_ms:.3f} ms after its time by the sensor's clock, by this machine's"
 
 
-def _outlet(sent: "OutletResult") -> str:
-    row = f"{count(sent.messages)} to {sent.to}" + (
-        f", {count(sent.dropped)} dropped" if sent.dropped else ""
-    )
-    if sent.line:
-        line = sent.line.upper()
-        row += (
-            f"; no pulses, as it has no line {line}"
-            if sent.pulses is None
-            else f"; {count(sent.pulses)} on {line}"
+def _outlet_text(result: "OutletResult") -> str:
+    text = f"{count_text(result.messages)} to {result.to}"
+    if result.dropped:
+        text += f", {count_text(result.dropped)} dropped"
+    if result.line:
+        line = result.line.upper()
+        if result.pulses is None:
+            text += f"; no pulses, as it has no line {line}"
+        else:
+            text += f"; {count_text(result.pulses)} on {line}"
+    return text + _away_text(result.away)
+
+
+def _receiver_text(gps_in: "GpsInResult") -> str:
+    line = gps_in.heard
+    counts = {"sentences": line.sentences, "pulses": line.pulses, "garbled": line.refused}
+    text = ", ".join(f"{count_text(number)} {name}" for name, number in counts.items())
+    return f"{text} from {gps_in.port}; {gps_in.state.name.lower()}{_away_text(gps_in.away)}"
+
+
+def _fit_text(fits: "Mapping[str, float] | Sequence[Mapping[str, float]]") -> str:
+    """Format the line of a host's clock over the sensor's, or that of each sensor."""
+    texts = []
+    for fit in [fits] if isinstance(fits, Mapping) else fits:
+        text = (
+            f"{fit['rate_ppm']:+.3g} ppm, {fit['offset_s']:+.6f} s from the sensor's, packets late by "
+            f"{fit['median_delay_ms']:.3g} ms in the median and {fit['most_delay_ms']:.3g} ms at most"
         )
-    return row + _away(sent.away)
+        texts.append(f"{text}, in {fit['parts']:.0f} parts" if fit["parts"] > 1 else text)
+    return "; ".join(texts)
 
 
-def _receiver(gps_in: "GpsInResult") -> str:
-    heard = gps_in.heard
-    counts = (
-        f"{count(heard.sentences)} sentences, {count(heard.pulses)} pulses, {count(heard.refused)} garbled"
-    )
-    return f"{counts} from {gps_in.port}; {gps_in.state.name.lower()}{_away(gps_in.away)}"
-
-
-def _fit(fits: "Mapping[str, float] | Sequence[Mapping[str, float]]") -> str:
-    each = [fits] if isinstance(fits, Mapping) else fits
-    return "; ".join(
-        f"{fit['rate_ppm']:+.3g} ppm, {fit['offset_s']:+.6f} s from the sensor's, packets late by "
-        f"{fit['median_delay_ms']:.3g} ms in the median and {fit['most_delay_ms']:.3g} ms at most"
-        + (f", in {fit['parts']:.0f} parts" if fit["parts"] > 1 else "")
-        for fit in each
-    )
-
-
-def _away(times: "Sequence[Away]") -> str:
+def _away_text(times: "Sequence[Away]") -> str:
+    if not times:
+        return ""
     total_s = sum(time.away_s for time in times)
-    return f"; the device was away {count(len(times))} times, for {total_s:.1f} s" if times else ""
+    return f"; the device was away {count_text(len(times))} times, for {total_s:.1f} s"
 
 
-_WORDS: dict[str, Callable[[Any], str]] = {
+def _skipped_text(skipped: Mapping[str, int]) -> str:
+    return ", ".join(f"{count_text(number)} {kind} packets" for kind, number in skipped.items())
+
+
+_FORMATTERS: dict[str, Callable[[Any], str]] = {
     "audit": audit_text,
     "behind": behind_text,
     "bytes": size,
     "cut": lambda is_cut: "in the middle of a packet, which was left out" if is_cut else "",
-    "damage": lambda parts: f"left out in {count(len(parts))} place{'s'[: len(parts) - 1]}" if parts else "",
+    "damage": lambda parts: f"left out in {quantity(len(parts), 'place')}" if parts else "",
     "delay_s": lambda late_s: f"late by {late_s:.2f} s at the end" if late_s else "",
-    "first": _first,
-    "fit": _fit,
+    "first": _first_text,
+    "fit": _fit_text,
     "gaps_s": lambda gaps_s: ", ".join(f"{gap_s:.0f} s" for gap_s in gaps_s),
-    "gps_in": _receiver,
-    "gps_out": _outlet,
-    "imu_out": _outlet,
+    "gps_in": _receiver_text,
+    "gps_out": _outlet_text,
+    "imu_out": _outlet_text,
     "interrupted": lambda _: "",
     "keeps_up_with": ", or ".join,
-    "lateness": _lateness,
+    "lateness": _lateness_text,
     "moved_s": lambda by_s: f"by {by_s:+d} s into the present" if by_s else "",
     "real_time_factor": lambda factor: f"{factor:.2f} x real time",
-    "skipped": lambda skipped: ", ".join(
-        f"{count(number)} {kind} packets" for kind, number in skipped.items()
-    ),
-    "turn": _turn,
+    "skipped": _skipped_text,
+    "turn": _turn_text,
     "walk_share": lambda share: f"{100 * share:.0f} %",
 }
 """Formatters of members that need more than a value with its unit."""

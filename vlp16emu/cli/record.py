@@ -8,8 +8,7 @@ from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Annotated
 
-from vlp16emu.cli import arguments as args
-from vlp16emu.cli.arguments import AsJson, CaptureFile, UnitName, WhichClock
+from vlp16emu.cli.arguments import AsJson, CaptureFile, RunOptions, SceneName, UnitName, WhichClock
 from vlp16emu.cli.printer import finish, members
 from vlp16emu.cli.terminal import make_emulator, running, stop_on_ctrl_c
 from vlp16emu.errors import CaptureError, InputError, OutputError
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def record(
-    scene: args.SceneName,
+    scene: SceneName,
     out: Annotated[
         str,
         Option(
@@ -32,9 +31,9 @@ def record(
         ),
     ],
     options: RecordOptions,
-    making: args.RunOptions,
+    emulator_options: RunOptions,
     *,
-    as_json: args.AsJson = False,
+    as_json: AsJson = False,
 ) -> None:
     """Record a scene into a pcap file, or a bag.
 
@@ -48,10 +47,11 @@ def record(
     if is_stdout and sys.stdout is None:
         raise OutputError("standard output", "closed", "a file or a pipe")
     began_s = time.perf_counter()
-    emulator = make_emulator(scene, making)
+    emulator = make_emulator(scene, emulator_options)
     with running(emulator, "recording", options) as hooks:
         recording = emulator.record(out, **vars(options), **hooks)
-    recording = replace(recording, wall_s=time.perf_counter() - began_s)  # time of the whole command
+    wall_s = time.perf_counter() - began_s  # of the whole command
+    recording = replace(recording, wall_s=wall_s)
     with redirect_stdout(sys.stderr) if is_stdout else nullcontext():
         finish(recording, as_json=as_json)
 
@@ -98,36 +98,43 @@ def decode(
         if out is not None:
             raise InputError("--pcap", "found beside --out", "only one of the two")
         with stop_on_ctrl_c() as stop:
-            written = write_pcap(file, pcap, unit, stop=stop)
-        finish(written, as_json=as_json)
+            result = write_pcap(file, pcap, unit, stop=stop)
+        finish(result, as_json=as_json)
         return
     from vlp16emu.captures import CaptureReader, chosen_unit, packet_clock
     from vlp16emu.packets import PointFrame
     from vlp16emu.types import SensorModel
 
     axes = PointFrame(frame)
-    chosen = chosen_unit(file, unit, where="--unit")
+    sensor = chosen_unit(file, unit, where="--unit")
     product = SensorModel(model) if model else None
-    stamps = packet_clock(file, chosen, clock, where="--clock")
+    unit_clock = packet_clock(file, sensor, clock, where="--clock")
     with stop_on_ctrl_c() as stop:
-        reader = CaptureReader(file, chosen, product, stamps, stop=stop)
-        _read(reader, file, out, axes, stop)
+        reader = CaptureReader(file, sensor, product, unit_clock, stop=stop)
+        _read_points(reader, file, out, axes, stop)
     interrupted = stop.is_set()
     title = f"{file}, interrupted" if interrupted else str(file)
     tree = {"file": file, "out": out} if as_json else {"wrote": out}
     finish(tree | dict(members(reader.summary)) | {"interrupted": interrupted}, title, as_json=as_json)
 
 
-def _read(reader: "CaptureReader", file: Path, out: Path | None, axes: "PointFrame", stop: Event) -> None:
-    """Read a capture to its end or until `stop`, and write its points if `out` is given."""
+def _read_points(
+    reader: "CaptureReader", file: Path, out: Path | None, axes: "PointFrame", stop: Event
+) -> None:
+    """Read a capture until its end or `stop`, and write its points into `out` unless it is None."""
     with ExitStack() as stack:
         writer = None
         if out:
-            from vlp16emu.extras.clouds.cloud import CAPTURE_COLUMNS, CloudAbout, capture_comments, point_file
+            from vlp16emu.extras.clouds.cloud import (
+                CAPTURE_COLUMNS,
+                CloudMetadata,
+                capture_comments,
+                point_file,
+            )
 
-            about = CloudAbout(capture_comments(axes, reader.clock.clock.whose))
-            opened = point_file(out, CAPTURE_COLUMNS, about, where=f"--out {out}", inputs=[file])
-            writer = stack.enter_context(opened)
+            metadata = CloudMetadata(capture_comments(axes, reader.clock.clock.whose))
+            points = point_file(out, CAPTURE_COLUMNS, metadata, where=f"--out {out}", inputs=[file])
+            writer = stack.enter_context(points)
         try:
             for table in reader.tables():
                 if writer:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vlp16emu.cli import arguments as args
+from vlp16emu.cli.arguments import AsJson, CaptureFile, RunOptions, SceneName
 from vlp16emu.cli.printer import finish, print_line
 from vlp16emu.cli.terminal import Progress, make_emulator, stop_on_ctrl_c
 from vlp16emu.errors import InputError, RunError
@@ -44,9 +44,9 @@ KeepUp = Annotated[
 
 
 def stream(
-    scene: args.SceneName,
+    scene: SceneName,
     options: StreamOptions,
-    making: args.RunOptions,
+    emulator_options: RunOptions,
     *,
     prepare: Annotated[
         bool,
@@ -68,7 +68,7 @@ def stream(
     ] = None,
     keep_up: KeepUp = None,
     strict: Strict = False,
-    as_json: args.AsJson = False,
+    as_json: AsJson = False,
 ) -> None:
     """Stream a scene over UDP, each packet at its time.
 
@@ -77,7 +77,7 @@ def stream(
     up. Ctrl-C ends the stream.
     """
     title = f"{scene} to {options.receiver[0]}"
-    emulator = make_emulator(scene, making)
+    emulator = make_emulator(scene, emulator_options)
     from vlp16emu.run.scene_stream import SceneStream  # here: numba loads after mistakes in the scene show
 
     is_prepared = prepare or options.prepare is not None
@@ -86,7 +86,7 @@ def stream(
         raise InputError("--pose-in", 'found motion.kind = "live" without it', "udp://127.0.0.1:PORT")
     if view_port is not None and not view:
         raise InputError("--view-port", "found without --view", "both")
-    is_measured = _is_measured(wanted=keep_up, is_prepared=is_prepared, is_live=is_live)
+    is_fitted = _fits_to_machine(keep_up=keep_up, is_prepared=is_prepared, is_live=is_live)
     _, stop_s = emulator.scenario.span_s(0.0, options.duration_s)
     with ExitStack() as stack:
         page = stack.enter_context(_page(emulator, view_port, quiet=as_json)) if view else None
@@ -98,7 +98,7 @@ def stream(
         stream = stack.enter_context(SceneStream(emulator, options, stop=stop))
         progress = stack.enter_context(Progress(stop_s))
         stream.add(Terminal(progress, emulator.scenario.start_ns))
-        if is_measured:
+        if is_fitted:
             stream.measure()
         if page is not None:
             page.follow(stream)
@@ -108,17 +108,17 @@ def stream(
             places = ", ".join(url_of(host, port) for host, port in stream.web.places)
             print_line(f"web interface at {places}")
         stream.run()
-    _close(stream.result, title, strict=strict, as_json=as_json)
+    _finish(stream.result, title, strict=strict, as_json=as_json)
 
 
 def replay(
-    file: args.CaptureFile, options: ReplayOptions, *, strict: Strict = False, as_json: args.AsJson = False
+    file: CaptureFile, options: ReplayOptions, *, strict: Strict = False, as_json: AsJson = False
 ) -> None:
     """Send a capture over UDP again, ours or a real sensor's.
 
     Packets keep the intervals of their capture stamps, or of the sensor's stamps where those of the capture
-    cannot be its pace, and go to the ports of the capture. Nothing leaves this
-    machine unless --to names another one. Ctrl-C ends it.
+    cannot be its pace, and go to the ports of the capture. Nothing leaves this machine unless --to names
+    another one. Ctrl-C ends it.
     """
     from vlp16emu.extras.replay import ReplayStream
 
@@ -131,10 +131,10 @@ def replay(
         units = ", ".join(map(str, stream.replay.units))
         _announce(f"replaying {file} to {stream.host}: sensors {units}", stream.links, quiet=as_json)
         for unit, fault in stream.replay.paced_by.items():
-            unfit = f"{stream.replay.units[unit]}: {fault}: packets are paced by the sensor's own stamps"
-            progress.say(unfit)
+            sensor = stream.replay.units[unit]
+            progress.say(f"{sensor}: {fault}: packets are paced by the sensor's own stamps")
         stream.run()
-    _close(stream.result, f"{file} to {stream.host}", strict=strict, as_json=as_json)
+    _finish(stream.result, f"{file} to {stream.host}", strict=strict, as_json=as_json)
 
 
 class Terminal(StreamPart):
@@ -154,19 +154,23 @@ class Terminal(StreamPart):
         self._progress.say(line)
 
 
-def _is_measured(*, wanted: bool | None, is_prepared: bool, is_live: bool) -> bool:
-    """Return if the beam and the reach are set with which this machine keeps up."""
-    cannot = "--prepare" if is_prepared else ("--pose-in" if is_live else None)
-    if wanted and cannot:
-        raise InputError("--keep-up", f"found beside {cannot}", "only one of the two")
-    if wanted is not None or cannot:
-        return bool(wanted)
+def _fits_to_machine(*, keep_up: bool | None, is_prepared: bool, is_live: bool) -> bool:
+    """Return True if beam and reach are to be chosen so that this machine keeps up."""
+    conflict = None
+    if is_prepared:
+        conflict = "--prepare"
+    elif is_live:
+        conflict = "--pose-in"
+    if keep_up and conflict:
+        raise InputError("--keep-up", f"found beside {conflict}", "only one of the two")
+    if keep_up is not None or conflict:
+        return bool(keep_up)
     return sys.stderr is not None and sys.stderr.isatty()
 
 
 @contextmanager
 def _page(emulator: "Emulator", port: int | None, *, quiet: bool) -> Iterator["LivePage"]:
-    """Start the page of a stream and print its address."""
+    """Start the page of a stream, and print its address; on standard error if `quiet`."""
     check_extra("viewer", "the page in the browser", "viser", "websockets")
     from vlp16emu.extras.viewer.live import PAGE_PORT, live_page
 
@@ -177,7 +181,7 @@ def _page(emulator: "Emulator", port: int | None, *, quiet: bool) -> Iterator["L
 
 @contextmanager
 def _temporary_packets() -> Iterator[Path]:
-    """Yield the name of a file that is removed at the end; a full disk is an error that does not name it."""
+    """Yield the name of a file that is removed at the end; the error of a full disk does not name it."""
     from tempfile import TemporaryDirectory
 
     with TemporaryDirectory(prefix="vlp16emu-") as folder:
@@ -187,9 +191,9 @@ def _temporary_packets() -> Iterator[Path]:
             cause = error.__cause__
             if folder not in str(error) or not isinstance(cause, OSError):
                 raise
-            place = Path(folder).parent
-            kept = "nothing is kept; --prepare-to FILE.pcap takes another place"
-            raise RunError(f"--prepare: {cause.strerror} in {place}; {kept}") from error
+            parent = Path(folder).parent
+            advice = "nothing is kept; --prepare-to FILE.pcap takes another place"
+            raise RunError(f"--prepare: {cause.strerror} in {parent}; {advice}") from error
 
 
 def _with_settings(options: StreamOptions, *, is_prepared: bool) -> StreamOptions:
@@ -201,18 +205,17 @@ def _with_settings(options: StreamOptions, *, is_prepared: bool) -> StreamOption
     return replace(options, http=Http("127.0.0.1:0"))
 
 
-def _announce(what: str, links: "Sequence[Link]", *, quiet: bool) -> None:
+def _announce(title: str, links: "Sequence[Link]", *, quiet: bool) -> None:
     if not quiet:
         ports = "; ".join(f"{link.data_port} and {link.position_port}" for link in links)
-        print_line(f"{what}, ports {ports}")
+        print_line(f"{title}, ports {ports}")
 
 
-def _close(sent: "Streamed | Replayed", what: str, *, strict: bool, as_json: bool) -> None:
+def _finish(report: "Streamed | Replayed", title: str, *, strict: bool, as_json: bool) -> None:
     """Print the report of a stream or a replay and exit with its code."""
-    interrupted = sent.interrupted  # skipped packets count too
-    is_late = strict and sent.sent.behind
+    is_late = strict and report.sent.behind  # skipped packets count too
     try:
-        finish(sent, f"{'interrupted' if interrupted else 'done'}: {what}", as_json=as_json)
+        finish(report, f"{'interrupted' if report.interrupted else 'done'}: {title}", as_json=as_json)
     finally:
         if is_late:
             raise typer.Exit(_LATE)

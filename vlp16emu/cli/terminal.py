@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from typing import TYPE_CHECKING, Self
 
 from vlp16emu.errors import printable
@@ -27,19 +28,20 @@ _STDERR = 2
 def stop_on_ctrl_c() -> Iterator[threading.Event]:
     """Yield an event that Ctrl-C, SIGTERM and SIGHUP set; a second signal interrupts at once.
 
-    An exception could arise between writing a packet and counting it; report and file would then differ.
+    An exception in place of the event could arise between writing a packet and counting it: report and file
+    would then differ.
     """
     stop = threading.Event()
     is_ending.clear()  # set by a run before
-    before = {number: signal.getsignal(number) for number in ENDINGS}
-    if before[signal.SIGHUP] is signal.SIG_IGN:  # by nohup
-        del before[signal.SIGHUP]
+    handlers = {number: signal.getsignal(number) for number in ENDINGS}
+    if handlers[signal.SIGHUP] is signal.SIG_IGN:  # by nohup
+        del handlers[signal.SIGHUP]
 
     def restore() -> None:
-        for number, handler in before.items():
+        for number, handler in handlers.items():
             signal.signal(number, handler)
 
-    def note(_signal: int, _frame: object) -> None:
+    def request_stop(_signal: int, _frame: object) -> None:
         stop.set()
         is_ending.set()
         restore()
@@ -47,8 +49,8 @@ def stop_on_ctrl_c() -> Iterator[threading.Event]:
             if os.isatty(_STDERR):
                 os.write(_STDERR, b"\nfinishing what is under way; Ctrl-C again stops at once\n")
 
-    for number in before:
-        signal.signal(number, note)
+    for number in handlers:
+        signal.signal(number, request_stop)
     try:
         yield stop
     finally:
@@ -59,7 +61,7 @@ _REFRESH_S = 0.5  # drawing takes a millisecond, which can delay a packet that i
 
 
 class Progress:
-    """Bar on stderr; nothing if stderr is no terminal.
+    """Progress bar on stderr, if that is a terminal.
 
     The thread that calls `show` draws it: another thread would disturb the pacing of packets. Before the
     first call, a thread of its own counts the seconds.
@@ -67,13 +69,14 @@ class Progress:
     Parameters
     ----------
     total_s : simulated seconds to come
-    first : task before the first call of `show`
+    first_task : task before the first call of `show`
     """
 
-    def __init__(self, total_s: float, first: str = "growing the world") -> None:
-        self._first = first
+    def __init__(self, total_s: float, first_task: str = "growing the world") -> None:
+        self._total_s = total_s
+        self._first_task = first_task
         self._next_s = 0.0
-        self._begun = threading.Event()
+        self._has_begun = threading.Event()
         self._bar = None
         if sys.stderr is not None and sys.stderr.isatty():
             from rich.console import Console
@@ -88,24 +91,24 @@ class Progress:
                 TextColumn("left"),
             )
             self._bar = Bar(*columns, console=Console(stderr=True), auto_refresh=False, transient=True)
-            self._task = self._bar.add_task(first, total=total_s)
+            self._task = self._bar.add_task(first_task, total=total_s)
 
     def __enter__(self) -> Self:
         if self._bar is not None:
             self._bar.start()
-            threading.Thread(target=self._show_life, name="progress", daemon=True).start()
+            threading.Thread(target=self._count_seconds, name="progress", daemon=True).start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._begun.set()
+        self._has_begun.set()
         if self._bar is not None:
             with suppress(OSError):  # the terminal may be gone
                 self._bar.stop()
 
-    def _show_life(self) -> None:
+    def _count_seconds(self) -> None:
         began_s = time.monotonic()
-        while not self._begun.wait(_REFRESH_S):
-            self._draw(f"{self._first}, {time.monotonic() - began_s:.0f} s", 0.0)
+        while not self._has_begun.wait(_REFRESH_S):
+            self._draw(f"{self._first_task}, {time.monotonic() - began_s:.0f} s", 0.0)
 
     def _draw(self, task: str, done_s: float) -> None:
         """Draw the bar, until the terminal is gone."""
@@ -118,9 +121,13 @@ class Progress:
     def show(self, task: str, done_s: float) -> None:
         """Show a task and its progress; draws at most twice a second."""
         if self._bar is not None and (now_s := time.monotonic()) >= self._next_s:
-            self._begun.set()
+            self._has_begun.set()
             self._next_s = now_s + _REFRESH_S
             self._draw(task, done_s)
+
+    def show_share(self, task: str, share: float) -> None:
+        """Show a task and the share of it that is done, 0 to 1; draws at most twice a second."""
+        self.show(task, share * self._total_s)
 
     def say(self, line: str) -> None:
         """Print a line on stderr at once, above the bar if there is one, with control characters escaped."""
@@ -132,18 +139,17 @@ class Progress:
                 print(line, file=sys.stderr, flush=True)
 
 
-def make_emulator(scene: str, changes: "SceneOptions") -> "Emulator":
+def make_emulator(scene: str, options: "SceneOptions") -> "Emulator":
     """Return the emulator of a command line; raises the errors of `Emulator`."""
     from vlp16emu.scenario import load
 
-    settings = changes.settings or ()
-    scenario = load(
-        scene, settings, ideal=changes.ideal
-    )  # first, so that mistakes in it show before numba loads
+    settings = options.settings or ()
+    # First, so that mistakes in the scene show before numba loads.
+    scenario = load(scene, settings, ideal=options.ideal)
     compile_first(scenario.world.kind)
     from vlp16emu.run.emulator import Emulator
 
-    return Emulator(scene, **vars(changes) | {"settings": settings})
+    return Emulator(scene, **vars(options) | {"settings": settings})
 
 
 @contextmanager
@@ -151,7 +157,7 @@ def running(emulator: "Emulator", task: str, span: Span) -> Iterator[Tree]:
     """Yield keyword arguments for a run that show its progress and end it after a signal."""
     begin_s, end_s = emulator.scenario.span_s(span.start_s, span.duration_s, where="--start")
     with stop_on_ctrl_c() as stop, Progress(end_s - begin_s) as bar:
-        yield {"progress": lambda done_s: bar.show(task, done_s), "stop": stop}
+        yield {"progress": partial(bar.show, task), "stop": stop}
 
 
 def compile_first(world: str | None) -> None:
@@ -160,9 +166,9 @@ def compile_first(world: str | None) -> None:
 
     group = "forest" if world not in (None, "hall") else world
     is_terminal = sys.stderr is not None and sys.stderr.isatty()
-    for done, count in compile_kernels(group):
-        line = f"compiling kernels: {done} of {count}, once"
+    for done_count, total in compile_kernels(group):
+        line = f"compiling kernels: {done_count} of {total}, once"
         if is_terminal:
-            print(f"\r{line}", end="\n" if done == count else "", file=sys.stderr, flush=True)
-        elif done in (0, count) and sys.stderr is not None:
+            print(f"\r{line}", end="\n" if done_count == total else "", file=sys.stderr, flush=True)
+        elif done_count in (0, total) and sys.stderr is not None:
             print(line, file=sys.stderr, flush=True)

@@ -20,29 +20,42 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
     unchanged.
     """
     parameters = inspect.signature(function).parameters.values()
-    leaves = list(leaves_of(function))
-    if parameters and not leaves:
+    options = list(options_of_function(function))
+    if parameters and not options:
         return function
 
-    def run(**values: object) -> None:
-        values = {leaf.name: values[_key(leaf)] for leaf in leaves}
-        for leaf in leaves:
-            if leaf.kind is bool and leaf.default is True:  # its name negates it
-                values[leaf.name] = not values[leaf.name]
-        function(**{one.name: _value_of(one.name, one.annotation, values) for one in parameters})
+    def run(**keys: object) -> None:
+        values = {option.name: keys[_key(option)] for option in options}
+        for option in options:
+            if option.kind is bool and option.default is True:  # its name negates it
+                values[option.name] = not values[option.name]
+        arguments = {}
+        for parameter in parameters:
+            arguments[parameter.name] = _value_of(parameter.name, parameter.annotation, values)
+        function(**arguments)
 
-    signature = inspect.Signature([_parameter(leaf) for leaf in leaves])
+    signature = inspect.Signature([_parameter(option) for option in options])
     run.__name__ = function.__name__
     run.__doc__ = function.__doc__
-    run.__annotations__ = {name: one.annotation for name, one in signature.parameters.items()}
+    run.__annotations__ = {key: parameter.annotation for key, parameter in signature.parameters.items()}
     run.__signature__ = signature  # type: ignore[attr-defined]
     return run
 
 
-def leaves_of(function: Callable[..., None]) -> Iterator[Declared]:
+def options_of_function(function: Callable[..., None]) -> Iterator[Declared]:
     """Yield the options of a function."""
-    for one in inspect.signature(function).parameters.values():
-        yield from _leaves(one.name, one.annotation, one.default)
+    for parameter in inspect.signature(function).parameters.values():
+        default = MISSING if parameter.default is inspect.Parameter.empty else parameter.default
+        yield from _options_of_annotation(parameter.name, parameter.annotation, default)
+
+
+def _options_of_annotation(name: str, annotation: object, default: object = MISSING) -> Iterator[Declared]:
+    """Yield the option of a parameter or a field, or those of its dataclass."""
+    if option := declared(name, annotation, default):
+        yield option
+    elif owner := _dataclass_in(annotation):
+        for field in fields(owner):  # type: ignore[arg-type]
+            yield from _options_of_annotation(field.name, field.type, field.default)
 
 
 def _dataclass_in(annotation: object) -> type[Options] | None:
@@ -51,76 +64,70 @@ def _dataclass_in(annotation: object) -> type[Options] | None:
     return next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Options)), None)
 
 
-def _leaves(name: str, annotation: object, default: object) -> Iterator[Declared]:
-    if one := declared(name, annotation, MISSING if default is inspect.Parameter.empty else default):
-        yield one
-    elif owner := _dataclass_in(annotation):
-        for field in fields(owner):  # type: ignore[arg-type]
-            yield from _leaves(field.name, field.type, field.default)
-
-
 def _value_of(name: str, annotation: object, values: Mapping[str, object]) -> object:
-    """Return a value, or a dataclass with its values.
+    """Return the value of a parameter or a field, by the values of all options.
 
-    It is None for an optional dataclass if none of its options is given.
+    It is a dataclass where the annotation has one; None for an optional one if none of its options is given.
     """
-    if one := declared(name, annotation):
-        return values[one.name]
+    if option := declared(name, annotation):
+        return values[option.name]
     owner = _dataclass_in(annotation)
     assert owner
-    if NoneType in get_args(annotation):
-        leaves = list(_leaves(name, annotation, MISSING))
-        given = [
-            leaf
-            for leaf in leaves
-            if values[leaf.name] != (None if leaf.default is MISSING else leaf.default)
-        ]
-        if not given:
-            return None
-        if missing := [leaf for leaf in leaves if leaf.default is MISSING and values[leaf.name] is None]:
-            wanted = f"{missing[0].name} {missing[0].option.metavar} beside it"
-            raise InputError(given[0].name, f"found no {missing[0].name}", wanted)
-    named = [(field.name, field.type) for field in fields(owner)]  # type: ignore[arg-type]
-    return owner(
-        **{key: _value_of(key, kind, values) for key, kind in named if list(_leaves(key, kind, MISSING))}
-    )
+    if NoneType in get_args(annotation) and not _is_given(name, annotation, values):
+        return None
+    arguments = {}
+    for field in fields(owner):  # type: ignore[arg-type]
+        if any(_options_of_annotation(field.name, field.type)):
+            arguments[field.name] = _value_of(field.name, field.type, values)
+    return owner(**arguments)
 
 
-def _key(leaf: Declared) -> str:
+def _is_given(name: str, annotation: object, values: Mapping[str, object]) -> bool:
+    """Return True if an option of an optional dataclass is given; InputError if one beside it is missing."""
+    options = list(_options_of_annotation(name, annotation))
+    defaults = {option.name: None if option.default is MISSING else option.default for option in options}
+    given = [option for option in options if values[option.name] != defaults[option.name]]
+    missing = [option for option in options if option.default is MISSING and values[option.name] is None]
+    if given and missing:
+        expected = f"{missing[0].name} {missing[0].option.metavar} beside it"
+        raise InputError(given[0].name, f"found no {missing[0].name}", expected)
+    return bool(given)
+
+
+def _key(option: Declared) -> str:
     """Return the parameter name for an option; the underscore keeps `--from` from being a keyword."""
-    return "_" + "".join(c if c.isalnum() else "_" for c in leaf.name).strip("_").lower()
+    letters = (letter if letter.isalnum() else "_" for letter in option.name)
+    return "_" + "".join(letters).strip("_").lower()
 
 
-def _parameter(leaf: Declared) -> inspect.Parameter:
+def _parameter(option: Declared) -> inspect.Parameter:
     """Return the parameter from which typer makes an option or an argument."""
-    option = leaf.option
-    default = None if leaf.default is MISSING else leaf.default
+    meaning = option.option
+    default = None if option.default is MISSING else option.default
     kind: Any = object | None  # click would read two values for a tuple
-    if leaf.kind is bool:
-        kind, default = (bool | None, None) if leaf.default is None else (bool, False)
-        info = typer.Option(leaf.name, help=option.help)
-    elif leaf.kind is list:
+
+    def read(text: object) -> object:
+        if not isinstance(text, str) or text is default:  # typer reads defaults too
+            return text
+        return meaning.read(option.name, option.kind, text)
+
+    metavar = meaning.metavar or "|".join(meaning.words)
+    if option.kind is bool:
+        kind = bool if option.default is not None else bool | None
+        default = False if option.default is not None else None
+        info = typer.Option(option.name, help=meaning.help)
+    elif option.kind is list:
         kind = list[str] | None
-        info = typer.Option(leaf.name, help=option.help, metavar=option.metavar)
+        info = typer.Option(option.name, help=meaning.help, metavar=meaning.metavar)
+    elif option.name.startswith("-"):
+        info = typer.Option(
+            option.name, help=meaning.help, metavar=metavar, parser=read, show_default=meaning.shown
+        )
     else:
-
-        def read(text: object) -> object:  # typer reads defaults too
-            return (
-                option.read(leaf.name, leaf.kind, text)
-                if isinstance(text, str) and text is not default
-                else text
-            )
-
-        metavar = option.metavar or "|".join(option.words)
-        if leaf.name.startswith("-"):
-            info = typer.Option(
-                leaf.name, help=option.help, metavar=metavar, parser=read, show_default=option.shown
-            )
-        else:
-            kind = leaf.kind
-            default = inspect.Parameter.empty
-            info = typer.Argument(metavar=leaf.name, help=option.help, parser=read, show_default=False)
+        kind = option.kind
+        default = inspect.Parameter.empty
+        info = typer.Argument(metavar=option.name, help=meaning.help, parser=read, show_default=False)
     annotation = Annotated[kind, info]
     return inspect.Parameter(
-        _key(leaf), inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation
+        _key(option), inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation
     )

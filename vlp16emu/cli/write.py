@@ -4,15 +4,26 @@ They are truth, points, bag, dataset, picture, images and view.
 """
 
 import time
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from vlp16emu.cli import arguments as args
-from vlp16emu.cli.arguments import AsJson, CaptureFile, UnitName, WhichClock
-from vlp16emu.cli.printer import count, finish, print_json, print_rows, print_table, size
+from vlp16emu.cli.arguments import (
+    AsJson,
+    CaptureFile,
+    EmulatorOptions,
+    SceneName,
+    SceneOptions,
+    SceneOrCapture,
+    Settings,
+    TrajectoryFile,
+    UnitName,
+    WhichClock,
+)
+from vlp16emu.cli.printer import finish, print_json, print_rows, print_table, quantity, size
 from vlp16emu.cli.terminal import Progress, compile_first, make_emulator, running, stop_on_ctrl_c
 from vlp16emu.errors import InputError, TrajectoryError
 from vlp16emu.extras.options import DatasetOptions, ImageOptions, PictureLook, PointOptions, TrajectoryErrors
@@ -28,45 +39,46 @@ from vlp16emu.run.options import (
     TruthTo,
     WhichUnit,
 )
+from vlp16emu.trees import Tree
+from vlp16emu.units import count_text
 
 if TYPE_CHECKING:
+    from viser import ViserServer
+
     from vlp16emu.extras.dataset import DatasetEstimate, Probe
-    from vlp16emu.extras.viewer.editor import Opened
+    from vlp16emu.extras.viewer.editor import OpenScene
     from vlp16emu.run.emulator import Emulator
 
 
 def truth(
-    scene: args.SceneName,
+    scene: SceneName,
     folder: Annotated[Path, Option("Folder to write: new, empty, or of an earlier run.", name="DIR")],
     span: Span,
-    changes: args.SceneOptions,
+    scene_options: SceneOptions,
     *,
     rate_hz: TruthRate = TruthTo.rate_hz,
     per_packet: TruthPackets = TruthTo.per_packet,
     per_return: TruthReturns = TruthTo.per_return,
-    as_json: args.AsJson = False,
+    as_json: AsJson = False,
 ) -> None:
     """Write the ground truth of a run without casting its pulses: trajectory, IMU, GNSS, rig, scenario.
 
     The files equal byte for byte the files of `record --truth` over the same span. Ctrl-C ends them early.
     """
-    emulator = make_emulator(scene, changes)
+    emulator = make_emulator(scene, scene_options)
     from vlp16emu.extras.truth.truth import write_truth
 
+    to = TruthTo(folder, rate_hz, per_packet, per_return)
     with running(emulator, "writing", span) as hooks:
-        simulated_s = write_truth(
-            emulator, TruthTo(folder, rate_hz, per_packet, per_return), **vars(span), **hooks
-        )
-    sizes = {path.name: path.stat().st_size for path in sorted(folder.iterdir())}
-    found = {"folder": folder, "simulated_s": simulated_s, "interrupted": hooks["stop"].is_set()}
-    finish(
-        found | ({"files": sizes} if as_json else {name: size(n) for name, n in sizes.items()}),
-        as_json=as_json,
-    )
+        simulated_s = write_truth(emulator, to, **vars(span), **hooks)
+    files = {path.name: path.stat().st_size for path in sorted(folder.iterdir())}
+    report: Tree = {"folder": folder, "simulated_s": simulated_s, "interrupted": hooks["stop"].is_set()}
+    report |= {"files": files} if as_json else {name: size(length) for name, length in files.items()}
+    finish(report, as_json=as_json)
 
 
 def points(
-    scene: args.SceneOrCapture,
+    scene: SceneOrCapture,
     out: Annotated[
         Path,
         Option(
@@ -75,12 +87,12 @@ def points(
         ),
     ],
     options: PointOptions,
-    making: args.EmulatorOptions,
+    emulator_options: EmulatorOptions,
     errors: TrajectoryErrors,
     *,
-    trajectory: args.TrajectoryFile = None,
-    clock: args.WhichClock = None,
-    as_json: args.AsJson = False,
+    trajectory: TrajectoryFile = None,
+    clock: WhichClock = None,
+    as_json: AsJson = False,
 ) -> None:
     """Write the points of a scene with any beam table, or of a capture with a trajectory.
 
@@ -92,15 +104,25 @@ def points(
     from vlp16emu.captures.capture import is_capture_name
 
     if trajectory is not None or is_capture_name(scene):
-        spans = {"--duration": options.duration_s, "--start": options.start_s}
-        made = {"--set": making.settings, "--ideal": making.ideal, "--threads": making.threads}
-        _refuse({**spans, **made}, f"the capture {scene}", "a scene")
+        of_scenes = {
+            "--duration": options.duration_s,
+            "--start": options.start_s,
+            "--set": emulator_options.settings,
+            "--ideal": emulator_options.ideal,
+            "--threads": emulator_options.threads,
+        }
+        _refuse(of_scenes, f"the capture {scene}", "a scene")
         _deskew(Path(scene), out, trajectory, errors, options, clock=clock, as_json=as_json)
         return
-    wrong = {"--time-offset": errors.time_offset_s != 0.0, "--mount": errors.mount, "--drift": errors.drift}
-    _refuse({**wrong, "--clock": clock}, "a scene", "a capture and its --trajectory")
+    of_captures = {
+        "--time-offset": errors.time_offset_s != 0.0,
+        "--mount": errors.mount,
+        "--drift": errors.drift,
+        "--clock": clock,
+    }
+    _refuse(of_captures, "a scene", "a capture and its --trajectory")
     began_s = time.perf_counter()
-    emulator = make_emulator(scene, making)
+    emulator = make_emulator(scene, emulator_options)
     from vlp16emu.extras.clouds.points import write_points
 
     with running(emulator, "scanning", options) as hooks:
@@ -109,8 +131,9 @@ def points(
     finish(replace(cloud, wall_s=wall_s, real_time_factor=cloud.simulated_s / wall_s), as_json=as_json)
 
 
-def _refuse(options: Mapping[str, object], beside: str, expected: str) -> None:
-    for name, value in options.items():
+def _refuse(values: Mapping[str, object], beside: str, expected: str) -> None:
+    """Raise InputError for the first option that is given; `values` are by name, false if it is not given."""
+    for name, value in values.items():
         if value:
             raise InputError(name, f"found beside {beside}", expected)
 
@@ -118,31 +141,31 @@ def _refuse(options: Mapping[str, object], beside: str, expected: str) -> None:
 def _deskew(
     capture: Path,
     out: Path,
-    trajectory: Path | None,
+    trajectory_file: Path | None,
     errors: TrajectoryErrors,
     options: PointOptions,
     *,
     clock: str | None,
     as_json: bool,
 ) -> None:
-    if trajectory is None:
+    if trajectory_file is None:
         expected = "--trajectory DIR or FILE.tum, or `vlp16emu decode` for points in the sensor's frame"
         raise InputError(str(capture), "is a capture", expected)
     from vlp16emu.extras.clouds.cloud import label_scheme
     from vlp16emu.extras.clouds.deskew import CaptureTruth, Trajectory, write_deskewed
 
-    way = Trajectory(trajectory, options.unit, errors)
+    trajectory = Trajectory(trajectory_file, options.unit, errors)
     truth = None
     labels = options.labels
     if options.truth or labels:
-        place = TruthTo.of(options.truth_to)
-        folder = place.folder if place else trajectory
+        truth_to = TruthTo.of(options.truth_to)
+        folder = truth_to.folder if truth_to else trajectory_file
         if not folder.is_dir():
             expected = "--truth-folder DIR beside it, the folder that `record --truth-returns` has written"
             raise InputError("--labels" if labels else "--truth", "found a trajectory alone", expected)
         truth = CaptureTruth(folder, options.unit, label_scheme(labels, where="--labels") if labels else None)
     with stop_on_ctrl_c() as stop:
-        cloud = write_deskewed(capture, out, way, truth, stop=stop, clock=clock)
+        cloud = write_deskewed(capture, out, trajectory, truth, stop=stop, clock=clock)
     finish(cloud, as_json=as_json)
 
 
@@ -177,8 +200,7 @@ def bag(
     """Write a capture as a bag for ROS 1 or ROS 2, without ROS.
 
     Works on recordings of real sensors too. Topics and frames are named as in the velodyne driver and REP
-    105. All sensors
-    are written unless --unit names one. Ctrl-C ends it early and leaves a valid bag.
+    105. All sensors are written unless --unit names one. Ctrl-C ends it early and leaves a valid bag.
     """
     from vlp16emu.extras.bag.write import write_bag
 
@@ -222,21 +244,20 @@ def dataset(
             _print_estimate(estimate)
         return
     with Progress(sum(walk.scenario.duration_s for walk in walks)) as bar:
-        show = lambda done_s: bar.show("making walks", done_s)  # noqa: E731
-        result = make_dataset(walks, out, progress=show, **vars(options))
+        result = make_dataset(walks, out, progress=partial(bar.show, "making walks"), **vars(options))
     finish(result, as_json=as_json)
 
 
 def _print_estimate(estimate: "DatasetEstimate") -> None:
+    pairs = quantity(estimate.kinds, "pair")
     rows = {
         "simulated": _duration(estimate.simulated_s),
         "size": f"{_gigabytes(estimate.bytes)}, {_gigabytes(estimate.free_bytes)} are free",
         "CPU time": _duration(3600 * estimate.cpu_hours),
-        "run time": f"{_duration(3600 * estimate.hours)} at least, on {_quantity(estimate.cores, 'core')}",
-        "measured": f"{len(estimate.probes)} of {_quantity(estimate.kinds, 'pair')} of stand and sensor, "
-        "on this machine",
+        "run time": f"{_duration(3600 * estimate.hours)} at least, on {quantity(estimate.cores, 'core')}",
+        "measured": f"{len(estimate.probes)} of {pairs} of stand and sensor, on this machine",
     }
-    print_rows(f"{count(estimate.missing)} of {_quantity(estimate.walks, 'walk')} to be made", rows)
+    print_rows(f"{count_text(estimate.missing)} of {quantity(estimate.walks, 'walk')} to be made", rows)
     if estimate.probes:
         print()
         head = ["stand and sensor", "measured", "growth, CPU", "CPU per s", "MB per s"]
@@ -244,26 +265,31 @@ def _print_estimate(estimate: "DatasetEstimate") -> None:
 
 
 def _probe_cells(probe: "Probe") -> list[str]:
-    times = f"{probe.measured_s:.3g} s", f"{probe.grow_cpu_s:.2f} s", f"{probe.cpu_s_per_s:.2f} s"
-    return [f"{probe.stand}, {probe.sensor}", *times, f"{probe.bytes_per_s / 1e6:.3f}"]
-
-
-def _quantity(number: int, thing: str) -> str:
-    return f"{count(number)} {thing}{'' if number == 1 else 's'}"
+    return [
+        f"{probe.stand}, {probe.sensor}",
+        f"{probe.measured_s:.3g} s",
+        f"{probe.grow_cpu_s:.2f} s",
+        f"{probe.cpu_s_per_s:.2f} s",
+        f"{probe.bytes_per_s / 1e6:.3f}",
+    ]
 
 
 def _duration(duration_s: float) -> str:
+    """Format a duration in seconds, minutes or hours."""
     if duration_s < 120:
         return f"{duration_s:.3g} s"
-    return f"{duration_s / 60:.3g} min" if duration_s < 7200 else f"{duration_s / 3600:.4g} h"
+    if duration_s < 7200:
+        return f"{duration_s / 60:.3g} min"
+    return f"{duration_s / 3600:.4g} h"
 
 
 def _gigabytes(number_of_bytes: int) -> str:
+    """Format a size in GB (10^9 bytes), a smaller one as `size`."""
     return size(number_of_bytes) if number_of_bytes < 1e9 else f"{number_of_bytes / 1e9:.4g} GB"
 
 
 def picture(
-    scene: args.SceneOrCapture,
+    scene: SceneOrCapture,
     out: Annotated[
         Path,
         Option(
@@ -272,10 +298,10 @@ def picture(
     ],
     look: PictureLook,
     span: Span,
-    changes: args.SceneOptions,
+    scene_options: SceneOptions,
     *,
-    trajectory: args.TrajectoryFile = None,
-    as_json: args.AsJson = False,
+    trajectory: TrajectoryFile = None,
+    as_json: AsJson = False,
 ) -> None:
     """Draw what a sensor sees of a scene, or saw in a capture: all of it at a slant, or one revolution.
 
@@ -305,19 +331,19 @@ def picture(
             in_sensor = is_film(out) and look.view != "slant"
             source = source_of_capture(Path(scene), trajectory, span, in_sensor=in_sensor)
         else:
-            emulator = make_emulator(scene, changes).stopped_by(stop)
+            emulator = make_emulator(scene, scene_options).stopped_by(stop)
             source = source_of_scene(emulator, span, Path(scene).stem)
-        made = draw_picture(source, out, look, stop)
-    finish(made, as_json=as_json)
+        report = draw_picture(source, out, look, stop)
+    finish(report, as_json=as_json)
 
 
 def images(
-    scene: args.SceneName,
+    scene: SceneName,
     out: Annotated[Path, Option("Folder to write, new or empty.", name="OUT")],
     options: ImageOptions,
-    making: args.EmulatorOptions,
+    emulator_options: EmulatorOptions,
     *,
-    as_json: args.AsJson = False,
+    as_json: AsJson = False,
 ) -> None:
     """Write what a camera beside the sensor sees: colour, depth, classes and instances.
 
@@ -325,7 +351,7 @@ def images(
     sensor and looks ahead. Intrinsics and poses come as cameras.json, TUM, COLMAP's text model and
     nerfstudio's transforms.json. Ctrl-C keeps the images so far. Needs the extra 'picture'.
     """
-    emulator = make_emulator(scene, making)
+    emulator = make_emulator(scene, emulator_options)
     from vlp16emu.extras.camera.folder import write_images
 
     with running(emulator, "taking images", options) as hooks:
@@ -334,9 +360,9 @@ def images(
 
 
 def view(
-    scene: args.SceneOrCapture,
+    scene: SceneOrCapture,
     *,
-    settings: args.Settings = None,
+    settings: Settings = None,
     unit: WhichUnit = 1,
     truth: Annotated[
         Path | None,
@@ -372,31 +398,40 @@ def view(
     """
     from vlp16emu.captures.capture import is_capture_name
 
-    capture = Path(scene) if is_capture_name(scene) else None
-    if truth is not None and capture is None:
+    is_capture = is_capture_name(scene)
+    if truth is not None and not is_capture:
         raise InputError("--truth", "found beside a scene", "a capture; a scene knows its own")
-    if save is not None and capture is not None:
+    if save is not None and is_capture:
         raise InputError("--save", f"found beside the capture {scene}", "a scene, whose path can be edited")
     with of_extra("viewer", "the page in the browser", "viser", "websockets"):
-        from vlp16emu.extras.viewer.page import capture_page, guarded_server, scene_page
-    opened = None if capture is not None else _open_scene(scene, settings or (), save)
-    with guarded_server(host, port) as server:
-        others = ", for other machines by any address of this one" if is_wildcard(host) else ""
-        print(f"{url_of(host, server.get_port())}{others}  Ctrl-C ends it", flush=True)
-        if opened is None:
-            assert capture is not None
-            page = capture_page(server, capture, truth, unit)
-        else:
-            emulator = _emulator_of(opened)
-            with Progress(0.0):
-                page = scene_page(server, emulator, opened, unit, radius_m)
+        from vlp16emu.extras.viewer.page import capture_page, scene_page
+    if is_capture:
+        with _page_server(host, port) as server:
+            capture_page(server, Path(scene), truth, unit).run()
+        return
+    open_scene = _open_scene(scene, settings or (), save)
+    with _page_server(host, port) as server:
+        emulator = _emulator_of(open_scene)
+        with Progress(0.0):
+            page = scene_page(server, emulator, open_scene, unit, radius_m)
         page.run()
 
 
-def _open_scene(scene: str, settings: Sequence[str], save: Path | None) -> "Opened":
+@contextmanager
+def _page_server(host: str, port: int) -> Iterator["ViserServer"]:
+    """Serve the page and print its address."""
+    from vlp16emu.extras.viewer.page import guarded_server
+
+    with guarded_server(host, port) as server:
+        others = ", for other machines by any address of this one" if is_wildcard(host) else ""
+        print(f"{url_of(host, server.get_port())}{others}  Ctrl-C ends it", flush=True)
+        yield server
+
+
+def _open_scene(scene: str, settings: Sequence[str], save: Path | None) -> "OpenScene":
     """Read a scene for the page, and check the file in which it is to be saved."""
     from vlp16emu.extras.viewer.draft import walk_of
-    from vlp16emu.extras.viewer.editor import Opened
+    from vlp16emu.extras.viewer.editor import OpenScene
     from vlp16emu.extras.viewer.scene_file import check_place
     from vlp16emu.scenario import find, load, named_files
 
@@ -408,15 +443,15 @@ def _open_scene(scene: str, settings: Sequence[str], save: Path | None) -> "Open
     if save is not None:
         walk_of(scenario)
         check_place(save, inputs)
-    return Opened(file, settings, scenario, inputs, save)
+    return OpenScene(file, settings, scenario, inputs, save)
 
 
-def _emulator_of(opened: "Opened") -> "Emulator":
+def _emulator_of(scene: "OpenScene") -> "Emulator":
     """Return the emulator of a scene, with fewer way points if nobody can walk through all of them."""
-    compile_first(opened.scenario.world.kind)
+    compile_first(scene.scenario.world.kind)
     from vlp16emu.run.emulator import Emulator
 
     try:
-        return Emulator(opened.scenario)
+        return Emulator(scene.scenario)
     except TrajectoryError as error:
-        return Emulator(opened.walkable(error))
+        return Emulator(scene.walkable(error))

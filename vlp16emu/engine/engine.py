@@ -57,7 +57,7 @@ hits after it returns."""
 Sent = Callable[[int, int], Iterator[Packet]]
 """Function that returns the packets that are sent in a span, in ns since the first pulse."""
 FAULTS = Part[Callable[[Scenario, Sequence[Unit], Sent, int, int], Iterator[Packet]]](
-    "vlp16emu.extras.bench.faults:arriving"
+    "vlp16emu.extras.bench.faults:arriving_packets"
 )
 """Function that returns the packets that arrive in a span, in ns since the first pulse."""
 

@@ -14,7 +14,7 @@ from typing import Unpack
 from vlp16emu.captures import Capture, by_unit, chosen_unit, units_in
 from vlp16emu.captures.capture import searched
 from vlp16emu.errors import CaptureError, InputError, OutputError
-from vlp16emu.extras.bench.retime import age_ns, moved, stamp_ns
+from vlp16emu.extras.bench.retime import age_ns, shift_packet, stamp_ns
 from vlp16emu.extras.free_ports import free_ports
 from vlp16emu.output import STDOUT, spare
 from vlp16emu.packets import DATA_BYTES, FACTORY_LINK, POSITION_BYTES, Link, PacketClock
@@ -101,7 +101,7 @@ class Replay:
                     cut_ns += (gap_ns // S_NS - 1) * S_NS
                 end_ns = captured.due_ns + max(-gap_ns, 0)  # stamps of some captures decrease
                 due = replace(captured, due_ns=end_ns + later_ns - cut_ns)
-                yield moved(due, later_ns // S_NS) if later_ns else due
+                yield shift_packet(due, later_ns // S_NS) if later_ns else due
             if not self._loop or begin_ns is None or end_ns is None:
                 return
             later_ns += ((end_ns - begin_ns) // S_NS + 1) * S_NS

@@ -16,14 +16,16 @@ from vlp16emu.units import S_NS, seconds_to_ns
 class MorePackets(Protocol):
     """Packets of further kinds beside those of the sensors."""
 
-    def among(self, packets: Iterator[Packet], start_ns: int, stop_ns: int) -> Iterator[Packet]:
+    def merge_with(self, packets: Iterator[Packet], start_ns: int, stop_ns: int) -> Iterator[Packet]:
         """Merge the packets of a span since the first pulse with the further ones."""
 
     def count(self, start_ns: int, stop_ns: int) -> dict[PacketKind, int]:
         """Count the further packets of a span since the first pulse, by kind."""
 
 
-BESIDE = Part[Callable[[Engine, Collection[PacketKind]], MorePackets]]("vlp16emu.extras.bench.outlets:Beside")
+BESIDE = Part[Callable[[Engine, Collection[PacketKind]], MorePackets]](
+    "vlp16emu.extras.bench.outlets:DevicePackets"
+)
 
 
 class PacketFeed:
@@ -97,7 +99,7 @@ class PacketFeed:
         packets = self.engine.packets(start_s, self._stop_s)
         if self._beside is None:
             return packets
-        return iter(self._beside.among(packets, seconds_to_ns(start_s), seconds_to_ns(self._stop_s)))
+        return iter(self._beside.merge_with(packets, seconds_to_ns(start_s), seconds_to_ns(self._stop_s)))
 
     def _after(self, from_ns: int, there: AbstractSet[tuple[int, PacketKind]]) -> Iterator[Packet]:
         """Yield packets due from a UTC time on.

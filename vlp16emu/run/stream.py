@@ -78,7 +78,7 @@ class Present(Protocol):
     def start(self, first: Packet, pacer: Pacer, stop: Event) -> None:
         """Start the clock of a stream before its first packet."""
 
-    def moved(self, packet: Packet) -> Packet:
+    def shift(self, packet: Packet) -> Packet:
         """Return a packet of the present."""
 
     def utc_ns(self, due_ns: int) -> int:
@@ -358,7 +358,7 @@ class Stream:
     def _deliver(self, packet: Packet) -> None:
         due_ns = packet.due_ns
         if self._present:
-            packet = self._present.moved(packet)
+            packet = self._present.shift(packet)
         for part in self.parts:
             packet = part.leaving(packet)
         self._sinks[packet.kind].send(packet)

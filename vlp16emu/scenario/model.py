@@ -153,9 +153,9 @@ class InertialSection(Mounted, Protocol):
 IMU_SECTION = Part[type[Section]]("vlp16emu.extras.imu.settings:Imu")
 CAMERA_SECTION = Part[type[Section]]("vlp16emu.extras.camera.settings:Camera")
 WIND_SECTION = Part[type[Section]]("vlp16emu.forest.settings:Wind")
-EVENT_TABLES = Part[Callable[[], TypeAdapter[Any]]]("vlp16emu.extras.bench.events:tables")
+EVENT_TABLES = Part[Callable[[], TypeAdapter[Any]]]("vlp16emu.extras.bench.events:event_adapter")
 """Type of `events`."""
-CHECKED_EVENTS = Part[Callable[[object, Tree], object]]("vlp16emu.extras.bench.events:checked")
+CHECKED_EVENTS = Part[Callable[[object, Tree], object]]("vlp16emu.extras.bench.events:check_events")
 """Check of the events of a scene, which is given as the sections that are valid so far."""
 
 

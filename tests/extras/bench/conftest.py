@@ -61,7 +61,7 @@ def make(tmp_path):
         what = {
             "status": engine.status,
             "is_up": lambda: engine.is_up,
-            "changed": engine.changed,
+            "on_change": engine.changed,
             "info": INFO,
         }
         device = Device(factory or DeviceSettings(), saved=saved, **what)

@@ -12,7 +12,7 @@ from listening import MemorySink
 
 from vlp16emu import Emulator
 from vlp16emu.errors import ScenarioError
-from vlp16emu.extras.bench.faults import arriving
+from vlp16emu.extras.bench.faults import arriving_packets
 from vlp16emu.run.feed import PacketFeed
 from vlp16emu.run.stream import Stream
 from vlp16emu.scenario import load
@@ -52,7 +52,7 @@ def sent(*events, start_s=0.0, stop_s=1.5, **settings):
         packets = list(run.packets(start_s, stop_s))
     else:
         span_ns = round(start_s * S_NS), round(stop_s * S_NS)
-        packets = list(arriving(run.scenario, run.parts.units, streams, *span_ns))
+        packets = list(arriving_packets(run.scenario, run.parts.units, streams, *span_ns))
     due_ns = [packet.due_ns for packet in packets]
     assert due_ns == sorted(due_ns)
     return packets

@@ -6,7 +6,7 @@ from listening import parse_rmc
 from vlp16emu.engine.build import gps_input
 from vlp16emu.errors import PacketError
 from vlp16emu.extras.bench.changes import gps_of
-from vlp16emu.extras.bench.events import event
+from vlp16emu.extras.bench.events import make_event
 from vlp16emu.motion.settings import Gps
 from vlp16emu.packets.nmea import rmc_time
 from vlp16emu.types import GnssFix, PpsState
@@ -34,25 +34,25 @@ def fix(second):
     return GnssFix(START_NS + second * S_NS, True, 62.24, 25.75, 1.1, 90.0)
 
 
-VOID = event("void_sentence", 3.0, duration_s=2.0)
-LATE = event("late_sentence", 3.0, duration_s=2.0, by_s=0.5)
-GARBLED = event("wrong_sentence", 3.0, duration_s=2.0)
-MISSING = event("missing_sentence", 3.0, duration_s=20.0)
-OFF = event("power_cycle", 3.0, off_s=2.5)
+VOID = make_event("void_sentence", 3.0, duration_s=2.0)
+LATE = make_event("late_sentence", 3.0, duration_s=2.0, by_s=0.5)
+GARBLED = make_event("wrong_sentence", 3.0, duration_s=2.0)
+MISSING = make_event("missing_sentence", 3.0, duration_s=20.0)
+OFF = make_event("power_cycle", 3.0, off_s=2.5)
 
 
 @pytest.mark.parametrize(
     ("happening", "settings", "expected"),
     [
         # From the first edge that is missed the pulse is absent, and locked again when it was steady for the window.
-        (event("pps_loss", 1.3, duration_s=3.0), {}, [(2.0, ABSENT), (5.0, SYNC), (10.0, LOCKED)]),
-        (event("pps_loss", 1.3, duration_s=0.5), {}, []),
+        (make_event("pps_loss", 1.3, duration_s=3.0), {}, [(2.0, ABSENT), (5.0, SYNC), (10.0, LOCKED)]),
+        (make_event("pps_loss", 1.3, duration_s=0.5), {}, []),
         (GARBLED, {}, [(3.35, ERROR), (5.35, LOCKED)]),
         (VOID, {}, []),
         (VOID, {"requires_valid": True}, [(3.35, SYNC), (5.35, LOCKED)]),
         (LATE, {}, []),
         # One that comes after the next pulse names the wrong second.
-        (event("late_sentence", 3.0, duration_s=2.0, by_s=0.8), {}, [(4.15, ERROR), (5.35, LOCKED)]),
+        (make_event("late_sentence", 3.0, duration_s=2.0, by_s=0.8), {}, [(4.15, ERROR), (5.35, LOCKED)]),
         # When none came for 5 s the sensor is as one that never had any.
         (MISSING, {}, [(7.35, SYNC), (23.35, LOCKED)]),
         (OFF, {"pps_window_s": 4.0}, [(3.0, ABSENT), (5.5, SYNC), (9.5, LOCKED)]),
@@ -93,7 +93,7 @@ def test_a_sentence_says_what_happens_to_it():
 def test_as_many_characters_are_garbled_as_wanted(characters):
     """The sentence keeps its length and its end; so many characters differ, and its checksum is wrong for
     each seed."""
-    made = disturbed(event("wrong_sentence", 0.0, characters=characters))
+    made = disturbed(make_event("wrong_sentence", 0.0, characters=characters))
     good, seen = disturbed().sentence(fix(2), 1), set()
     for seed in range(40):
         text = made.sentence(fix(2), seed)
@@ -110,13 +110,13 @@ def test_as_many_characters_are_garbled_as_wanted(characters):
 @pytest.mark.parametrize(
     "events",
     [
-        [event("pps_loss", 2.2, duration_s=3.0), event("pps_loss", 4.0, duration_s=2.0)],
-        [event("wrong_sentence", 2.2, duration_s=3.0), event("power_cycle", 15.1)],
+        [make_event("pps_loss", 2.2, duration_s=3.0), make_event("pps_loss", 4.0, duration_s=2.0)],
+        [make_event("wrong_sentence", 2.2, duration_s=3.0), make_event("power_cycle", 15.1)],
         [
-            event("late_sentence", 4.0, duration_s=9.0, by_s=3.3),
-            event("missing_sentence", 8.0, duration_s=7.0),
+            make_event("late_sentence", 4.0, duration_s=9.0, by_s=3.3),
+            make_event("missing_sentence", 8.0, duration_s=7.0),
         ],
-        [event("missing_sentence", 4.0)],
+        [make_event("missing_sentence", 4.0)],
         [],
     ],
 )

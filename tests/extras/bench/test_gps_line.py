@@ -168,7 +168,7 @@ def test_packets_carry_the_clock_state_and_sentence_of_the_line():
         *(Packet(PacketKind.DATA, due_ns, bytes(1206), 0, due_ns - 1_327_104) for due_ns in dues_ns[:3]),
         Packet(PacketKind.POSITION, dues_ns[3], pack_position(0, PpsState.ABSENT, b"")),
     ]
-    sent = [stamps_of.stamped(packet) for packet in made_packets]
+    sent = [stamps_of.stamp(packet) for packet in made_packets]
     stamps = [int.from_bytes(packet.payload[1200:1204], "little") for packet in sent[:3]]
     first_ns = (UTC_NS + round(9.5 * S_NS)) % HOUR_NS - 1_327_104
     assert stamps == [(first_ns + i * 1_327_104) // US_NS for i in range(3)]

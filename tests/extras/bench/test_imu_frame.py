@@ -8,7 +8,7 @@ import pytest
 
 from vlp16emu.errors import PacketError
 from vlp16emu.extras.bench.imu_frame import IMU_FRAME, decode_imu, imu_frames
-from vlp16emu.extras.bench.retime import age_ns, moved, stamp_ns
+from vlp16emu.extras.bench.retime import age_ns, shift_packet, stamp_ns
 from vlp16emu.types import Packet, PacketKind
 
 GOLDEN = Path(__file__).resolve().parents[3] / "protocol" / "golden"
@@ -39,10 +39,10 @@ def test_any_wrong_bit_is_found():
 def test_moving_changes_time_and_checksum_alone():
     """By whole seconds, there and back to the same bytes; the stamp of the packet is that of UTC."""
     packet = Packet(PacketKind.IMU, MEANING["t_ns"], FRAME)
-    later = moved(packet, 16_133_300)
+    later = shift_packet(packet, 16_133_300)
     fields = decode_imu(later.payload)
     assert fields["t_ns"] == MEANING["t_ns"] + 16_133_300 * 10**9
     assert later.payload[24:] == FRAME[24:]
-    assert moved(later, -16_133_300) == packet
+    assert shift_packet(later, -16_133_300) == packet
     assert (stamp_ns(packet), age_ns(packet)) == (500_000_000, 0)
     assert IMU_FRAME.fields["t_ns"][1] == 16

@@ -37,15 +37,15 @@ class Stream:
 @pytest.fixture
 def bench(each_unit, monkeypatch):
     """Settings of a sensor, its stream, and the engines that have been begun again with."""
-    monkeypatch.setattr(module, "_MERGED_S", 3600.0)
-    monkeypatch.setattr(module, "_PROMPT", 1)
+    monkeypatch.setattr(module, "_MERGE_WAIT_S", 3600.0)
+    monkeypatch.setattr(module, "_PROMPT_CHANGES", 1)
     engine = Emulator(each_unit, ["gps.connected=true"]).engine
     feed = SimpleNamespace(
         engine=engine, begun=[], begin_again=lambda _due_ns, again: feed.begun.append(again)
     )
     stream, sink = Stream(engine), SimpleNamespace(address="127.0.0.1", redirect=lambda *_: None)
     control = Control(feed, sink, stream, None)
-    with control.following():
+    with control.follow_settings():
         yield SimpleNamespace(device=control.devices[0], stream=stream, feed=feed)
 
 

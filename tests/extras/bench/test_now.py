@@ -43,7 +43,7 @@ def test_stamps_are_those_of_the_clock(now_ns):
     present = Present(clock_ns=clock)
     present.start(packets[0], Pacer(1.0, clock_ns=clock), clock)
     assert 0 <= clock.now_ns - now_ns < S_NS
-    assert [stamp_ns(present.moved(packet)) for packet in packets] == [
+    assert [stamp_ns(present.shift(packet)) for packet in packets] == [
         (clock.now_ns - AGE_NS + step * 10_000_000) % HOUR_NS for step in range(3)
     ]
     assert present.moved_s * S_NS == clock.now_ns - packets[0].due_ns

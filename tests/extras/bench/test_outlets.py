@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vlp16emu import Emulator
-from vlp16emu.extras.bench.outlets import PULSE_NS, Beside
+from vlp16emu.extras.bench.outlets import PULSE_NS, DevicePackets
 from vlp16emu.packets import decode_position
 from vlp16emu.types import PacketKind
 from vlp16emu.units import MS_NS, S_NS
@@ -28,12 +28,12 @@ def packets(hall):
 
 
 def beside(emulator, *kinds):
-    return Beside(emulator.engine, kinds)
+    return DevicePackets(emulator.engine, kinds)
 
 
 def all_of(emulator, start_s, stop_s):
     span_ns = round(start_s * S_NS), round(stop_s * S_NS)
-    return beside(emulator, *ALSO).among(emulator.packets(start_s, stop_s), *span_ns)
+    return beside(emulator, *ALSO).merge_with(emulator.packets(start_s, stop_s), *span_ns)
 
 
 def of(packets, kind):

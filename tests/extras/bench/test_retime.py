@@ -5,7 +5,7 @@ import pytest
 from listening import parse_rmc
 from pynmea2 import NMEASentence
 
-from vlp16emu.extras.bench.retime import age_ns, moved, stamp_ns
+from vlp16emu.extras.bench.retime import age_ns, shift_packet, stamp_ns
 from vlp16emu.packets import data_fields, decode_position
 from vlp16emu.types import Packet, PacketKind
 
@@ -28,7 +28,7 @@ def position(sentence=None, stamp_us=3_598_250_000):
 def test_a_position_packet_is_moved_over_midnight():
     """Two seconds later are the hour's beginning, and in the sentence the next year, with a right
     checksum."""
-    packet = moved(position(), 2)
+    packet = shift_packet(position(), 2)
     assert stamp_ns(packet) == 250_000_000
     fields = decode_position(packet.payload)
     assert fields.sentence == with_checksum(
@@ -42,14 +42,14 @@ def test_a_position_packet_is_moved_over_midnight():
 def test_a_move_there_and_back_changes_nothing():
     """Moving by some seconds and back gives the same bytes."""
     for by_s in (1, -1, 86_399, 342_026_366):
-        assert moved(moved(position(), by_s), -by_s) == position()
+        assert shift_packet(shift_packet(position(), by_s), -by_s) == position()
 
 
 def test_the_date_of_another_clock_is_put_right():
     """Where the capture's clock was a day off the receiver's, the sentence comes to the hour at which it
     is sent."""
     sent_ns = parse_rmc(with_checksum(SENTENCE)).t_ns + 100 * 86_400_000_000_000
-    fields = decode_position(moved(position(), 99 * 86_400, sent_ns).payload)
+    fields = decode_position(shift_packet(position(), 99 * 86_400, sent_ns).payload)
     assert parse_rmc(fields.sentence).t_ns == sent_ns
 
 
@@ -58,7 +58,7 @@ def test_the_date_of_another_clock_is_put_right():
 )
 def test_what_is_no_dated_sentence_stays(sentence):
     """A sensor without a receiver, a receiver without a fix, another sentence: only the stamp is moved."""
-    packet = moved(position(sentence), 1)
+    packet = shift_packet(position(sentence), 1)
     assert packet.payload[206:] == position(sentence).payload[206:]
     assert stamp_ns(packet) == 3_599_250_000_000
 
@@ -66,7 +66,7 @@ def test_what_is_no_dated_sentence_stays(sentence):
 def test_a_data_packet_keeps_all_but_its_stamp():
     """Four bytes of a data packet change; it is as old as it takes to fill, in strongest return."""
     packet = Packet(PacketKind.DATA, 0, bytes(1200) + (3_599_999_000).to_bytes(4, "little") + b"\x37\x22")
-    after = moved(packet, 7)
+    after = shift_packet(packet, 7)
     assert after.payload[:1200] == packet.payload[:1200]
     assert after.payload[1204:] == packet.payload[1204:]
     assert stamp_ns(after) == (stamp_ns(packet) + 7_000_000_000) % 3_600_000_000_000

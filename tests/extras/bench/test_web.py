@@ -148,7 +148,7 @@ def test_what_the_stream_cannot_follow_is_an_error(web):
     def refused(_before, settings, **_):
         raise OutputError(f"destination {settings.host}", "out of reach", "an address in reach")
 
-    web.device._changed = refused
+    web.device._on_change = refused
     status, answer = web.client.post("/cgi/setting/host", "addr=10.0.0.7")
     assert (status, json.loads(answer)) == (
         500,

@@ -17,7 +17,7 @@ from vlp16emu.extras.clouds.cloud import (
     LABEL_COLUMNS,
     SCENE_COLUMNS,
     TRUTH_COLUMNS,
-    CloudAbout,
+    CloudMetadata,
     label_scheme,
     point_file,
 )
@@ -100,7 +100,7 @@ def test_ply_has_only_types_that_its_readers_take(cloud):
     folder, own = cloud
     path = folder / "points.ply"
     largest = {**own, "instance": own["instance"] | np.uint32(2**32 - 2**16)}
-    with point_file(path, LABELLED, CloudAbout(()), where="out") as writer:
+    with point_file(path, LABELLED, CloudMetadata(()), where="out") as writer:
         writer.write(largest)
     head = path.read_bytes().partition(b"end_header")[0].decode().splitlines()
     kinds = {line.split()[1] for line in head if line.startswith("property")}
@@ -245,7 +245,7 @@ def test_points_in_map_coordinates_keep_their_digits(tmp_path):
         "return_number": np.zeros(3, "u1"),
     }
     columns = [column for column in SCENE_COLUMNS if column.name in block]
-    with point_file(tmp_path / "far.las", columns, CloudAbout(()), where="far.las") as writer:
+    with point_file(tmp_path / "far.las", columns, CloudMetadata(()), where="far.las") as writer:
         writer.write(block)
     read = laspy.read(tmp_path / "far.las")
     np.testing.assert_allclose(read.xyz, block["world_m"], atol=0.51e-4)

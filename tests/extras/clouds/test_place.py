@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vlp16emu.extras.clouds.scan import place
+from vlp16emu.extras.clouds.scan import positions_of
 from vlp16emu.motion.pose import rotations
 from vlp16emu.sensor.beams import BEAM_TABLES, with_angle_errors
 from vlp16emu.sensor.clock import Clock, ClockSpan
@@ -33,7 +33,9 @@ def carried(t_ns):
 
 def placed(head, poses_at=carried):
     firings = head.aim(0, 8, poses_at)
-    return firings, place(head.beams, firings, SEQUENCE, LASER, DISTANCE_M, poses_at(firings.t_ns.ravel()))
+    return firings, positions_of(
+        head.beams, firings, SEQUENCE, LASER, DISTANCE_M, poses_at(firings.t_ns.ravel())
+    )
 
 
 def test_without_errors_a_point_lies_on_its_pulse(head):
@@ -75,7 +77,7 @@ def test_tangents_move_points_aside_at_their_distance(head):
     tangents = np.random.default_rng(1).uniform(-0.01, 0.01, (128, 2))
     firings = head.aim(0, 8, carried, beam_axis=True)
     poses = carried(firings.t_ns.ravel())
-    off = place(head.beams, firings, SEQUENCE, LASER, DISTANCE_M, poses, tangents)
+    off = positions_of(head.beams, firings, SEQUENCE, LASER, DISTANCE_M, poses, tangents)
     origin_m, across = firings.origin_m.reshape(-1, 3), firings.beam_axis.reshape(-1, 3)
     up = np.cross(across, firings.direction.reshape(-1, 3))
     np.testing.assert_allclose(np.linalg.norm(off["world_m"] - origin_m, axis=1), DISTANCE_M, rtol=1e-12)

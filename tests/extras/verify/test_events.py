@@ -5,7 +5,7 @@ from functools import lru_cache
 import pytest
 
 from vlp16emu import Emulator
-from vlp16emu.extras.bench.faults import arriving
+from vlp16emu.extras.bench.faults import arriving_packets
 from vlp16emu.extras.verify.frames import Rule
 from vlp16emu.extras.verify.run import verify
 from vlp16emu.scenario import load
@@ -77,7 +77,9 @@ def test_faults_of_packets_are_named(verified, name):
     happened."""
     events, rules = FAULTS[name]
     run = emulator(*events)
-    packets = list(arriving(run.scenario, run.parts.units, lambda *_: iter(clean()), 0, seconds_to_ns(1.5)))
+    packets = list(
+        arriving_packets(run.scenario, run.parts.units, lambda *_: iter(clean()), 0, seconds_to_ns(1.5))
+    )
     found, result = verified(packets)
     moved = {Rule.CLOCK_DRIFT} if name.startswith("reorder") else set()  # position packets are 7 ms apart
     assert set(found) - moved == set(rules)
@@ -96,7 +98,7 @@ def test_corrupt(verified):
     """Flipped bits are seen where they break flags, azimuths or time stamps; of 8 bits in 225 packets some
     do."""
     run = emulator(event("corrupt", 0.0, share=0.2))
-    packets = arriving(run.scenario, run.parts.units, lambda *_: iter(clean()), 0, seconds_to_ns(1.5))
+    packets = arriving_packets(run.scenario, run.parts.units, lambda *_: iter(clean()), 0, seconds_to_ns(1.5))
     found, _ = verified(packets)
     assert {Rule.FLAG, Rule.AZIMUTH_STEP} <= set(found)
     assert len(found[Rule.FLAG]) > 10

@@ -15,7 +15,7 @@ from vlp16emu.cli.app import run
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.extras.survey import survey
 from vlp16emu.extras.viewer.draft import Draft
-from vlp16emu.extras.viewer.editor import Editor, Opened
+from vlp16emu.extras.viewer.editor import Editor, OpenScene
 from vlp16emu.extras.viewer.page import guarded_server, scene_page
 from vlp16emu.scenario import load
 
@@ -39,7 +39,7 @@ height_m = 6.0
 def opened(tmp_path):
     file = tmp_path / "mine.toml"
     file.write_text(SCENE)
-    return Opened(file, (), load(file), (file,), tmp_path / "new.toml")
+    return OpenScene(file, (), load(file), (file,), tmp_path / "new.toml")
 
 
 @pytest.fixture
@@ -87,12 +87,12 @@ def test_the_panel_changes_the_draft_and_follows_it(editor):
     """Stop, speed, run time, loop and laps of the panel are those of the draft, and undo sets the panel."""
     ask(editor, lambda: editor._drag(2, 2.0, 6.0, is_end=True))
     editor._pause.value, editor._speed.value, editor._loop.value, editor._laps.value = 4.0, 0.7, True, 2
-    ask(editor, editor._take_panel)
+    ask(editor, editor._read_panel)
     draft = editor._versions.draft
     assert (draft.way_points[2].pause_s, draft.speed_m_s, draft.is_loop, draft.laps) == (4.0, 0.7, True, 2)
     assert "3 way points" in editor._text.content
     editor._time.value = 200.0
-    ask(editor, editor._take_panel)
+    ask(editor, editor._read_panel)
     assert "in 200.0 s" in editor._text.content
     ask(editor, lambda: editor._versions.step(-9))
     assert (editor._pause.value, editor._speed.value) == (0.0, 1.2)
@@ -121,8 +121,8 @@ def test_a_path_that_nobody_can_walk_is_not_saved(editor, opened):
 def test_a_preview_grows_the_new_path(editor, shown):
     """The emulator of the preview goes along the new path to its end, also if less of it is recorded."""
     grown, place = Event(), [8.0, -5.0]
-    take = editor._take_grown
-    editor._take_grown = lambda *result: (take(*result), grown.set())
+    take = editor._adopt_stand
+    editor._adopt_stand = lambda *result: (take(*result), grown.set())
     ask(editor, lambda: editor._drag(2, *place, is_end=True), editor._begin_preview)
     assert grown.wait(60)
     (emulator,) = shown
@@ -136,12 +136,12 @@ def test_a_client_may_send_anything(editor):
     """Numbers that no control has, and words, change nothing or give the least."""
     before = way_points_of(editor)
     editor._speed.value, editor._pause.value, editor._laps.value = float("nan"), -5.0, 1e300
-    ask(editor, editor._take_panel)
+    ask(editor, editor._read_panel)
     draft = editor._versions.draft
     assert (draft.speed_m_s, draft.way_points[0].pause_s, draft.laps) == (0.1, 0.0, 1000)
     editor._speed._impl.value = "fast"  # as a message sets it
     requests = (
-        editor._take_panel,
+        editor._read_panel,
         lambda: editor._press({}, "explode"),
         lambda: editor._drag(99, 1.0, 1.0, is_end=True),
         lambda: editor._drag(0, float("nan"), 1.0, is_end=True),
@@ -173,7 +173,7 @@ def test_a_track_that_nobody_can_walk_is_opened_simpler(server, opened):
     rng = np.random.default_rng(5)
     noisy = np.column_stack([np.linspace(-8, 8, 60), np.zeros(60)]) + rng.normal(0, 0.3, (60, 2))
     scenario = load(opened.scenario, {"motion.way_points_m": noisy.tolist()})
-    opened = Opened(opened.file, (), scenario, (), None)
+    opened = OpenScene(opened.file, (), scenario, (), None)
     with pytest.raises(TrajectoryError, match="turns with a radius") as fault:
         Emulator(scenario)
     emulator = Emulator(opened.walkable(fault.value))
@@ -189,7 +189,7 @@ def test_a_scene_without_a_walk_is_only_shown():
     """The page of a static sensor has no path to edit, and says so."""
     with guarded_server("127.0.0.1", 0) as server:
         emulator = Emulator("static_bench")
-        scene_page(server, emulator, Opened("static_bench", (), emulator.scenario, (), None), 1, 25.0)
+        scene_page(server, emulator, OpenScene("static_bench", (), emulator.scenario, (), None), 1, 25.0)
         assert server.scene.get_handle_by_name("/draft") is None
         texts = [getattr(handle, "content", "") for handle in server.gui._gui_input_handle_from_uuid.values()]
         assert not any("way points" in str(text) for text in texts)

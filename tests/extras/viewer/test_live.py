@@ -98,7 +98,7 @@ def test_a_page_without_a_reader_keeps_few_packets(emulator, packets, ends):
         for packet in packets * 2:
             stream.pacer.late_ns = 60_000_000 if packet is packets[0] else 1_000
             page.sent(packet)
-    assert [id(packet) for packet, _ in page.held] == [id(packet) for packet in (packets * 2)[-512:]]
+    assert [id(packet) for packet, _ in page.waiting] == [id(packet) for packet in (packets * 2)[-512:]]
     assert page.counts[PacketKind.DATA] == 2 * sum(packet.kind is PacketKind.DATA for packet in packets)
     assert page.late == 2
 

@@ -138,10 +138,10 @@ def test_fewer_leaves_have_the_area_of_all():
         a, b, c = mesh.vertices_m[mesh.faces].transpose(1, 0, 2)
         return np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
 
-    few = fewer_faces(mesh, 100, grown=True)
+    few = fewer_faces(mesh, 100, keeps_area=True)
     assert len(few.faces) == 100
     assert area_m2(few) == pytest.approx(area_m2(mesh), rel=1e-3)
-    assert area_m2(fewer_faces(mesh, 100, grown=False)) == pytest.approx(area_m2(mesh) / 10, rel=1e-3)
+    assert area_m2(fewer_faces(mesh, 100, keeps_area=False)) == pytest.approx(area_m2(mesh) / 10, rel=1e-3)
 
 
 def tube(sides, rings):

@@ -1,5 +1,6 @@
 """Effects of events on the state of a sensor: operation, GPS input, clock, rotor and optics."""
 
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from heapq import heappop, heappush
@@ -23,31 +24,32 @@ from vlp16emu.units import FOREVER_NS, S_NS, seconds_to_ns
 class DisturbedOptics:
     """Dead lasers and dirty sectors of the window, over time."""
 
-    events: Sequence[
-        tuple[int, int, Event]
-    ]  # begin and end since the first pulse of events with the effect `optics`
+    events: Sequence[tuple[int, int, Event]]
+    """Begin and end, in ns since the first pulse, of each event with the effect `optics`, and the event."""
     start_ns: int  # UTC of the first pulse
 
     def dim(self, firings: Firings, hits: Hits) -> Hits:
         """Attenuate the light of each pulse by a dirty window, twice, through the cosine of incidence."""
-        passes = np.ones(firings.t_ns.shape, np.float32)
-        for event, during in self._during("dirty_window", firings):
-            begin, end = event.sector_deg
-            a = firings.azimuth_deg
-            inside = (a >= begin) & (a <= end) if begin <= end else (a >= begin) | (a <= end)
-            passes[inside & during] *= event.transmission * event.transmission
-        return replace(hits, cos_incidence=hits.cos_incidence * np.repeat(passes, hits.count.reshape(-1)))
+        transmission = np.ones(firings.t_ns.shape, np.float32)
+        for event, is_affected in self._affected_pulses("dirty_window", firings):
+            begin_deg, end_deg = event.sector_deg
+            is_after = firings.azimuth_deg >= begin_deg
+            is_before = firings.azimuth_deg <= end_deg
+            is_in_sector = is_after & is_before if begin_deg <= end_deg else is_after | is_before
+            transmission[is_in_sector & is_affected] *= event.transmission * event.transmission
+        of_hits = np.repeat(transmission, hits.count.reshape(-1))
+        return replace(hits, cos_incidence=hits.cos_incidence * of_hits)
 
     def without_dead_lasers(self, returns: Returns) -> Returns:
-        """Remove the returns of dead lasers."""
-        for event, during in self._during("dead_laser", returns.firings):
-            lost = during[:, event.laser]
-            returns.distance_m[lost, event.laser] = 0.0
-            returns.reflectivity[lost, event.laser] = 0
+        """Remove the returns of dead lasers, in place, and return the block."""
+        for event, is_affected in self._affected_pulses("dead_laser", returns.firings):
+            is_dead = is_affected[:, event.laser]
+            returns.distance_m[is_dead, event.laser] = 0.0
+            returns.reflectivity[is_dead, event.laser] = 0
         return returns
 
-    def _during(self, kind: str, firings: Firings) -> Iterator[tuple[Event, NDArray[np.bool_]]]:
-        """Yield the events of a kind that affect some pulses, and which (n, L)."""
+    def _affected_pulses(self, kind: str, firings: Firings) -> Iterator[tuple[Event, NDArray[np.bool_]]]:
+        """Yield the events of a kind that affect some of the pulses, each with a mask (n, L) of them."""
         since_ns = firings.t_ns - self.start_ns
         first_ns = int(since_ns[0, 0])
         last_ns = int(since_ns[-1, -1])
@@ -84,72 +86,70 @@ def operation_of(power_up: Operation, events: Iterable[Event]) -> Steps[Operatio
     """
     events = list(events)
     off = Spans.union((event.begin_ns, event.end_ns) for event in events if event.effect == "power")
-    turns: list[tuple[int, Event | None]] = [(t_ns, None) for span in off for t_ns in span]
-    turns += [(event.begin_ns, event) for event in events if event.kind in ("setting", "motor_stop")]
-    turns += [(event.end_ns, event) for event in events if event.kind == "motor_stop"]
-    now = power_up
+    changes: list[tuple[int, Event | None]] = [(t_ns, None) for span in off for t_ns in span]
+    changes += [(event.begin_ns, event) for event in events if event.kind in ("setting", "motor_stop")]
+    changes += [(event.end_ns, event) for event in events if event.kind == "motor_stop"]
+    operation = power_up
     next_settings = power_up.settings
     steps = [(0, power_up)]
-    for t_ns, event in sorted((turn for turn in turns if turn[0] < FOREVER_NS), key=itemgetter(0)):
-        if event is None and now.is_powered:
-            now = replace(now, is_powered=False)
+    for t_ns, event in sorted((change for change in changes if change[0] < FOREVER_NS), key=itemgetter(0)):
+        if event is None and operation.is_powered:
+            operation = replace(operation, is_powered=False)
             next_settings = power_up.settings
         elif event is None:
-            now = Operation(next_settings)
+            operation = Operation(next_settings)
         elif event.kind == "motor_stop":
-            now = replace(now, motor_on=t_ns != event.begin_ns)
-        elif now.is_powered:
-            now = replace(now, settings=replace(now.settings, **event.settings))
+            operation = replace(operation, motor_on=t_ns != event.begin_ns)
+        elif operation.is_powered:
+            operation = replace(operation, settings=replace(operation.settings, **event.settings))
         else:
             next_settings = replace(next_settings, **event.settings)
-        steps.append((t_ns, now))
+        steps.append((t_ns, operation))
     return Steps(tuple(steps))
 
 
 def gps_of(gps: GpsInput, events: Iterable[Event], start_ns: int) -> GpsInput:
-    """Return the input of a receiver whose pulses and sentences are disturbed by events.
+    """Return the input from a receiver whose pulses and sentences events disturb, or whose sensor is off.
 
-    The sensor may lose its power.
+    Parameters
+    ----------
+    gps : input without events
+    start_ns : UTC of the first pulse
     """
+    by_kind = defaultdict[str, list[Event]](list)
+    for event in events:
+        by_kind[event.kind].append(event)
 
     def spans_of(kind: str) -> Spans:
-        return Spans.union(_utc(event, start_ns) for event in events if event.kind == kind)
+        return Spans.union(_utc_span(event, start_ns) for event in by_kind[kind])
 
-    events = list(events)
     lost = ((_next_second_ns(begin), _next_second_ns(end)) for begin, end in spans_of("pps_loss"))
+    garbled = ((*_utc_span(event, start_ns), event.characters) for event in by_kind["wrong_sentence"])
+    late = ((*_utc_span(event, start_ns), seconds_to_ns(event.by_s)) for event in by_kind["late_sentence"])
     return replace(
         gps,
         off=spans_of("power_cycle"),
         lost=Spans.union(lost),
         missing=spans_of("missing_sentence"),
         void=spans_of("void_sentence"),
-        garbled=tuple(
-            (*_utc(event, start_ns), event.characters) for event in events if event.kind == "wrong_sentence"
-        ),
-        late=_delays(
-            (*_utc(event, start_ns), seconds_to_ns(event.by_s))
-            for event in events
-            if event.kind == "late_sentence"
-        ),
+        garbled=tuple(garbled),
+        late=_delays(late),
     )
 
 
 def _delays(late: Iterable[tuple[int, int, int]]) -> Steps[int]:
-    """Return the delay of sentences over time.
-
-    Of the spans (begin, end, delay) that contain an instant, the longest delay counts.
-    """
+    """Return the delay of sentences over time: the longest of the spans (begin, end, delay) at an instant."""
     waiting = sorted(late, reverse=True)
-    turns_ns = sorted({turn_ns for begin_ns, end_ns, _ in waiting for turn_ns in (begin_ns, end_ns)})
+    changes_ns = sorted({change_ns for begin_ns, end_ns, _ in waiting for change_ns in (begin_ns, end_ns)})
     steps = [(0, 0)]
     active = list[tuple[int, int]]()  # heap of the delays that have begun, the longest first, and their ends
-    for turn_ns in turns_ns:
-        while waiting and waiting[-1][0] <= turn_ns:
+    for change_ns in changes_ns:
+        while waiting and waiting[-1][0] <= change_ns:
             _, end_ns, delay_ns = waiting.pop()
             heappush(active, (-delay_ns, end_ns))
-        while active and active[0][1] <= turn_ns:
+        while active and active[0][1] <= change_ns:
             heappop(active)
-        steps.append((turn_ns, -active[0][0] if active else 0))
+        steps.append((change_ns, -active[0][0] if active else 0))
     return Steps(tuple(steps))
 
 
@@ -162,7 +162,8 @@ def _clock_events(events: Sequence[Event], start_ns: int) -> Iterator[ClockEvent
             yield ClockEvent(t_ns, is_power_up=True)
 
 
-def _utc(event: Event, start_ns: int) -> Span:
+def _utc_span(event: Event, start_ns: int) -> Span:
+    """Return begin and end of an event, in UTC ns."""
     return start_ns + event.begin_ns, min(start_ns + event.end_ns, FOREVER_NS)
 
 

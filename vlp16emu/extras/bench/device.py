@@ -7,9 +7,9 @@ unknown key is ignored as a whole, and the answer gives the reason.
 import json
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial, reduce
+from functools import partial
 from ipaddress import IPv4Address
 from pathlib import Path
 from threading import Lock
@@ -33,16 +33,18 @@ _MOST_BYTES = 10_000  # limit of saved settings, which have some 400 bytes
 
 
 def _address(expected: str, is_good: Callable[[IPv4Address], bool]) -> AfterValidator:
-    def checked(text: str) -> str:
+    """Return the validator of the text of an address; ValueError with `expected` for a bad one."""
+
+    def read(text: str) -> str:
         try:
-            known = IPv4Address(text)
+            address = IPv4Address(text)
         except ValueError:
             raise ValueError(expected) from None
-        if not is_good(known):
+        if not is_good(address):
             raise ValueError(expected)
-        return str(known)
+        return str(address)
 
-    return AfterValidator(checked)
+    return AfterValidator(read)
 
 
 _Receiver = _address(
@@ -75,7 +77,7 @@ class DeviceSettings(SensorSettings):
     dhcp: bool = False  # True if a server gives the addresses
 
     def after(self, changes: Table) -> Self:
-        """Return the settings after changes of `SensorSettings`.
+        """Return the settings after changes of fields of `SensorSettings`.
 
         A phase lock that is switched off keeps its angle.
         """
@@ -98,11 +100,11 @@ class DeviceInfo(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class DeviceStatus:
-    """The sensor at an instant."""
+    """State of the sensor at an instant."""
 
     t_ns: int  # UTC of the emulated instant
     pps: PpsState
-    position: str  # in the sensor's format, such as `49 00.00N 200 .00W`; empty without a fix
+    position: str  # as the sensor shows it, such as `49 00.60N 08 24.25E`; empty without a fix
     motor_rpm: float
     motor_on: bool
     phase_locked: bool
@@ -114,19 +116,18 @@ class DeviceStatus:
 class Device:
     """The settings of one sensor, safe to read and change from several threads.
 
-    Raises InputError if the file has no saved settings.
-
     Parameters
     ----------
     factory : settings if none have been saved
     status : returns the present state of the sensor; called from the thread of the web server, and must not
         wait
     is_up : returns True if the sensor answers, which it does not while it starts
-    changed : called at each change as `changed(before, after, restarts=False)`, with `restarts` if the sensor
-        starts
-    again; must not wait; if it raises, nothing changes
+    on_change : called at each change as `on_change(before, after, restarts=False)`, with `restarts` if the
+        sensor starts again; must not wait; if it raises, nothing changes
     info : constants of the unit
     saved : file that keeps saved settings from run to run; None to keep them for this run only
+
+    Raises InputError if the file has no saved settings.
     """
 
     def __init__(
@@ -135,14 +136,14 @@ class Device:
         *,
         status: Callable[[], DeviceStatus],
         is_up: Callable[[], bool],
-        changed: Callable[..., None],
+        on_change: Callable[..., None],
         info: DeviceInfo,
         saved: Path | None = None,
     ) -> None:
         self.status = status
         self.is_up = is_up
         self.info = info
-        self._changed = changed
+        self._on_change = on_change
         self._file = saved
         self._lock = Lock()
         self.power_up = _read(saved, factory) if saved is not None and saved.exists() else factory
@@ -150,23 +151,20 @@ class Device:
         self.settings = self.power_up
 
     def change(self, update: Callable[[DeviceSettings], DeviceSettings], *, restarts: bool = False) -> None:
-        """Replace the settings by `update(settings)`; errors of `changed`."""
+        """Replace the settings by `update(settings)`; raises the errors of `on_change`."""
         with self._lock:
             before = self.settings
             self.settings = after = update(before)
             if after == before and not restarts:
                 return
             try:
-                self._changed(before, after, restarts=restarts)
+                self._on_change(before, after, restarts=restarts)
             except Vlp16emuError:
                 self.settings = before
                 raise
 
     def adopt(self, update: Callable[[DeviceSettings], DeviceSettings]) -> None:
-        """Replace the settings after the sensor has been set in another way.
-
-        Events of the scene set it too.
-        """
+        """Replace the settings after the sensor has been set in another way, as by an event of the scene."""
         with self._lock:
             self.settings = update(self.settings)
 
@@ -187,8 +185,8 @@ class Device:
             self.power_up = self.settings
 
 
-def explained(error: ValidationError) -> tuple[str, str, str]:
-    """Return the field of the settings, the value found and the expectation."""
+def explain_error(error: ValidationError) -> tuple[str, str, str]:
+    """Return the field of the settings that an error is about, what was found and what was expected."""
     return explain(error, _SETTINGS.json_schema())
 
 
@@ -199,6 +197,7 @@ def check_saved(path: Path) -> None:
 
 
 def _read(path: Path, factory: DeviceSettings) -> DeviceSettings:
+    """Read saved settings; keys that the file lacks are the factory's."""
     expected = "settings that a sensor has saved"
     text = read_text(path, expected, InputError, most_bytes=_MOST_BYTES)
     try:
@@ -207,15 +206,15 @@ def _read(path: Path, factory: DeviceSettings) -> DeviceSettings:
             tree = _SETTINGS.dump_python(factory, mode="json") | tree
         return _SETTINGS.validate_json(json.dumps(tree))
     except ValidationError as error:
-        key, found, wanted = explained(error)
-        raise InputError(f"{path}: {key}", found, wanted) from None
+        key, found, field_expected = explain_error(error)
+        raise InputError(f"{path}: {key}", found, field_expected) from None
     except (ValueError, RecursionError):
         raise InputError(str(path), "no JSON", expected) from None
 
 
 _COUNTS_PER_V = 4096 / 5
-_AMBIENT_C = 25.0  # of the surroundings, and final values of the boards
-_BOTTOM_C = 51.1
+_AMBIENT_C = 25.0  # of the surroundings
+_BOTTOM_C = 51.1  # final temperatures of the boards
 _TOP_C = 53.1
 _WARM_UP_S = 150.0  # time constant of the boards' warm-up
 _SWAY_C = 0.2  # amplitude of temperature changes
@@ -229,20 +228,23 @@ _RAILS = {
         "pwr_5v": (5.020 / 2, 13),
         "pwr_2_5v": (2.499, 17),
         "pwr_3_3v": (3.3032, 19),
-    }
-    | {"pwr_v_in": (11.964 / 11, 23)},
+        "pwr_v_in": (11.964 / 11, 23),
+    },
     "top": {
         "hv": (5 - 181 / 101, 29),
         "ad_temp": (0.735, 31),
         "pwr_5v": (5.073 / 2, 37),
         "pwr_2_5v": (2.499, 41),
-    }
-    | {"pwr_3_3v": (3.280, 43), "pwr_5v_raw": (5.347 / 2, 47), "pwr_vccint": (1.1914, 59)},
-}  # volts at the converters of both boards, and the period of their small variation in seconds
+        "pwr_3_3v": (3.280, 43),
+        "pwr_5v_raw": (5.347 / 2, 47),
+        "pwr_vccint": (1.1914, 59),
+    },
+}
+"""Volts at the converters of both boards, and the period of their small variation in seconds."""
 
 
 def diagnostics(status: DeviceStatus) -> dict[str, object]:
-    """Return `diag.json`: counts of the converters, which follow the state.
+    """Return `diag.json`: the counts of the converters in a state.
 
     Formulas: 63-9243 Rev D, sections 10.2.3.2 and 10.2.3.3. The values belong to healthy units; their
     variation is an assumption.
@@ -255,11 +257,11 @@ def diagnostics(status: DeviceStatus) -> dict[str, object]:
         return math.sin(2 * math.pi * (status.t_ns % (period_s * S_NS)) / (period_s * S_NS))
 
     current_a = _REST_A + _LASER_A * status.laser_on + _MOTOR_A_PER_RPM * status.motor_rpm
-    missing = math.exp(-status.powered_for_s / _WARM_UP_S)
-    boards = {board: {name: counts(*of) for name, of in rails.items()} for board, rails in _RAILS.items()}
+    cold_share = math.exp(-status.powered_for_s / _WARM_UP_S)  # of the way from cold to warm, yet to come
+    boards = {board: {name: counts(*rail) for name, rail in rails.items()} for board, rails in _RAILS.items()}
     boards["bot"] |= {"i_out": counts(2.5 + current_a / 10, 7), "pwr_1_25v": 0}
     for board, last_c, period_s in (("bot", _BOTTOM_C, 61), ("top", _TOP_C, 53)):
-        board_c = last_c - (last_c - _AMBIENT_C) * missing + _SWAY_C * sine(period_s)
+        board_c = last_c - (last_c - _AMBIENT_C) * cold_share + _SWAY_C * sine(period_s)
         # A voltage V means T = -1481.96 + sqrt(2.1962e6 + (1.8639 - V) / 3.88e-6).
         volts = 1.8639 - 3.88e-6 * ((board_c + 1481.96) ** 2 - 2.1962e6)
         boards[board]["lm20_temp"] = round(volts * _COUNTS_PER_V)
@@ -275,9 +277,12 @@ _MODELS = {
 _FIRMWARE = Path(__file__).with_name("firmware.json")
 """Firmware images 3.0.41.1 and the fallback 1.9.3.0, and their states: invented, but consistent."""
 _PARTS = {
-    f"/cgi/{name}.json": part
-    for name, part in (("settings", "config"), ("diag",) * 2, ("status",) * 2, ("info",) * 2)
-}  # documents that are read alone, and their names in the snapshot
+    "/cgi/settings.json": "config",
+    "/cgi/diag.json": "diag",
+    "/cgi/status.json": "status",
+    "/cgi/info.json": "info",
+}
+"""Documents that are read alone, and their names in the snapshot."""
 _MOST_KEYS = 16
 
 
@@ -285,7 +290,7 @@ class FormError(ValueError):
     """A form that changes nothing, with the reason."""
 
 
-def _whole(text: str) -> int:
+def _whole_number(text: str) -> int:
     if not re.fullmatch(r"[0-9]{1,5}", text, re.ASCII):
         raise ValueError("a whole number")
     return int(text)
@@ -304,35 +309,43 @@ def _return_mode(text: str) -> str:
     return modes[text]
 
 
-def _switch(on: bool) -> str:
-    return "On" if on else "Off"
+def _switch_text(is_on: bool) -> str:
+    return "On" if is_on else "Off"
 
 
-def _with_phase_lock(settings: DeviceSettings, on: bool) -> DeviceSettings:
-    return replace(settings, phase_lock_deg=settings.phase_lock_cdeg / 100 if on else "off")
+def _with_phase_lock(settings: DeviceSettings, is_on: bool) -> DeviceSettings:
+    return replace(settings, phase_lock_deg=settings.phase_lock_cdeg / 100 if is_on else "off")
 
 
 def _with_phase(settings: DeviceSettings, cdeg: int) -> DeviceSettings:
     settings = replace(settings, phase_lock_cdeg=cdeg)
-    return settings if settings.phase_lock_deg == "off" else _with_phase_lock(settings, on=True)
+    return settings if settings.phase_lock_deg == "off" else _with_phase_lock(settings, is_on=True)
+
+
+def _with_fov_start(settings: DeviceSettings, start_deg: int) -> DeviceSettings:
+    return replace(settings, fov_deg=(start_deg, settings.fov_deg[1]))
+
+
+def _with_fov_end(settings: DeviceSettings, end_deg: int) -> DeviceSettings:
+    return replace(settings, fov_deg=(settings.fov_deg[0], end_deg))
 
 
 class _Key(NamedTuple):
-    """A value of a form and of the document of settings."""
+    """A key of a form and of the document of settings."""
 
     form: str  # last part of its form's path, and its table in the document; empty for the outermost
     name: str
-    read: Callable[[str], Any]  # value of a text of the form
-    change: Callable[[DeviceSettings, Any], DeviceSettings]  # settings with a value
-    shown: Callable[[DeviceSettings], object]  # value in the document
+    read: Callable[[str], Any]  # returns the value of a text of the form; ValueError with what is expected
+    change: Callable[[DeviceSettings, Any], DeviceSettings]  # returns the settings with a value
+    value_of: Callable[[DeviceSettings], object]  # returns the value in the document
 
 
-def _key(
+def _field_key(
     form: str,
     name: str,
     field: str,
-    read: Callable[[str], Any] = _whole,
-    shown: Callable[[Any], object] = str,
+    read: Callable[[str], Any] = _whole_number,
+    text_of: Callable[[Any], object] = str,
 ) -> _Key:
     """Return a key that stands for one field of the settings."""
     return _Key(
@@ -340,50 +353,39 @@ def _key(
         name,
         read,
         lambda settings, value: replace(settings, **{field: value}),
-        lambda settings: shown(getattr(settings, field)),
+        lambda settings: text_of(getattr(settings, field)),
     )
 
 
 _KEYS = (
-    _key("", "rpm", "rpm", shown=int),
-    _key("", "returns", "return_mode", _return_mode, str.capitalize),
-    _key("", "laser", "laser", _is_on, _switch),
-    _Key(
-        "fov",
-        "start",
-        _whole,
-        lambda settings, value: replace(settings, fov_deg=(value, settings.fov_deg[1])),
-        lambda settings: settings.fov_deg[0],
-    ),
-    _Key(
-        "fov",
-        "end",
-        _whole,
-        lambda settings, value: replace(settings, fov_deg=(settings.fov_deg[0], value)),
-        lambda settings: settings.fov_deg[1],
-    ),
-    _key("host", "addr", "host", str),
-    _key("host", "dport", "data_port"),
-    _key("host", "tport", "position_port"),
-    _key("net", "addr", "address", str),
-    _key("net", "mask", "mask", str),
-    _key("net", "gateway", "gateway", str),
-    _key("net", "dhcp", "dhcp", _is_on, _switch),
+    _field_key("", "rpm", "rpm", text_of=int),
+    _field_key("", "returns", "return_mode", _return_mode, str.capitalize),
+    _field_key("", "laser", "laser", _is_on, _switch_text),
+    _Key("fov", "start", _whole_number, _with_fov_start, lambda settings: settings.fov_deg[0]),
+    _Key("fov", "end", _whole_number, _with_fov_end, lambda settings: settings.fov_deg[1]),
+    _field_key("host", "addr", "host", str),
+    _field_key("host", "dport", "data_port"),
+    _field_key("host", "tport", "position_port"),
+    _field_key("net", "addr", "address", str),
+    _field_key("net", "mask", "mask", str),
+    _field_key("net", "gateway", "gateway", str),
+    _field_key("net", "dhcp", "dhcp", _is_on, _switch_text),
     _Key(
         "phaselock",
         "enabled",
         _is_on,
         _with_phase_lock,
-        lambda settings: _switch(settings.phase_lock_deg != "off"),
+        lambda settings: _switch_text(settings.phase_lock_deg != "off"),
     ),
-    _Key("phaselock", "offset", _whole, _with_phase, lambda settings: str(settings.phase_lock_cdeg)),
+    _Key("phaselock", "offset", _whole_number, _with_phase, lambda settings: str(settings.phase_lock_cdeg)),
 )
 _FORMS = {f"/cgi/setting/{key.form}".rstrip("/"): key.form for key in _KEYS}
 _ACTIONS: Mapping[str, tuple[bytes, Callable[[Device], None]]] = {
     "/cgi/save": (b"submit", Device.save),
     "/cgi/reset": (b"reset_system", Device.restart),
 }
-PATHS = frozenset((*_FORMS, *_ACTIONS))  # paths that accept forms
+PATHS = frozenset((*_FORMS, *_ACTIONS))
+"""Paths that accept forms."""
 
 
 def document(path: str, device: Device) -> object | None:
@@ -393,21 +395,21 @@ def document(path: str, device: Device) -> object | None:
     status = device.status()
     info = device.info
     motor = {
-        "state": _switch(status.motor_on),
+        "state": _switch_text(status.motor_on),
         "rpm": round(status.motor_rpm),
-        "lock": _switch(status.phase_locked),
+        "lock": _switch_text(status.phase_locked),
     }
-    own = {"model": _MODELS[info.model], "serial": info.serial, "mac_addr": info.mac.hex("-")}
+    unit = {"model": _MODELS[info.model], "serial": info.serial, "mac_addr": info.mac.hex("-")}
     firmware: dict[str, object] = json.loads(_FIRMWARE.read_text(encoding="utf-8"))
     snapshot = {
-        "config": _settings(device.settings),
+        "config": _settings_tree(device.settings),
         "diag": diagnostics(status),
         "status": {
             "gps": {"pps_state": status.pps.name.capitalize(), "position": status.position},
             "motor": motor | {"phase": status.phase_cdeg},
-            "laser": {"state": _switch(status.laser_on)},
+            "laser": {"state": _switch_text(status.laser_on)},
         },
-        "info": own | firmware,
+        "info": unit | firmware,
     }
     return snapshot[_PARTS[path]] if path in _PARTS else snapshot
 
@@ -421,7 +423,7 @@ def submit(path: str, body: bytes, device: Device) -> None:
     if path in _ACTIONS:
         word, act = _ACTIONS[path]
         if body not in (word, b"data=" + word):
-            raise FormError(f"body: found {_quoted(body)}, expected {word.decode()}")
+            raise FormError(f"body: found {_quote(body)}, expected {word.decode()}")
         act(device)
         return
     try:
@@ -431,33 +433,35 @@ def submit(path: str, body: bytes, device: Device) -> None:
     except ValueError:
         pairs = []
     if not pairs:
-        raise FormError(f"body: found {_quoted(body)}, expected key=value")
-    device.change(lambda settings: reduce(partial(_with, _FORMS[path]), pairs, settings))
+        raise FormError(f"body: found {_quote(body)}, expected key=value")
+    device.change(partial(_with_form, _FORMS[path], pairs))
 
 
-def _with(form: str, settings: DeviceSettings, pair: tuple[str, str]) -> DeviceSettings:
-    (name, text) = pair
+def _with_form(form: str, pairs: Sequence[tuple[str, str]], settings: DeviceSettings) -> DeviceSettings:
+    """Return settings with the keys and values of a form; FormError for a bad one."""
     keys = {key.name: key for key in _KEYS if key.form == form}
-    if name not in keys:
-        raise FormError(f"{name[:40]!r}: unknown key, expected {' or '.join(keys)}")
-    key = keys[name]
-    try:
-        return key.change(settings, key.read(text))
-    except ValidationError as error:
-        _, found, expected = explained(error)
-        raise FormError(f"{name}: {found}, expected {expected}") from None
-    except ValueError as error:
-        raise FormError(f"{name}: found {text[:40]!r}, expected {error}") from None
+    for name, text in pairs:
+        if name not in keys:
+            raise FormError(f"{name[:40]!r}: unknown key, expected {' or '.join(keys)}")
+        key = keys[name]
+        try:
+            settings = key.change(settings, key.read(text))
+        except ValidationError as error:
+            _, found, expected = explain_error(error)
+            raise FormError(f"{name}: {found}, expected {expected}") from None
+        except ValueError as error:
+            raise FormError(f"{name}: found {text[:40]!r}, expected {error}") from None
+    return settings
 
 
-def _quoted(body: bytes) -> str:
+def _quote(body: bytes) -> str:
     return repr(body[:40].decode("ascii", "replace"))
 
 
-def _settings(settings: DeviceSettings) -> Tree:
+def _settings_tree(settings: DeviceSettings) -> Tree:
     """Return the settings with the types of real units: ports and the phase are strings."""
     tree = Tree()
     for key in _KEYS:
         table = tree.setdefault(key.form, {}) if key.form else tree
-        table[key.name] = key.shown(settings)
+        table[key.name] = key.value_of(settings)
     return tree

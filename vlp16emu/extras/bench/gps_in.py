@@ -5,12 +5,13 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 from vlp16emu.engine.gps_input import STALE_NS, pps_state
 from vlp16emu.errors import OutputError, PacketError
 from vlp16emu.extras.bench.outlets import PATIENCE_S, Away, SerialPort, has_line
-from vlp16emu.extras.bench.retime import age_ns, restamped
+from vlp16emu.extras.bench.retime import age_ns, restamp
 from vlp16emu.motion.settings import Gps
 from vlp16emu.packets import STAMP_LEAD_NS
 from vlp16emu.packets.nmea import rmc_time
@@ -23,16 +24,16 @@ from vlp16emu.units import HOUR_NS, MS_NS, S_NS, seconds_to_ns
 _LINE = re.compile(rb"[^\r\n]*[\r\n]+")
 _LONGEST = 256  # bytes without an end of line that are no sentence: twice the space of a position packet
 _STEADY_NS = 5 * MS_NS
-"""Error of a steady pulse against its second: a program that polls a line every millisecond, beside other
-programs, gives it to a pulse that is exact to a microsecond (assumption)."""
+"""Greatest error of a steady pulse against its second: so far off is a pulse that is exact to a microsecond,
+for a program that polls a line every millisecond beside other programs (assumption)."""
 _LOST_NS = S_NS + S_NS // 2  # time without a pulse after which pulses count as lost
-_SHARE = 8
-"""A pulse corrects this fraction of the clock's error, so that stamps do not show the jitter of polling."""
+_CORRECTION_DIVISOR = 8
+"""A pulse corrects the clock's error divided by this, so that stamps do not show the jitter of polling."""
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
-    """Input from a receiver so far."""
+class LineInput:
+    """Number of pulses and sentences of a receiver so far."""
 
     pulses: int = 0
     sentences: int = 0  # valid sentences
@@ -40,7 +41,9 @@ class Heard:
 
 
 class GpsLine:
-    """The sensor's end of the line; instants are readings of one clock of the host, in ns. Thread-safe.
+    """The sensor's end of the line from a receiver; safe to use from several threads.
+
+    Instants are readings of one clock of the host, in ns.
 
     Parameters
     ----------
@@ -56,13 +59,15 @@ class GpsLine:
         self._is_pulsed = is_pulsed
         self._lock = threading.RLock()  # `receive` takes pulses
         self._buffer = b""
-        self.heard = Heard()
+        self.heard = LineInput()
+        """Number of pulses and sentences so far."""
         self._zero_ns = power_up_ns  # instant at which the clock showed a whole hour
         self._edge_ns: int | None = None
         self._steady_since_ns: int | None = None
         self._is_bad = False
         self._set_ns: int | None = None
-        self.sentence = b""  # last sentence, with CR and LF; empty before the first
+        self.sentence = b""
+        """Last sentence, with CR and LF; empty before the first."""
 
     def pulse(self, t_ns: int) -> None:
         """Take the rising edge of a pulse.
@@ -77,16 +82,16 @@ class GpsLine:
             self._is_bad = not is_first and abs(since_ns - S_NS) > _STEADY_NS  # not a second apart
             if is_first or self._is_bad:
                 self._steady_since_ns = t_ns
-            self._zero_ns += off_ns if is_first or self._is_bad else off_ns // _SHARE
+            self._zero_ns += off_ns if is_first or self._is_bad else off_ns // _CORRECTION_DIVISOR
             self._edge_ns = t_ns
 
     def receive(self, data: bytes, t_ns: int) -> None:
         """Take bytes of the serial line."""
         with self._lock:
             self._buffer += data
-            while found := _LINE.match(self._buffer):
-                self._buffer = self._buffer[found.end() :]
-                self._take_line(found[0].strip(), t_ns)
+            while match := _LINE.match(self._buffer):
+                self._buffer = self._buffer[match.end() :]
+                self._take_line(match[0].strip(), t_ns)
             self._buffer = b"" if len(self._buffer) > _LONGEST else self._buffer
 
     def state_at(self, t_ns: int) -> PpsState:
@@ -110,7 +115,7 @@ class GpsLine:
         if not line.startswith(b"$GPRMC,"):
             return
         try:
-            named_ns, valid = rmc_time(line + b"\r\n")
+            sentence_ns, is_valid = rmc_time(line + b"\r\n")
         except PacketError:
             self.heard = replace(self.heard, refused=self.heard.refused + 1)
             self._is_bad = True
@@ -119,12 +124,12 @@ class GpsLine:
         self.sentence = line + b"\r\n"
         if not self._is_pulsed:
             self.pulse(t_ns - seconds_to_ns(self._gps.sentence_delay_s))
-        if named_ns is not None and (valid or not self._gps.requires_valid):
+        if sentence_ns is not None and (is_valid or not self._gps.requires_valid):
             self._set_ns = t_ns
             if self._edge_ns is not None and t_ns - self._edge_ns < _LOST_NS:
                 # Only whole seconds: the pulse gives the fraction.
                 shown_ns = (self._edge_ns - self._zero_ns + S_NS // 2) // S_NS * S_NS
-                self._zero_ns -= (named_ns - shown_ns) % HOUR_NS
+                self._zero_ns -= (sentence_ns - shown_ns) % HOUR_NS
 
 
 _BAUD = 9600  # 63-9243 Rev D, section 7.4
@@ -137,7 +142,7 @@ class GpsInResult:
     """Input from a receiver, and the clock that it set."""
 
     port: str
-    heard: Heard
+    heard: LineInput
     state: PpsState  # at the end
     away: tuple[Away, ...]  # times without the device
 
@@ -146,29 +151,30 @@ class GpsReader(StreamPart):
     """Reader of a receiver in a thread of its own, which sets stamps, state and sentence of packets.
 
     Instants of packets follow their due times, even if they are sent late: stamps show no jitter of the host.
-    Only if the stream is late by more than the tolerance, instants are counted again from the host's clock.
+    Only if the stream is late by more than `TOLERANCE_NS`, instants are counted again from the host's clock.
 
     Parameters
     ----------
-    stream : stream of a scene: window of the pulse, sentences that set the clock, their delay, and the time
-        since power-up, the reading of the clock before it is set
+    stream : stream of a scene, with options that name the port and the line; the scene gives the window of
+        the pulse, the sentences that set the clock, their delay, and the time since power-up, which the
+        clock shows before it is set
 
     Raises OutputError if the port cannot be opened, or has no such line.
     """
 
     def __init__(self, stream: SceneStream) -> None:
-        asked = stream.options.gps_in
-        assert asked is not None
+        gps_in = stream.options.gps_in
+        assert gps_in is not None
         self._emulator = stream.emulator
-        self._pulse = None if asked.pulse == "sentence" else asked.pulse
-        self._port = SerialPort(asked.port, _BAUD, "--gps-in")
-        if self._pulse and self._port.use(lambda port: has_line(lambda: getattr(port, asked.pulse))) is False:
+        self._pulse = None if gps_in.pulse == "sentence" else gps_in.pulse
+        self._port = SerialPort(gps_in.port, _BAUD, "--gps-in")
+        if self._pulse and self._port.use(self._has_pulse_line) is False:
             self._port.close()
             raise OutputError(
-                f"--gps-in {asked.port}", f"no line {self._pulse.upper()}", "--gps-in-pulse sentence"
+                f"--gps-in {gps_in.port}", f"no line {self._pulse.upper()}", "--gps-in-pulse sentence"
             )
         self._over = threading.Event()
-        self._thread = threading.Thread(target=self._run, name=f"gps in {asked.port}", daemon=True)
+        self._thread = threading.Thread(target=self._run, name=f"gps in {gps_in.port}", daemon=True)
         self._stamps: LineStamps
 
     def begin(self) -> None:
@@ -182,7 +188,7 @@ class GpsReader(StreamPart):
 
     def leaving(self, packet: Packet) -> Packet:
         """Return a packet with the clock that the receiver sets."""
-        return self._stamps.stamped(packet)
+        return self._stamps.stamp(packet)
 
     def end(self, _error: BaseException | None) -> None:
         """Stop listening, and close the port."""
@@ -198,16 +204,19 @@ class GpsReader(StreamPart):
         state = self.line.state_at(time.monotonic_ns())
         return GpsInResult(self._port.name, self.line.heard, state, self._port.away)
 
+    def _has_pulse_line(self, port: Any) -> bool:
+        return has_line(partial(getattr, port, str(self._pulse)))
+
     def _run(self) -> None:
         was_high = True
         while not self._over.is_set():
-            if (found := self._port.use(self._poll)) is None:
+            if (reading := self._port.use(self._poll)) is None:
                 self._over.wait(_AWAY_S)
                 continue
-            data, high, at_ns = found
-            if high and not was_high:
+            data, is_high, at_ns = reading
+            if is_high and not was_high:
                 self.line.pulse(at_ns)
-            was_high = high
+            was_high = is_high
             if data:
                 self.line.receive(data, at_ns)
             if data or self._pulse:  # collect single characters
@@ -215,31 +224,36 @@ class GpsReader(StreamPart):
         self._port.close()
 
     def _poll(self, port: Any) -> tuple[bytes, bool, int]:
-        """Return the bytes that are there, the state of the line, and the instant.
+        """Return the bytes that have come, the state of the line, and the instant.
 
-        Without a line, wait for a character.
+        Without a line of pulses, wait for a character.
         """
         if self._pulse:
-            high = bool(getattr(port, self._pulse))
+            is_high = bool(getattr(port, self._pulse))
             at_ns = time.monotonic_ns()
-            return (port.read(port.in_waiting) if port.in_waiting else b""), high, at_ns
+            data = port.read(port.in_waiting) if port.in_waiting else b""
+            return data, is_high, at_ns
         data = port.read(1)
-        return (
-            data + (port.read(port.in_waiting) if data and port.in_waiting else b""),
-            False,
-            time.monotonic_ns(),
-        )
+        if data and port.in_waiting:
+            data += port.read(port.in_waiting)
+        return data, False, time.monotonic_ns()
 
 
 class LineStamps:
-    """Stamps of packets by the clock of a line; `clock_ns` is the clock of its instants."""
+    """Stamps of packets by the clock of a line.
+
+    Parameters
+    ----------
+    line : the sensor's end of the line
+    clock_ns : clock of its instants
+    """
 
     def __init__(self, line: GpsLine, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
         self._line = line
         self._clock_ns = clock_ns
         self._ahead_ns: int | None = None
 
-    def stamped(self, packet: Packet) -> Packet:
+    def stamp(self, packet: Packet) -> Packet:
         """Return a data or position packet with its stamp by the line; other packets as they are."""
         if packet.kind not in (PacketKind.DATA, PacketKind.POSITION):
             return packet
@@ -254,4 +268,4 @@ class LineStamps:
         else:
             made_ns = sent_ns - (packet.due_ns - packet.fired_ns)
         line = self._line
-        return restamped(packet, line.clock_ns(made_ns), line.state_at(made_ns), line.sentence)
+        return restamp(packet, line.clock_ns(made_ns), line.state_at(made_ns), line.sentence)

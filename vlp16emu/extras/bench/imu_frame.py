@@ -30,7 +30,7 @@ IMU_FRAME = np.dtype(
 )
 _MAGIC = b"IMU"
 _VERSION = 1
-_CHECKED = 8  # offset of the bytes that the checksum covers
+_CHECKED_FROM = 8  # offset of the bytes that the checksum covers
 
 
 def imu_frames(first: int, t_ns: I8, rate_rad_s: F8, force_m_s2: F8) -> list[bytes]:
@@ -47,11 +47,11 @@ def imu_frames(first: int, t_ns: I8, rate_rad_s: F8, force_m_s2: F8) -> list[byt
     frames["t_ns"] = t_ns
     frames["angular_rate_rad_s"] = rate_rad_s
     frames["specific_force_m_s2"] = force_m_s2
-    return [_sealed(frame) for frame in frames]
+    return [_with_checksum(frame) for frame in frames]
 
 
 def decode_imu(frame: bytes) -> np.void:
-    """Read a frame: an `IMU_FRAME`.
+    """Read a frame, and return its fields as an `IMU_FRAME`.
 
     Raises PacketError if length, magic, version or checksum is wrong.
     """
@@ -60,18 +60,19 @@ def decode_imu(frame: bytes) -> np.void:
     fields: np.void = np.frombuffer(frame, IMU_FRAME)[0]
     if (fields["magic"], fields["version"]) != (_MAGIC, _VERSION):
         raise PacketError("IMU frame", f"begins with {frame[:4]!r}", f"{_MAGIC + bytes([_VERSION])!r}")
-    if fields["checksum"] != (crc := zlib.crc32(frame[_CHECKED:])):
+    if fields["checksum"] != (crc := zlib.crc32(frame[_CHECKED_FROM:])):
         raise PacketError("IMU frame", f"has the checksum {fields['checksum']:08x}", f"{crc:08x}")
     return fields
 
 
-def moved_imu(frame: bytes, by_s: int) -> bytes:
-    """Move the time of a frame by whole seconds."""
+def shift_imu_frame(frame: bytes, by_s: int) -> bytes:
+    """Return a frame with its time moved by whole seconds."""
     fields = np.frombuffer(frame, IMU_FRAME).copy()
     fields["t_ns"] += by_s * S_NS
-    return _sealed(fields[0])
+    return _with_checksum(fields[0])
 
 
-def _sealed(fields: np.void) -> bytes:
-    behind = fields.tobytes()[_CHECKED:]
-    return _MAGIC + bytes([_VERSION]) + zlib.crc32(behind).to_bytes(4, "little") + behind
+def _with_checksum(fields: np.void) -> bytes:
+    """Return the frame of some fields, with magic, version and checksum."""
+    checked_bytes = fields.tobytes()[_CHECKED_FROM:]
+    return _MAGIC + bytes([_VERSION]) + zlib.crc32(checked_bytes).to_bytes(4, "little") + checked_bytes

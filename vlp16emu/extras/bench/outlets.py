@@ -37,15 +37,21 @@ from vlp16emu.units import MS_NS, S_NS
 PULSE_NS = 100 * MS_NS  # length of a pulse: the sensor needs 20 to 200 ms (User's Manual of the HDL-32E)
 PULSE_HIGH, PULSE_LOW = b"\1", b"\0"
 _READS_PER_S = 50
-"""Span of samples that are read together: not longer, because live poses are unknown far ahead."""
+"""Number of times a second that samples are read together: not fewer, because live poses are unknown far
+ahead."""
 
-_Beat = tuple[
-    int, Packet | Callable[[], Packet]
-]  # due time of a packet, and the packet or a function that returns it
+_DuePacket = tuple[int, Packet | Callable[[], Packet]]
+"""Due time of a packet, and the packet or a function that returns it."""
 
 
-class Beside:
-    """Packets of the kinds NMEA, PPS and IMU, computed in the order of a run and not before their time.
+class DevicePackets:
+    """Packets of the GPS receiver and the inertial unit of a scene, beside those of its sensors.
+
+    They are computed in the order of a run, and not before their time.
+
+    Parameters
+    ----------
+    kinds : NMEA, PPS or IMU
 
     Raises `ScenarioError` if the scene has no such device.
     """
@@ -64,52 +70,62 @@ class Beside:
         self._kinds = kinds
         self._rate_hz = scenario.imu.rate_hz if scenario.imu else 0
 
-    def among(self, packets: Iterator[Packet], start_ns: int, stop_ns: int) -> Iterator[Packet]:
-        """Merge the packets of a span since the first pulse with the additional ones.
+    def merge_with(self, packets: Iterator[Packet], start_ns: int, stop_ns: int) -> Iterator[Packet]:
+        """Merge the packets of a span since the first pulse with those of the devices.
 
         At equal due times `packets` come first.
         """
         if not self._kinds:
             return packets
-        made = {PacketKind.NMEA: self._sentences, PacketKind.PPS: self._pulses, PacketKind.IMU: self._samples}
-        streams = [made[kind](self._numbers(kind, start_ns, stop_ns)) for kind in self._kinds]
-        others = ((packet.due_ns, packet) for packet in packets)
-        beats = heapq.merge(others, *streams, key=itemgetter(0))
-        return (what if isinstance(what, Packet) else what() for _, what in beats)
+        makers = {
+            PacketKind.NMEA: self._sentences,
+            PacketKind.PPS: self._pulses,
+            PacketKind.IMU: self._samples,
+        }
+        streams = [makers[kind](self._numbers(kind, start_ns, stop_ns)) for kind in self._kinds]
+        sensor_packets = ((packet.due_ns, packet) for packet in packets)
+        packets_due = heapq.merge(sensor_packets, *streams, key=itemgetter(0))
+        return (packet if isinstance(packet, Packet) else packet() for _, packet in packets_due)
 
     def count(self, start_ns: int, stop_ns: int) -> dict[PacketKind, int]:
-        """Return the number of additional packets in a span since the first pulse, by kind."""
+        """Return the number of packets of the devices in a span since the first pulse, by kind."""
         return {kind: len(self._numbers(kind, start_ns, stop_ns)) for kind in self._kinds}
 
     def _numbers(self, kind: PacketKind, start_ns: int, stop_ns: int) -> range:
-        """Return the numbers of packets in a span.
+        """Return the numbers of packets in a span."""
+        return range(self._first_number(kind, start_ns), self._first_number(kind, stop_ns))
 
-        They are UTC seconds, edges of pulses since 1970 (two a second), or samples.
+    def _first_number(self, kind: PacketKind, since_ns: int) -> int:
+        """Return the number of the first packet at a time since the first pulse, or later.
+
+        It is a UTC second, an edge of a pulse since 1970 (two a second), or a sample.
         """
         if kind is PacketKind.IMU:
-            return range(*(-(-since_ns * self._rate_hz // S_NS) for since_ns in (start_ns, stop_ns)))
-        span_ns = [self._start_ns + since_ns for since_ns in (start_ns, stop_ns)]
+            return -(-since_ns * self._rate_hz // S_NS)
+        utc_ns = self._start_ns + since_ns
         if kind is PacketKind.NMEA:
-            return range(*(-(-(utc_ns - self._delay_ns) // S_NS) for utc_ns in span_ns))
-        return range(*(-(-utc_ns // S_NS) + -(-(utc_ns - PULSE_NS) // S_NS) for utc_ns in span_ns))
+            return -(-(utc_ns - self._delay_ns) // S_NS)
+        rising = -(-utc_ns // S_NS)
+        falling = -(-(utc_ns - PULSE_NS) // S_NS)
+        return rising + falling
 
-    def _sentences(self, seconds: range) -> Iterator[_Beat]:
+    def _sentences(self, seconds: range) -> Iterator[_DuePacket]:
         for second in seconds:  # with the same delay after its second as on the sensor's line
             yield second * S_NS + self._delay_ns, partial(self._sentence, second * S_NS)
 
     def _sentence(self, second_ns: int) -> Packet:
         return Packet(PacketKind.NMEA, second_ns + self._delay_ns, rmc(self._receiver.fix(second_ns)))
 
-    def _pulses(self, numbers: range) -> Iterator[_Beat]:
+    def _pulses(self, numbers: range) -> Iterator[_DuePacket]:
         for number in numbers:
             second, is_end = divmod(number, 2)
             due_ns = second * S_NS + is_end * PULSE_NS
             level = (PULSE_HIGH, PULSE_LOW)[is_end]
             yield due_ns, Packet(PacketKind.PPS, due_ns, level)
 
-    def _samples(self, numbers: range) -> Iterator[_Beat]:
+    def _samples(self, numbers: range) -> Iterator[_DuePacket]:
         imu = self._imu
-        ready = dict[int, Packet]()
+        ready = dict[int, Packet]()  # by number of the sample
         assert isinstance(imu, ImuSampler)
 
         def sample(number: int) -> Packet:
@@ -117,11 +133,13 @@ class Beside:
             if number not in ready:
                 ready.clear()
                 count = min(max(self._rate_hz // _READS_PER_S, 1), numbers.stop - number)
-                read = imu.read(number, count)
-                stamps_ns = read.t_ns if read.stamp_ns is None else read.stamp_ns
-                frames = imu_frames(number, stamps_ns, read.angular_rate_rad_s, read.specific_force_m_s2)
-                for at, (due_ns, frame) in enumerate(zip(stamps_ns.tolist(), frames, strict=True), number):
-                    ready[at] = Packet(PacketKind.IMU, due_ns, frame)
+                samples = imu.read(number, count)
+                stamps_ns = samples.t_ns if samples.stamp_ns is None else samples.stamp_ns
+                frames = imu_frames(
+                    number, stamps_ns, samples.angular_rate_rad_s, samples.specific_force_m_s2
+                )
+                packets = map(partial(Packet, PacketKind.IMU), stamps_ns.tolist(), frames)
+                ready.update(enumerate(packets, number))
             return ready[number]
 
         for number in numbers:
@@ -129,13 +147,14 @@ class Beside:
             yield due_ns, partial(sample, number)
 
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 
 _RETRY_S = 1.0  # period of attempts to open a device that has vanished
 PATIENCE_S = 0.25
 """Greatest time that a message waits for the line, and that writing takes: a quarter of a receiver's
 second."""
-_WAITING = 4096  # greatest number of waiting messages: more than samples of an inertial unit in that time
+_MOST_WAITING = 4096
+"""Greatest number of waiting messages: more than an inertial unit has samples in that time."""
 _SCHEMES = ("socket", "rfc2217")
 """Schemes of URLs that lead to a port elsewhere; others of pyserial are for its own tests, or open files."""
 _LINELESS = ("socket://",)  # ports that accept the setting of a line without an error, but have no line
@@ -143,10 +162,10 @@ _LINELESS = ("socket://",)  # ports that accept the setting of a line without an
 
 @dataclass(frozen=True, slots=True)
 class Away:
-    """A time without the device."""
+    """A time during which a device was gone."""
 
-    at_s: float  # time since the port was opened
-    away_s: float  # until the device was back, or the stream ended
+    at_s: float  # since the port was opened
+    away_s: float  # duration until the device was back, or the stream ended
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,10 +181,10 @@ class OutletResult:
     pulses: int | None = None  # pulses on that line; None if the port has no such line
 
 
-def has_line(act: Callable[[], object]) -> bool:
-    """Return True if a port has the line that `act` sets or reads; a pseudo-terminal has none."""
+def has_line(action: Callable[[], object]) -> bool:
+    """Return True if a port has the line that `action` sets or reads; a pseudo-terminal has none."""
     try:
-        act()
+        action()
     except OSError as error:
         if error.errno in (errno.ENOTTY, errno.EINVAL):
             return False
@@ -181,9 +200,9 @@ def _check_port(name: str, where: str) -> None:
 
     A FIFO without a reader would wait without end, and `spy://?file=PATH` of pyserial empties PATH.
     """
-    scheme, mark, rest = name.partition("://")
-    if mark:
-        if scheme not in _SCHEMES or not rest:
+    scheme, separator, address = name.partition("://")
+    if separator:
+        if scheme not in _SCHEMES or not address:
             raise OutputError(where, f"found '{name}'", _PORT)
         return
     try:
@@ -196,9 +215,9 @@ def _check_port(name: str, where: str) -> None:
 
 
 class SerialPort:
-    """A port at 8N1 without flow control that is opened again, once a second, after its device has vanished.
+    """A serial port at 8N1 without flow control, which opens a vanished device again once it is back.
 
-    For one thread. `use` reads and writes.
+    It is for one thread, which reads and writes by `use`.
 
     Parameters
     ----------
@@ -217,40 +236,42 @@ class SerialPort:
         self.name = name
         self._baud = baud
         self.line = line
-        self._error = (serial.SerialException, OSError, termios.error)
-        self._slow = serial.SerialTimeoutException
+        self._errors = (serial.SerialException, OSError, termios.error)
+        self._timeout_error = serial.SerialTimeoutException
         self._away_since_s: float | None = None
-        self._opened_s = self._tried_s = time.monotonic()
-        self.away: tuple[Away, ...] = ()  # past times without the device
+        self._opened_s = time.monotonic()
+        self._tried_s = self._opened_s
+        self.away: tuple[Away, ...] = ()
+        """Past times without the device."""
         try:
             self._port: Any = unless_ending(self._open)
-        except self._error as error:
-            code = getattr(error, "errno", None)
-            found = os.strerror(code) if code else str(error)
+        except self._errors as error:
+            error_number = getattr(error, "errno", None)
+            found = os.strerror(error_number) if error_number else str(error)
             raise OutputError(f"{where} {name}", found, _PORT) from None
         except ValueError as error:
             raise OutputError(f"{where} {name}", str(error), _PORT) from None
-        is_there = line is not None and not name.startswith(_LINELESS)
-        self.has_line = is_there and has_line(lambda: setattr(self._port, str(line), False))
+        may_have_line = line is not None and not name.startswith(_LINELESS)
+        self.has_line = may_have_line and has_line(lambda: setattr(self._port, str(line), False))
 
-    def use(self, act: Callable[[Any], T]) -> T | None:
-        """Call `act` with the port of pyserial, to read or write. None if the device is away or busy."""
+    def use(self, action: Callable[[Any], _T]) -> _T | None:
+        """Call `action` with the port of pyserial, to read or write; None if the device is away or busy."""
         if self._away_since_s is not None and not self._is_back():
             return None
         try:
-            return act(self._port)
-        except self._slow:
+            return action(self._port)
+        except self._timeout_error:
             return None
-        except self._error:
+        except self._errors:
             self._away_since_s = self._tried_s = time.monotonic()
             self.close(for_good=False)
             return None
 
     def close(self, *, for_good: bool = True) -> None:
-        """Close the port, if it is open."""
+        """Close the port, if it is open; unless `for_good`, the time without the device goes on."""
         if for_good:
             self._note_away()
-        with suppress(*self._error):
+        with suppress(*self._errors):
             self._port.close()
 
     def _open(self) -> Any:  # a class of pyserial, which has no types
@@ -267,7 +288,7 @@ class SerialPort:
         if time.monotonic() < self._tried_s + _RETRY_S:
             return False
         self._tried_s = time.monotonic()
-        with suppress(*self._error, ValueError):
+        with suppress(*self._errors, ValueError):
             self._port = self._open()
             self._note_away()
         return self._away_since_s is None
@@ -286,8 +307,11 @@ class SerialSink(PacketSink):
 
     def __init__(self, port: SerialPort) -> None:
         self._port = port
-        self._waiting = queue.Queue[tuple[float, Packet] | None](_WAITING)
-        self._messages = self._bytes = self._dropped = self._pulses = 0
+        self._waiting = queue.Queue[tuple[float, Packet] | None](_MOST_WAITING)
+        self._messages = 0
+        self._bytes = 0
+        self._dropped = 0
+        self._pulses = 0
         self._thread = threading.Thread(target=self._run, name=f"serial {port.name}", daemon=True)
         self._thread.start()
 
@@ -307,8 +331,15 @@ class SerialSink(PacketSink):
     def result(self) -> OutletResult:
         """Result so far."""
         port = self._port
-        counts = (self._messages, self._bytes, self._dropped)
-        return OutletResult(port.name, *counts, port.away, port.line, self._pulses if port.has_line else None)
+        return OutletResult(
+            to=port.name,
+            messages=self._messages,
+            bytes=self._bytes,
+            dropped=self._dropped,
+            away=port.away,
+            line=port.line,
+            pulses=self._pulses if port.has_line else None,
+        )
 
     def _run(self) -> None:
         while (item := self._waiting.get()) is not None:
@@ -321,33 +352,33 @@ class SerialSink(PacketSink):
         self._port.close()
 
     def _write(self, payload: bytes) -> bool:
-        def put(port: Any) -> int | None:
-            """Wait for room first: pyserial would poll for it and use a whole core."""
+        def write(port: Any) -> int | None:
+            """Write once there is room, which pyserial would poll for on a whole core; None without room."""
             with suppress(UnsupportedOperation):  # a port without descriptor, such as loop://
                 if not select.select([], [port.fileno()], [], PATIENCE_S)[1]:
                     return None
-            written: int = port.write(payload)
-            return written
+            length: int = port.write(payload)
+            return length
 
-        if (written := self._port.use(put)) is None:
+        if (length := self._port.use(write)) is None:
             return False
-        self._messages = self._messages + 1
-        self._bytes = self._bytes + written
+        self._messages += 1
+        self._bytes += length
         return True
 
     def _set_line(self, *, high: bool) -> None:
-        def act(port: Any) -> bool:
+        def set_line(port: Any) -> bool:
             setattr(port, str(self._port.line), high)
             return True
 
         if self._port.has_line:
-            self._pulses += bool(self._port.use(act)) and high
+            self._pulses += bool(self._port.use(set_line)) and high
 
 
 _GPS_BAUD = 9600  # rate of the sensor's input (63-9243 Rev D, section 7.4)
 _BAUD = 921_600
-_BITS = 10  # of a byte on the line: start, eight, stop
-_WHERE = "--imu-out"
+_BITS_PER_BYTE = 10  # on the line: start, eight, stop
+_IMU_OUT = "--imu-out"
 
 
 class OutletSinks(OutletPart):
@@ -361,43 +392,50 @@ class OutletSinks(OutletPart):
     """
 
     def __init__(self, stream: SceneStream) -> None:
-        asked = stream.options.outlets
-        assert asked is not None
+        outlets = stream.options.outlets
+        assert outlets is not None
         self._stream = stream
-        self.kinds: list[PacketKind] = []  # kinds of packets to make
-        if asked.gps_out:
-            self.kinds += [PacketKind.NMEA] if asked.gps_pps == "off" else [PacketKind.NMEA, PacketKind.PPS]
-        if asked.imu_out:
+        pulse_line = None if outlets.gps_pps == "off" else outlets.gps_pps
+        self.kinds: list[PacketKind] = []
+        """Kinds of packets to make."""
+        if outlets.gps_out:
+            self.kinds.append(PacketKind.NMEA)
+            if pulse_line:
+                self.kinds.append(PacketKind.PPS)
+        if outlets.imu_out:
             self.kinds.append(PacketKind.IMU)
-        Beside(stream.emulator.engine, self.kinds)  # refuses a scene that lacks a device
+        DevicePackets(stream.emulator.engine, self.kinds)  # refuses a scene that lacks a device
         self.sinks: dict[PacketKind, SerialSink | ImuUdpSink] = {}
         self.look_ahead = 0
         """Packets that a stream computes further ahead, because of samples between sensor packets."""
         with ExitStack() as stack:
-            if asked.gps_out:
-                line = None if asked.gps_pps == "off" else asked.gps_pps
-                port = SerialSink(SerialPort(asked.gps_out, _GPS_BAUD, "--gps-out", line))
+            if outlets.gps_out:
+                port = SerialSink(SerialPort(outlets.gps_out, _GPS_BAUD, "--gps-out", pulse_line))
                 stack.push(port)
-                self.sinks[PacketKind.NMEA] = self.sinks[PacketKind.PPS] = port
-            if asked.imu_out:
+                self.sinks[PacketKind.NMEA] = port
+                self.sinks[PacketKind.PPS] = port
+            if outlets.imu_out:
                 imu = stream.emulator.scenario.imu
                 assert imu is not None
                 self.look_ahead = 2 * imu.rate_hz
-                samples = _imu_sink(asked.imu_out, imu.rate_hz)
+                samples = _imu_sink(outlets.imu_out, imu.rate_hz)
                 stack.push(samples)
                 self.sinks[PacketKind.IMU] = samples
             self._open = stack.pop_all()
 
     def end(self, _error: BaseException | None) -> None:
-        """Close the sinks, after what waits for them is sent."""
+        """Close the sinks, once the packets that wait for them have left."""
         self._open.close()
 
     @property
     def result(self) -> dict[PacketKind, OutletResult]:
         """Results by kind; packets that the stream skipped count as dropped."""
         skipped = self._stream.report.skipped
-        sent = {kind: sink.result for kind, sink in self.sinks.items()}
-        return {kind: replace(one, dropped=one.dropped + skipped[kind]) for kind, one in sent.items()}
+        results = {}
+        for kind, sink in self.sinks.items():
+            result = sink.result
+            results[kind] = replace(result, dropped=result.dropped + skipped[kind])
+        return results
 
 
 def _imu_sink(to: str, rate_hz: int) -> "SerialSink | ImuUdpSink":
@@ -406,14 +444,12 @@ def _imu_sink(to: str, rate_hz: int) -> "SerialSink | ImuUdpSink":
     Raises InputError if `to` names none, OutputError if a serial line is too slow for the rate.
     """
     if to.startswith("serial:"):
-        most_hz = _BAUD // (_BITS * IMU_FRAME.itemsize)
-        if rate_hz > most_hz:
-            found = f"found imu.rate_hz = {rate_hz}"
-            raise OutputError(
-                f"{_WHERE} {to}", found, f"at most {most_hz} on a line of {_BAUD} baud, or udp://"
-            )
-        return SerialSink(SerialPort(to.removeprefix("serial:"), _BAUD, _WHERE))
-    return ImuUdpSink(*host_and_port(to, _WHERE, "udp://HOST:PORT, or serial:PORT", "udp://"))
+        limit_hz = _BAUD // (_BITS_PER_BYTE * IMU_FRAME.itemsize)
+        if rate_hz > limit_hz:
+            expected = f"at most {limit_hz} on a line of {_BAUD} baud, or udp://"
+            raise OutputError(f"{_IMU_OUT} {to}", f"found imu.rate_hz = {rate_hz}", expected)
+        return SerialSink(SerialPort(to.removeprefix("serial:"), _BAUD, _IMU_OUT))
+    return ImuUdpSink(*host_and_port(to, _IMU_OUT, "udp://HOST:PORT, or serial:PORT", "udp://"))
 
 
 class ImuUdpSink(PacketSink):
@@ -421,7 +457,8 @@ class ImuUdpSink(PacketSink):
 
     def __init__(self, host: str, port: int) -> None:
         self._to = (resolve(host), port)
-        self._samples = self._bytes = 0
+        self._samples = 0
+        self._bytes = 0
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 
     def __exit__(self, *_: object) -> None:
@@ -440,4 +477,4 @@ class ImuUdpSink(PacketSink):
     def result(self) -> OutletResult:
         """Result so far."""
         host, port = self._to
-        return OutletResult(f"udp://{host}:{port}", self._samples, self._bytes, 0)
+        return OutletResult(to=f"udp://{host}:{port}", messages=self._samples, bytes=self._bytes, dropped=0)

@@ -12,7 +12,7 @@ from threading import Event
 
 import numpy as np
 
-from vlp16emu.extras.bench.imu_frame import moved_imu
+from vlp16emu.extras.bench.imu_frame import shift_imu_frame
 from vlp16emu.packets import layout
 from vlp16emu.packets.position import STAMP_LEAD_NS
 from vlp16emu.sensor.beams import SEQUENCE_NS
@@ -50,9 +50,9 @@ def has_stamp(packet: Packet) -> bool:
 
 
 def stamp_ns(packet: Packet) -> int:
-    """Return the time stamp of a data or position packet, ns past the hour of the sensor's clock.
+    """Return the time stamp of a data or position packet, in ns past the hour of the sensor's clock.
 
-    For other packets ns past the hour of UTC.
+    Of other packets it is the due time, in ns past the hour of UTC.
     """
     if packet.kind not in _STAMP_AT:
         return packet.due_ns % HOUR_NS
@@ -68,30 +68,29 @@ def age_ns(packet: Packet) -> int:
     return layout.SEQUENCES_PER_PACKET[ReturnMode.DUAL if is_dual else ReturnMode.STRONGEST] * SEQUENCE_NS
 
 
-def moved(packet: Packet, by_s: int, now_ns: int | None = None) -> Packet:
+def shift_packet(packet: Packet, by_s: int, now_ns: int | None = None) -> Packet:
     """Return a packet with its stamp, and the time and date of its sentence if it has them, moved.
 
     Parameters
     ----------
     by_s : whole seconds, of either sign
     now_ns : UTC at which the packet is sent, if the date of the sentence may differ from the date of the
-        capture: then
-    the sentence is also moved by whole hours, to the hour of `now_ns`
+        capture: then the sentence is also moved by whole hours, to the hour of `now_ns`
     """
     payload = bytearray(packet.payload)
     if packet.kind is PacketKind.NMEA:
-        payload[:] = _moved_sentence(packet.payload, by_s, now_ns)
+        payload[:] = _shift_sentence(packet.payload, by_s, now_ns)
     elif packet.kind is PacketKind.IMU:
-        payload[:] = moved_imu(packet.payload, by_s)
+        payload[:] = shift_imu_frame(packet.payload, by_s)
     elif has_stamp(packet):
         stamp_us = (stamp_ns(packet) + by_s * S_NS) % HOUR_NS // US_NS
         _STAMP.pack_into(payload, _STAMP_AT[packet.kind], stamp_us)
         if packet.kind is PacketKind.POSITION:
-            payload[_SENTENCE] = _moved_sentence(packet.payload[_SENTENCE], by_s, now_ns)
+            payload[_SENTENCE] = _shift_sentence(packet.payload[_SENTENCE], by_s, now_ns)
     return replace(packet, payload=bytes(payload))
 
 
-def restamped(packet: Packet, clock_ns: int, pps: PpsState, sentence: bytes) -> Packet:
+def restamp(packet: Packet, clock_ns: int, pps: PpsState, sentence: bytes) -> Packet:
     """Return a packet with the stamp of another clock.
 
     A position packet also gets the state and sentence of another receiver.
@@ -112,32 +111,36 @@ def restamped(packet: Packet, clock_ns: int, pps: PpsState, sentence: bytes) -> 
     return replace(packet, payload=bytes(payload[: len(packet.payload)]))
 
 
-def _moved_sentence(field: bytes, by_s: int, now_ns: int | None) -> bytes:
-    """Return the field of a sentence with the sentence moved.
-
-    Other bytes than an RMC sentence with time and date stay.
-    """
-    found = _RMC.match(field)
-    if found is None:
+def _shift_sentence(field: bytes, by_s: int, now_ns: int | None) -> bytes:
+    """Return the field of a sentence, in which an RMC sentence with time and date is moved; others stay."""
+    match = _RMC.match(field)
+    if match is None:
         return field
     try:
-        utc = datetime.strptime((found["date"] + found["time"]).decode(), "%d%m%y%H%M%S").replace(tzinfo=UTC)
+        utc = datetime.strptime((match["date"] + match["time"]).decode(), "%d%m%y%H%M%S").replace(tzinfo=UTC)
     except ValueError:
         return field
     utc += timedelta(seconds=by_s)
     if now_ns is not None:
         utc += timedelta(hours=round((now_ns / S_NS - utc.timestamp()) / 3600))
-    clock, day = (f"{utc:{form}}".encode() for form in ("%H%M%S", "%d%m%y"))
-    body = b"%b,%b%b,%b%b%b" % (found["kind"], clock, found["decimals"], found["place"], day, found["rest"])
-    return b"$%b*%02X%b" % (body, reduce(xor, body), field[found.end() :])
+    time_of_day = f"{utc:%H%M%S}".encode()
+    date = f"{utc:%d%m%y}".encode()
+    body = b"%b,%b%b,%b%b%b" % (
+        match["kind"],
+        time_of_day,
+        match["decimals"],
+        match["place"],
+        date,
+        match["rest"],
+    )
+    return b"$%b*%02X%b" % (body, reduce(xor, body), field[match.end() :])
 
 
 class Present:
-    """Move of packets by a whole number of seconds to the present of the system's clock.
+    """Shift of packets by whole seconds to the present of the system's clock.
 
-    Because the number is whole, the intervals between pulses of the receiver, sentences and stamps do not
-    change. The stream begins at the instant with the first packet's fraction of a second, so it waits for
-    less than a second.
+    Intervals between pulses of the receiver, sentences and stamps do not change. The stream begins at the
+    instant with the first packet's fraction of a second: it waits for less than a second.
 
     Parameters
     ----------
@@ -155,31 +158,31 @@ class Present:
 
         A clock that already runs, as in a live run, is joined.
         """
-        sent_ns = self._sent_ns(first)
+        stamped_ns = self._stamped_ns(first)
         if pacer.first_due_ns is None:
             now_ns = self._clock_ns()
-            at_ns = now_ns + (sent_ns - now_ns) % S_NS
+            at_ns = now_ns + (stamped_ns - now_ns) % S_NS
             stop.wait((at_ns - now_ns) / S_NS)
             pacer.begin(first.due_ns, self._clock_ns() - at_ns)
         else:
             due_ns = self._clock_ns() + pacer.deadline_ns(first.due_ns) - pacer.now_ns()
-            at_ns = sent_ns + round((due_ns - sent_ns) / S_NS) * S_NS
-        self.moved_s = (at_ns - sent_ns) // S_NS
+            at_ns = stamped_ns + round((due_ns - stamped_ns) / S_NS) * S_NS
+        self.moved_s = (at_ns - stamped_ns) // S_NS
         self._ahead_ns = at_ns - first.due_ns
 
-    def moved(self, packet: Packet) -> Packet:
-        """Return a packet of the present."""
-        return moved(packet, self.moved_s, self.utc_ns(packet.due_ns))
+    def shift(self, packet: Packet) -> Packet:
+        """Return a packet moved to the present."""
+        return shift_packet(packet, self.moved_s, self.utc_ns(packet.due_ns))
 
     def utc_ns(self, due_ns: int) -> int:
         """Return the UTC by the sensor's clock at which a packet with a due time leaves."""
         return due_ns + self._ahead_ns
 
-    def _sent_ns(self, first: Packet) -> int:
+    def _stamped_ns(self, first: Packet) -> int:
         """Return the UTC at which a packet leaves by its own stamp, or its due time if it has none."""
         if not has_stamp(first):
             return first.due_ns
-        moved(first, 0, first.due_ns)  # the first call loads Python's parser of dates, 3 ms
-        made_ns = stamp_ns(first)
-        hour_ns = (first.due_ns - age_ns(first) - made_ns + HOUR_NS // 2) // HOUR_NS * HOUR_NS
-        return hour_ns + made_ns + age_ns(first)
+        shift_packet(first, 0, first.due_ns)  # the first call loads Python's parser of dates, 3 ms
+        past_hour_ns = stamp_ns(first) + age_ns(first)
+        hour_ns = (first.due_ns - past_hour_ns + HOUR_NS // 2) // HOUR_NS * HOUR_NS
+        return hour_ns + past_hour_ns

@@ -41,7 +41,9 @@ class LabelScheme:
         for semantic in Semantic:
             for part in PlantPart:
                 keys = f"{semantic.name}.{part.name}".lower(), semantic.name.lower()
-                self._codes[semantic, part] = next((table[k] for k in keys if k in table), table["none"])
+                self._codes[semantic, part] = next(
+                    (table[key] for key in keys if key in table), table["none"]
+                )
 
     def codes(self, semantic: U1, part: U1) -> U1:
         """Classes (n,) of points by `Semantic` (n,) and `PlantPart` (n,)."""
@@ -49,7 +51,7 @@ class LabelScheme:
 
 
 def label_scheme(name: str, *, where: str = "labels") -> LabelScheme:
-    """Return a scheme by its name; InputError with `where` in front if there is none."""
+    """Return a scheme by its name; InputError for `where` if there is none."""
     schemes = _table("labels.toml")
     if name not in schemes:
         raise InputError(where, f"found {name}", ", ".join(schemes))
@@ -64,7 +66,7 @@ class PointLabels:
         self._height_m = height_m
         self._numbers: dict[int, int] = {}
 
-    def of(self, points: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
+    def labels_of(self, points: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
         """Return arrays (n,) `label`, `tree_id` and `height_m`.
 
         They follow from `world_m` (n, 3), and from `semantic`, `part` and `instance` (n,).
@@ -79,11 +81,11 @@ class PointLabels:
     def _tree_numbers(self, instance: U4, semantic: U1) -> U4:
         """Tree numbers (n,), 1, 2, 3 ... in order of first appearance; 0 for points that are on no tree."""
         is_tree = semantic == Semantic.TREE
-        met, first, back = np.unique(instance[is_tree], return_index=True, return_inverse=True)
-        for i in np.argsort(first).tolist():
-            self._numbers.setdefault(int(met[i]), len(self._numbers) + 1)
+        distinct, first_rows, positions = np.unique(instance[is_tree], return_index=True, return_inverse=True)
+        for row in np.argsort(first_rows).tolist():
+            self._numbers.setdefault(int(distinct[row]), len(self._numbers) + 1)
         dense = np.zeros(len(instance), np.uint32)
-        dense[is_tree] = np.array([self._numbers[i] for i in met.tolist()], np.uint32)[back]
+        dense[is_tree] = np.array([self._numbers[row] for row in distinct.tolist()], np.uint32)[positions]
         return dense
 
 
@@ -98,18 +100,17 @@ class Column:
     dtype: str
     csv: Sequence[str]  # headers, one for each number of a point in this column
     decimals: int = 0  # decimals in .csv. Integers with decimals are in units of the last decimal
-    ply: Sequence[
-        str
-    ] = ()  # names of properties, as many as headers; empty for a column of .npz and .csv only
+    ply: Sequence[str] = ()
+    """Names of properties, as many as headers; empty for a column of .npz and .csv only."""
     ply_dtype: str = ""  # type of the properties, if it differs from the array's
 
     @property
-    def kind(self) -> str:
+    def property_dtype(self) -> str:
         """Type of the properties."""
         return self.ply_dtype or self.dtype
 
     def properties(self, values: AnyArray) -> dict[str, AnyArray]:
-        """Return the properties of the array of this column, arrays (n,) by name.
+        """Split the array of this column into its properties, arrays (n,) by name.
 
         Fixed-point numbers become fractions.
         """
@@ -119,7 +120,7 @@ class Column:
 
 
 @dataclass(frozen=True, slots=True)
-class CloudAbout:
+class CloudMetadata:
     """Metadata of a file of points, for formats that have a place for it."""
 
     comments: tuple[str, ...]  # lines for people
@@ -129,11 +130,8 @@ class CloudAbout:
     unit: int = 1  # number of the sensor in a rig, from 1
 
 
-RETURN_NAMES = (
-    "strongest",
-    "last",
-    "second_strongest",
-)  # meaning of the numbers in the column `return_number`
+RETURN_NAMES = ("strongest", "last", "second_strongest")
+"""Meaning of the numbers in the column `return_number`."""
 
 _AXES = {
     PointFrame.SENSOR: "x forward (azimuth 0), y left, z up",
@@ -155,13 +153,14 @@ _ROWS = {name: tuple(Column(*row) for row in rows) for name, rows in _table("col
 CAPTURE_COLUMNS = _ROWS["capture"]
 SCENE_COLUMNS = _ROWS["scene"]
 TRUTH_COLUMNS = _ROWS["truth"]
+"""Optional columns of points of a scene, and of a capture with ground truth: the surface of each point."""
 LABEL_COLUMNS = _ROWS["labels"]
-"""Optional columns of points of a scene, and of a capture with ground truth: the surface of each point, and
-labels in a scheme."""
+"""Optional columns of such points: labels in a scheme."""
 DESKEWED_COLUMNS = (
     *(column for column in SCENE_COLUMNS if column.name not in ("elevation_deg", "return_number")),
     *_ROWS["placed"],
-)  # columns of a capture's points that a trajectory transforms to the world
+)
+"""Columns of a capture's points that a trajectory transforms to the world."""
 
 
 def scene_comments() -> tuple[str, ...]:
@@ -170,21 +169,21 @@ def scene_comments() -> tuple[str, ...]:
         "x, y, z in the world: local east, north, up in metres",
         f"sensor_x, sensor_y, sensor_z at the pulse's instant: {_AXES[PointFrame.SENSOR]}",
         time_comment("scene's"),
-        f"return_number: {', '.join(f'{n} {name}' for n, name in enumerate(RETURN_NAMES))}",
-        f"semantic: {_codes(Semantic)}",
-        f"part: {_codes(PlantPart)}",
+        f"return_number: {', '.join(f'{number} {name}' for number, name in enumerate(RETURN_NAMES))}",
+        f"semantic: {_code_list(Semantic)}",
+        f"part: {_code_list(PlantPart)}",
         "leaf_wood: 0 neither, 1 wood, 2 leaf",
     )
 
 
-def _codes(labels: type[IntEnum]) -> str:
+def _code_list(labels: type[IntEnum]) -> str:
     return ", ".join(f"{label} {label.name.lower()}" for label in labels)
 
 
 class PointWriter(ABC):
-    """Writer of points, block by block."""
+    """Writer of points into a file, block by block."""
 
-    points = 0  # points so far
+    points = 0  # number of points so far
 
     @abstractmethod
     def write(self, block: Block) -> None:
@@ -198,7 +197,7 @@ class CsvFile(PointWriter):
     """CSV with one line per point; the header names the units."""
 
     def __init__(
-        self, file: IO[bytes], columns: Sequence[Column], _about: CloudAbout, _stack: ExitStack
+        self, file: IO[bytes], columns: Sequence[Column], _metadata: CloudMetadata, _stack: ExitStack
     ) -> None:
         self._file = file
         self._columns = columns
@@ -217,8 +216,8 @@ class CsvFile(PointWriter):
                     fields.append((np.rint(array.astype(np.float64) * unit) / unit + 0.0).tolist())  # no -0.0
                 elif column.decimals:  # float64 cannot represent UTC in ns
                     formats.append(f"%s%d.%0{column.decimals}d")
-                    whole, rest = np.divmod(np.abs(array), unit)
-                    fields += [np.where(array < 0, "-", "").tolist(), whole.tolist(), rest.tolist()]
+                    integer, fraction = np.divmod(np.abs(array), unit)
+                    fields += [np.where(array < 0, "-", "").tolist(), integer.tolist(), fraction.tolist()]
                 else:
                     formats.append("%d")
                     fields.append(array.tolist())
@@ -235,20 +234,20 @@ class PlyFile(PointWriter):
     """Binary little-endian PLY; the number of points is filled in at the end."""
 
     def __init__(
-        self, file: IO[bytes], columns: Sequence[Column], about: CloudAbout, _stack: ExitStack
+        self, file: IO[bytes], columns: Sequence[Column], metadata: CloudMetadata, _stack: ExitStack
     ) -> None:
         self._file = file
-        self._comments = about.comments
+        self._comments = metadata.comments
         # Coordinates first, as some readers expect.
         self._columns = sorted((column for column in columns if column.ply), key=lambda c: c.ply[0] != "x")
-        self._vertex = np.dtype(
-            [(name, self._kind(column)) for column in self._columns for name in column.ply]
+        self._vertex_dtype = np.dtype(
+            [(name, self._property_dtype(column)) for column in self._columns for name in column.ply]
         )
         file.write(self._header())
 
     def write(self, block: Block) -> None:
         """Write a record for each point."""
-        vertices = np.empty(len(block[self._columns[0].name]), self._vertex)
+        vertices = np.empty(len(block[self._columns[0].name]), self._vertex_dtype)
         for column in self._columns:
             for name, values in column.properties(block[column.name]).items():
                 vertices[name] = values
@@ -261,11 +260,12 @@ class PlyFile(PointWriter):
         self._file.write(self._header())
 
     @staticmethod
-    def _kind(column: Column) -> str:
-        return "<f8" if column.kind == "<u4" else column.kind  # float64 holds all numbers of uint32
+    def _property_dtype(column: Column) -> str:
+        dtype = column.property_dtype
+        return "<f8" if dtype == "<u4" else dtype  # float64 holds all numbers of uint32
 
     def _header(self) -> bytes:
-        kinds = ((name, _PLY_KINDS[self._vertex[name].str]) for name in self._vertex.names or ())
+        kinds = ((name, _PLY_KINDS[self._vertex_dtype[name].str]) for name in self._vertex_dtype.names or ())
         lines = [
             "ply\nformat binary_little_endian 1.0",
             *(f"comment {comment}" for comment in self._comments),
@@ -277,22 +277,22 @@ class PlyFile(PointWriter):
 
 
 class PcdFile(PlyFile):
-    """Binary PCD 0.7, which differs from PLY only in its header; coordinates are float32 as in PCL's types.
+    """Binary PCD 0.7, which differs from PLY in its header, and in float32 coordinates as in PCL's types.
 
     Source: pointclouds.org, The PCD (Point Cloud Data) file format.
     """
 
     @staticmethod
-    def _kind(column: Column) -> str:
-        return "<f4" if column.ply[0] == "x" else column.kind
+    def _property_dtype(column: Column) -> str:
+        return "<f4" if column.ply[0] == "x" else column.property_dtype
 
     def _header(self) -> bytes:
-        fields = [self._vertex[name] for name in self._vertex.names or ()]
+        fields = [self._vertex_dtype[name] for name in self._vertex_dtype.names or ()]
         lines = [
             "# .PCD v0.7 - Point Cloud Data file format",
             *(f"# {comment}" for comment in self._comments),
             "VERSION 0.7",
-            f"FIELDS {' '.join(self._vertex.names or ())}",
+            f"FIELDS {' '.join(self._vertex_dtype.names or ())}",
             f"SIZE {' '.join(str(field.itemsize) for field in fields)}",
             f"TYPE {' '.join(field.kind.upper() for field in fields)}",
             f"COUNT {' '.join('1' for _ in fields)}",
@@ -312,7 +312,7 @@ class NpzFile(PointWriter):
     """
 
     def __init__(
-        self, file: IO[bytes], columns: Sequence[Column], _about: CloudAbout, stack: ExitStack
+        self, file: IO[bytes], columns: Sequence[Column], _metadata: CloudMetadata, stack: ExitStack
     ) -> None:
         self._file = file
         self._columns = columns
@@ -342,27 +342,35 @@ class NpzFile(PointWriter):
 
 @contextmanager
 def point_file(
-    path: Path, columns: Sequence[Column], about: CloudAbout, *, where: str, inputs: Iterable[Path] = ()
+    path: Path, columns: Sequence[Column], metadata: CloudMetadata, *, where: str, inputs: Iterable[Path] = ()
 ) -> Iterator[PointWriter]:
-    """Open a file for points in the format of its suffix; it is `where` in error lines.
+    """Open a file for points in the format of its suffix.
 
-    It must be none of `inputs`. If an error ends the points, the file has the points before it. If there are
-    no points, or the file itself cannot be written, there is no file. InputError if the suffix names no
-    format, MissingExtraError if its library is not installed, OutputError and RunError like `OutputFile`.
+    If an error ends the points, the file has the points before it. If there are no points, or the file itself
+    cannot be written, there is no file.
+
+    Parameters
+    ----------
+    columns : columns of each block that is written
+    where : the file in error lines
+    inputs : files that must not be replaced
+
+    Raises InputError if the suffix names no format, MissingExtraError if its library is not installed;
+    OutputError and RunError as `OutputFile`.
     """
     if not has_door(path.suffix, "clouds"):
         raise InputError(where, f"found the ending {path.suffix!r}", ", ".join(DOORS["clouds"]))
-    make = door(path.suffix, "clouds")
+    writer_class = door(path.suffix, "clouds")
     with OutputFile(path, where=where, inputs=inputs) as output:
-        failed: Exception | None = None
+        failure: Exception | None = None
         with output.writing() as file, ExitStack() as stack:
-            writer = make(file, columns, about, stack)
+            writer = writer_class(file, columns, metadata, stack)
             try:
                 yield writer
             except Exception as error:
                 if isinstance(error, OSError) or not writer.points:
                     raise
-                failed = error
+                failure = error
             writer.finish()
-        if failed:
-            raise failed
+        if failure:
+            raise failure

@@ -26,7 +26,7 @@ _TAI_GPS_S = 19  # TAI minus GPS time, by definition of the latter (IS-GPS-200, 
 
 @dataclass(frozen=True, slots=True)
 class ClockOffset:
-    """What a clock shows beyond UTC."""
+    """Offset of a clock from UTC."""
 
     offset_ns: int  # clock minus UTC
     clock: str  # name of the clock, or how the offset was found
@@ -40,8 +40,8 @@ def leap_seconds(t_ns: I8) -> I8:
 def clock_offset(poses_ns: tuple[int, int], utc_ns: tuple[int, int]) -> ClockOffset:
     """Return the offset of a trajectory's clock, from its first and last stamp.
 
-    Of UTC, GPS time and TAI the clock is taken with which the trajectory covers the longest part of a run,
-    and the first of equal ones. If none covers a part, both begin together, as stamps from zero do.
+    The clock is that of UTC, GPS time and TAI with which the trajectory covers the longest part of a run, the
+    first of equal ones. If none covers a part, both are taken to begin together, as with stamps from zero.
 
     Parameters
     ----------

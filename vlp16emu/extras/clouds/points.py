@@ -25,7 +25,7 @@ from vlp16emu.units import S_NS, seconds_to_ns
 
 @dataclass(frozen=True, slots=True)
 class PointCloud:
-    """Contents of a file of points, and its run time."""
+    """Contents of a file of points, and the time that it took."""
 
     file: str
     scene: str  # name, path or title
@@ -38,10 +38,10 @@ class PointCloud:
     turn: Turn
     points: int
     returns: Mapping[str, int]  # points by `cloud.RETURN_NAMES`
-    truth: bool  # true if points have labels
+    truth: bool  # True if points have labels
     bytes: int
     simulated_s: float
-    wall_s: float
+    wall_s: float  # time of the run by the host's clock
     real_time_factor: float  # simulated seconds per second
     interrupted: bool  # True if the stop event ended it
 
@@ -70,22 +70,23 @@ def write_points(
     """
     path = Path(path)
     began_s = time.perf_counter()
-    asked = PointOptions.from_fields(options)
-    number = emulator.number(asked.unit)
+    point_options = PointOptions.from_fields(options)
+    number = emulator.number(point_options.unit)
     stop = stop or Event()
     emulator = emulator.stopped_by(stop)
     scenario = emulator.scenario
-    scheme = cloud.label_scheme(asked.labels) if asked.labels else None
-    truth = asked.truth or bool(asked.labels)
-    begin_s, _ = span_s = scenario.span_s(asked.start_s, asked.duration_s)
+    scheme = cloud.label_scheme(point_options.labels) if point_options.labels else None
+    truth = point_options.truth or bool(point_options.labels)
+    span_s = scenario.span_s(point_options.start_s, point_options.duration_s)
+    begin_s, _ = span_s
     blocks = _blocks(emulator.engine, number, span_s, truth=truth, labels=scheme)  # checks the span first
     columns = cloud.SCENE_COLUMNS + cloud.TRUTH_COLUMNS * truth + cloud.LABEL_COLUMNS * bool(scheme)
     returns = np.zeros(3, np.int64)
     simulated_s = 0.0
     file = cloud.point_file(
-        path, columns, _about(scenario, number, scheme), where=str(path), inputs=emulator.files
+        path, columns, _metadata(scenario, number, scheme), where=str(path), inputs=emulator.files
     )
-    with file as writer, emulator.truth(asked.truth_to, span_s) as folder:
+    with file as writer, emulator.truth(point_options.truth_to, span_s) as folder:
         with suppress(CancelledError):
             for block, end_ns in blocks:
                 writer.write(block)
@@ -105,7 +106,7 @@ def write_points(
         file=str(path),
         scene=emulator.name,
         seed=scenario.seed,
-        unit=asked.unit,
+        unit=point_options.unit,
         sensor=sensor.section.model,
         beams=len(beams.elevation_deg),
         elevation_deg=(float(beams.elevation_deg.min()), float(beams.elevation_deg.max())),
@@ -122,23 +123,29 @@ def write_points(
     )
 
 
-def _about(scenario: Scenario, number: int, scheme: cloud.LabelScheme | None) -> cloud.CloudAbout:
+def _metadata(scenario: Scenario, number: int, scheme: cloud.LabelScheme | None) -> cloud.CloudMetadata:
     comments = cloud.scene_comments()
+    if scheme:
+        comments = (*comments, f"label: {scheme.name}, {scheme.source}")
     gps = scenario.gps
-    labels = (f"label: {scheme.name}, {scheme.source}",) if scheme else ()
     origin = gps.latitude_deg, gps.longitude_deg, gps.height_m
-    return cloud.CloudAbout((*comments, *labels), scenario.start_utc, origin, number + 1)
+    return cloud.CloudMetadata(comments, scenario.start_utc, origin, number + 1)
 
 
 def _blocks(
     engine: Engine, number: int, span_s: tuple[float, float], *, truth: bool, labels: cloud.LabelScheme | None
 ) -> Iterator[tuple[cloud.Block, int]]:
-    """Yield the points of each block of a span, and their end time in ns since the first pulse."""
+    """Return the points of each block of a span, and their end time in ns since the first pulse.
+
+    Raises TrajectoryError at once if the walk ends before the span.
+    """
     start_ns = engine.scenario.start_ns
     unit = engine.parts.units[number]
-    begin_ns, end_ns = (start_ns + seconds_to_ns(s) for s in span_s)
+    begin_ns, end_ns = (start_ns + seconds_to_ns(since_s) for since_s in span_s)
     scenario = engine.scenario
-    labelled = labels and cloud.PointLabels(labels, scenario.world.site(scenario.world_seed).height_m)
+    point_labels = None
+    if labels:
+        point_labels = cloud.PointLabels(labels, scenario.world.site(scenario.world_seed).height_m)
 
     def points_in(block: Returns) -> tuple[cloud.Block, int]:
         t_ns = block.firings.t_ns
@@ -149,8 +156,8 @@ def _blocks(
         points["since_start_ns"] = points["t_ns"] - start_ns
         if truth:
             points["leaf_wood"] = LEAF_OR_WOOD[points["part"]]
-        if labelled:
-            points |= labelled.of(points)
+        if point_labels:
+            points |= point_labels.labels_of(points)
         return points, min(int(t_ns[-1, 0]) + unit.head.beams.sequence_ns, end_ns) - start_ns
 
     return map(points_in, engine.returns(*span_s, number, truth=truth))

@@ -51,8 +51,8 @@ from vlp16emu.types import (
 from vlp16emu.units import S_NS, seconds_to_ns
 
 _LONGEST_NS = 2 * S_NS
-"""Time after which readings without a whole revolution are left out: the rotor stands. The slowest scanner,
-of a sensor of one's own, turns once a second."""
+"""Time after which readings without a whole revolution are left out: the rotor stands. The slowest scanner
+that a user can define turns once a second."""
 _LABELS = ("semantic", "part", "instance", "species")
 
 
@@ -65,7 +65,7 @@ class Chunk:
     reading: I8  # (n,) index of each point's reading, ascending
     arrays: Mapping[str, AnyArray]  # arrays of n points by their names in a scan
 
-    def then(self, later: "Chunk") -> "Chunk":
+    def extended_by(self, later: "Chunk") -> "Chunk":
         """Return this chunk with a later one appended."""
         return Chunk(
             np.concatenate([self.t_ns, later.t_ns]),
@@ -74,7 +74,7 @@ class Chunk:
             {name: np.concatenate([array, later.arrays[name]]) for name, array in self.arrays.items()},
         )
 
-    def part(self, begin: int, end: int) -> Self:
+    def readings(self, begin: int, end: int) -> Self:
         """Return the readings from `begin` to before `end`, with their points."""
         first, last = np.searchsorted(self.reading, (begin, end))
         points = {name: array[first:last] for name, array in self.arrays.items()}
@@ -85,31 +85,33 @@ class Chunk:
 
 
 def cut_scans(chunks: Iterable[Chunk], pose_at: Callable[[int], F8] | None = None) -> Iterator[Scan]:
-    """Cut points into whole revolutions; partial ones at both ends and at a jump of the clock are left out.
+    """Cut points into whole revolutions; partial ones at the ends and at a jump of the clock are left out.
 
     Parameters
     ----------
     chunks : chunks in order of time, without gaps
     pose_at : returns `world_T_sensor` (4, 4) at a UTC time in ns; None for a capture
     """
-    held = None
-    begun = False
+    pending = None
+    is_whole = False
     for chunk in chunks:
         if not len(chunk.t_ns):
             continue
-        held = chunk if held is None else held.then(chunk)
-        starts = scan_starts(held.azimuth_deg, held.t_ns).tolist()
+        pending = chunk if pending is None else pending.extended_by(chunk)
+        starts = scan_starts(pending.azimuth_deg, pending.t_ns).tolist()
         for begin, end in pairwise(starts):
-            jumps = abs(int(held.t_ns[end] - held.t_ns[end - 1])) > JUMP_NS
-            if not jumps and (begun or _begins_at_zero(held.azimuth_deg[begin:])):
-                yield _scan(held.part(begin, end), pose_at)
-            begun = not jumps
-        held = held.part(starts[-1], len(held.t_ns))
-        if held.t_ns[-1] - held.t_ns[0] > _LONGEST_NS:
-            held = None
-            begun = False
-    if held is not None and (begun or _begins_at_zero(held.azimuth_deg)) and _ends_at_zero(held.azimuth_deg):
-        yield _scan(held, pose_at)
+            jumps = abs(int(pending.t_ns[end] - pending.t_ns[end - 1])) > JUMP_NS
+            if not jumps and (is_whole or _begins_at_zero(pending.azimuth_deg[begin:])):
+                yield _scan(pending.readings(begin, end), pose_at)
+            is_whole = not jumps
+        pending = pending.readings(starts[-1], len(pending.t_ns))
+        if pending.t_ns[-1] - pending.t_ns[0] > _LONGEST_NS:
+            pending = None
+            is_whole = False
+    if pending is None or not _ends_at_zero(pending.azimuth_deg):
+        return
+    if is_whole or _begins_at_zero(pending.azimuth_deg):
+        yield _scan(pending, pose_at)
 
 
 def _begins_at_zero(azimuth_deg: F8) -> bool:
@@ -123,6 +125,7 @@ def _ends_at_zero(azimuth_deg: F8) -> bool:
 
 
 def _scan(chunk: Chunk, pose_at: Callable[[int], F8] | None) -> Scan:
+    """Return the points of one revolution as a scan."""
     arrays = dict(chunk.arrays)
     start_ns = int(chunk.t_ns[0])
     labels = None
@@ -162,8 +165,8 @@ def decode(
     if frame not in tuple(PointFrame):
         raise InputError("frame", f"found {frame}", " or ".join(PointFrame))
     path = Path(capture)
-    chosen = chosen_unit(path, None if unit is None else str(unit))
-    reader = CaptureReader(path, chosen, clock=packet_clock(path, chosen, clock))
+    sensor = chosen_unit(path, None if unit is None else str(unit))
+    reader = CaptureReader(path, sensor, clock=packet_clock(path, sensor, clock))
     return cut_scans(
         chunk_of(table, points_in(table, frame=PointFrame(frame)), {}) for table in reader.tables()
     )
@@ -178,10 +181,10 @@ def chunk_of(table: PacketTable, points: Points, labels: Mapping[str, AnyArray])
     is_reading = ~is_dual(table)[:, None] | (block % 2 == 0)  # in dual return two blocks share a reading
     first = np.concatenate([[0], np.cumsum(is_reading.sum(axis=1))])
     block_ns = table["utc_ns"][:, None] + block_since_ns(table)
-    as_they_are = ("xyz_m", "distance_m", "azimuth_deg", "reflectivity", "is_last")
+    copied_fields = ("xyz_m", "distance_m", "azimuth_deg", "reflectivity", "is_last")
     ring = points.ring.astype(np.uint16)
     arrays: dict[str, AnyArray] = {"t_ns": utc_ns_of(table, points), "ring": ring, **labels}
-    arrays |= {name: getattr(points, name) for name in as_they_are}
+    arrays |= {name: getattr(points, name) for name in copied_fields}
     return Chunk(
         t_ns=block_ns[is_reading],
         azimuth_deg=table["blocks"]["azimuth_cdeg"][is_reading] / 100,
@@ -191,29 +194,31 @@ def chunk_of(table: PacketTable, points: Points, labels: Mapping[str, AnyArray])
 
 
 def chunk_of_packets(packets: Iterable[Packet]) -> Chunk | None:
-    """Return the points of data packets of one sensor as they are sent.
-
-    It is None if no packet is whole and without fault.
+    """Return the points of data packets of one sensor; None if no packet is complete and without fault.
 
     Points have labels if the packets carry ground truth. Packets of a prepared run, which do not know their
     first pulse, are dated by their sending.
     """
-    whole = [packet for packet in packets if len(packet.payload) == DATA_BYTES]
-    if not whole:
+    complete = [packet for packet in packets if len(packet.payload) == DATA_BYTES]
+    if not complete:
         return None
     clock = PacketClock()
-    rows = (packet_row(i, packet.due_ns, packet.payload, clock) for i, packet in enumerate(whole))
+    rows = (
+        packet_row(number, packet.due_ns, packet.payload, clock) for number, packet in enumerate(complete)
+    )
     table = packet_table(rows)
-    table["utc_ns"] = [packet.due_ns if packet.fired_ns is None else packet.fired_ns for packet in whole]
-    sound = np.ones(len(whole), np.bool_)
-    sound[[fault.packet for fault in faults_in(table)]] = False
-    if not sound.any():
+    table["utc_ns"] = [packet.due_ns if packet.fired_ns is None else packet.fired_ns for packet in complete]
+    is_valid = np.ones(len(complete), np.bool_)
+    is_valid[[fault.packet for fault in faults_in(table)]] = False
+    if not is_valid.any():
         return None
-    table = table[sound]
+    table = table[is_valid]
     points = points_in(table)
     labels = dict[str, AnyArray]()
-    if whole[0].slots is not None:
-        slots = np.array([packet.slots for packet in compress(whole, sound)])[points.packet, points.slot]
+    if complete[0].slots is not None:
+        slots = np.array([packet.slots for packet in compress(complete, is_valid)])[
+            points.packet, points.slot
+        ]
         labels = {name: slots[name] for name in Labels.__slots__}
     return chunk_of(table, points, labels)
 
@@ -225,45 +230,37 @@ def scans_of(engine: Engine, number: int, span_s: tuple[float, float], *, truth:
     """
     start_ns = engine.scenario.start_ns
     unit = engine.parts.units[number]
-    begin_ns, end_ns = (start_ns + seconds_to_ns(s) for s in span_s)
+    begin_ns, end_ns = (start_ns + seconds_to_ns(since_s) for since_s in span_s)
     returns = engine.returns(*span_s, number, truth=truth)
-    chunks = (_chunk(unit, block, begin_ns, end_ns, truth=truth) for block in returns)
+    chunks = (_chunk_of_returns(unit, block, begin_ns, end_ns, truth=truth) for block in returns)
     return cut_scans(chunks, lambda t_ns: unit.world_T_sensor(np.array([t_ns]))[0])
 
 
-def _chunk(unit: Unit, returns: Returns, begin_ns: int, end_ns: int, *, truth: bool) -> Chunk:
-    """Return the points of a block whose azimuth is read within a span.
-
-    Each echo is there once, the last echo first.
-    """
+def _chunk_of_returns(unit: Unit, returns: Returns, begin_ns: int, end_ns: int, *, truth: bool) -> Chunk:
+    """Return the points of a block whose azimuth is read in a span: each echo once, the last one first."""
     firings = returns.firings
     step = SEQUENCES_PER_BLOCK
     reading_ns = firings.t_ns[::step, 0]
-    taken = (reading_ns >= begin_ns) & (reading_ns < end_ns)
+    is_inside = (reading_ns >= begin_ns) & (reading_ns < end_ns)
     if returns.is_sent is not None:
-        taken &= returns.is_sent[::step]
-    inside = np.broadcast_to(np.repeat(taken, step)[:, None], firings.t_ns.shape)
-    points, sequence = points_of(unit, returns, inside, truth=truth)
+        is_inside &= returns.is_sent[::step]
+    is_inside_laser = np.broadcast_to(np.repeat(is_inside, step)[:, None], firings.t_ns.shape)
+    points, sequence = points_of(unit, returns, is_inside_laser, truth=truth)
     # In dual return, a single echo is both strongest and last.
     distance_m = returns.distance_m[sequence, points["laser"]]
     is_dual = returns.mode is ReturnMode.DUAL
     is_last = points["return_number"] == 1
     is_last |= (points["return_number"] == 0) & (distance_m[:, 0] == distance_m[:, 1]) & is_dual
     order = np.lexsort((~is_last, points["laser"], sequence))
-    names = (
-        "t_ns",
-        "distance_m",
-        "azimuth_deg",
-        "ring",
-        "reflectivity",
-        *((*_LABELS, "range_m") if truth else ()),
-    )
+    names: tuple[str, ...] = ("t_ns", "distance_m", "azimuth_deg", "ring", "reflectivity")
+    if truth:
+        names = (*names, *_LABELS, "range_m")
     arrays = {name: points[name] for name in names}
     arrays |= {"xyz_m": points["sensor_m"].astype(np.float32), "is_last": is_last}
     return Chunk(
-        t_ns=reading_ns[taken],
-        azimuth_deg=firings.reading_deg[::step][taken],
-        reading=(np.cumsum(taken) - 1)[sequence[order] // step],
+        t_ns=reading_ns[is_inside],
+        azimuth_deg=firings.reading_deg[::step][is_inside],
+        reading=(np.cumsum(is_inside) - 1)[sequence[order] // step],
         arrays={name: array[order] for name, array in arrays.items()},
     )
 
@@ -271,16 +268,16 @@ def _chunk(unit: Unit, returns: Returns, begin_ns: int, end_ns: int, *, truth: b
 def points_of(
     unit: Unit, returns: Returns, inside: NDArray[np.bool_], *, truth: bool
 ) -> tuple[dict[str, AnyArray], I8]:
-    """Return the points of pulses (k, L) that are `inside`.
+    """Return the n points of the pulses that are `inside` (k, L), and the firing sequence (n,) of each.
 
-    The row (n,) of the firing sequence of each is returned too.
+    A firing sequence is its row in the block.
     """
     firings = returns.firings
     beams = unit.head.beams
     t_ns = returns.firings.t_ns
-    sent = _reported(returns.distance_m, returns.mode) & inside[..., None]
-    sequence, laser, number = np.nonzero(sent)
-    distance_m = returns.distance_m[sent]
+    is_reported = _is_reported(returns.distance_m, returns.mode) & inside[..., None]
+    sequence, laser, number = np.nonzero(is_reported)
+    distance_m = returns.distance_m[is_reported]
     pulse_ns = t_ns[sequence, laser]
     poses = unit.motion.poses_at(pulse_ns)
     tangents = None
@@ -288,18 +285,18 @@ def points_of(
         tangents = offset_tangents(distance_m, unit.beam, firings.index + sequence, laser, t_ns.shape[1])
     points: dict[str, AnyArray] = {
         "t_ns": pulse_ns,
-        **place(beams, firings, sequence, laser, distance_m, poses, tangents),
+        **positions_of(beams, firings, sequence, laser, distance_m, poses, tangents),
         "distance_m": distance_m,
-        "reflectivity": returns.reflectivity[sent],
+        "reflectivity": returns.reflectivity[is_reported],
         "ring": beams.ring[laser],
         "laser": laser,
         "return_number": number,
         "viewpoint_m": np.broadcast_to(poses.world_p_body_m, (len(pulse_ns), 3)),
     }
-    return points | (_labels(returns, sent) if truth else {}), sequence
+    return points | (_labels_of(returns, is_reported) if truth else {}), sequence
 
 
-def place(
+def positions_of(
     beams: BeamTable,
     firings: Firings,
     sequence: I8,
@@ -310,10 +307,9 @@ def place(
 ) -> dict[str, F8]:
     """Compute points from returns with the manual's formulas (63-9243 Rev D, section 9.2).
 
-    A driver with perfect poses does the same.
-
-    Errors of encoder and angles displace the points, because the sensor does not report them.
-    Without such errors a point in the world is the pulse's origin + distance * direction.
+    A driver with perfect poses does the same. Errors of encoder and angles displace the points, because the
+    sensor does not report them; without them a point in the world is the pulse's origin + distance *
+    direction.
 
     Parameters
     ----------
@@ -321,7 +317,7 @@ def place(
     distance_m : (n,)
     poses : poses of the body at the pulses, n or one for all
     tangents : (n, 2) offsets of points from the pulse axis over distance, to greater azimuths and upwards;
-        None for none
+        None without such offsets
 
     Returns
     -------
@@ -335,17 +331,21 @@ def place(
     range_m = distance_m.astype(np.float64)
     sensor_m = in_sensor(azimuth_deg, elevation_deg, beams.vertical_offset_m[laser], range_m)
     if tangents is not None:  # off the axis of the pulse, at the same range
-        (a, b) = tangents.T
+        a, b = tangents.T
         azimuth_rad = np.radians(azimuth_deg)
         elevation_rad = np.radians(elevation_deg)
-        cosine = cos(azimuth_rad)
-        sine = sin(azimuth_rad)
-        level = cos(elevation_rad)
-        up = sin(elevation_rad)
-        shorter = 1.0 - np.sqrt(1.0 - a * a - b * b)
-        sensor_m[:, 0] -= range_m * (shorter * level * cosine + a * sine + b * up * cosine)
-        sensor_m[:, 1] += range_m * (shorter * level * sine - a * cosine + b * up * sine)
-        sensor_m[:, 2] += range_m * (b * level - shorter * up)
+        cos_azimuth = cos(azimuth_rad)
+        sin_azimuth = sin(azimuth_rad)
+        cos_elevation = cos(elevation_rad)
+        sin_elevation = sin(elevation_rad)
+        shortening = 1.0 - np.sqrt(1.0 - a * a - b * b)
+        sensor_m[:, 0] -= range_m * (
+            shortening * cos_elevation * cos_azimuth + a * sin_azimuth + b * sin_elevation * cos_azimuth
+        )
+        sensor_m[:, 1] += range_m * (
+            shortening * cos_elevation * sin_azimuth - a * cos_azimuth + b * sin_elevation * sin_azimuth
+        )
+        sensor_m[:, 2] += range_m * (b * cos_elevation - shortening * sin_elevation)
     world_m = matvec(poses.world_R_body, sensor_m) + poses.world_p_body_m
     return {
         "azimuth_deg": azimuth_deg,
@@ -355,28 +355,29 @@ def place(
     }
 
 
-def _reported(distance_m: F4, mode: ReturnMode) -> NDArray[np.bool_]:
+def _is_reported(distance_m: F4, mode: ReturnMode) -> NDArray[np.bool_]:
     """Return a mask (k, L, 3) of the returns that the sensor would report.
 
-    Each echo is reported once, a single one as the strongest.
-
-    Source of the rules of dual return: 63-9243 Rev D, section 9.3.2.
+    Each echo is reported once, a single echo as the strongest (rules of dual return: 63-9243 Rev D, section
+    9.3.2).
     """
-    sent = distance_m > 0
+    is_reported = distance_m > 0
     if mode is ReturnMode.DUAL:
         same = distance_m[..., 0] == distance_m[..., 1]
-        sent[..., 1] &= ~same
-        sent[..., 2] &= same
+        is_reported[..., 1] &= ~same
+        is_reported[..., 2] &= same
     else:
-        sent &= np.arange(3) == (1 if mode is ReturnMode.LAST else 0)
-    return sent
+        is_reported &= np.arange(3) == (1 if mode is ReturnMode.LAST else 0)
+    return is_reported
 
 
-def _labels(returns: Returns, sent: NDArray[np.bool_]) -> dict[str, AnyArray]:
+def _labels_of(returns: Returns, is_reported: NDArray[np.bool_]) -> dict[str, AnyArray]:
     """Return the labels of the surface of each point; returns from fog or rain have no class."""
     assert returns.surface is not None
     assert returns.surfaces is not None
     assert returns.range_m is not None
     surfaces = np.append(returns.surfaces, np.zeros(1, SURFACE))  # the last row is `NO_SURFACE`
-    rows = surfaces[np.minimum(returns.surface[sent], len(returns.surfaces))]
-    return {name: rows[name] for name in (*_LABELS, "reflectance")} | {"range_m": returns.range_m[sent]}
+    rows = surfaces[np.minimum(returns.surface[is_reported], len(returns.surfaces))]
+    return {name: rows[name] for name in (*_LABELS, "reflectance")} | {
+        "range_m": returns.range_m[is_reported]
+    }

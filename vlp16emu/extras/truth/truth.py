@@ -17,7 +17,7 @@ from vlp16emu.engine import Engine, Parts, Unit, mounts_of
 from vlp16emu.engine.engine import positions_due, sent_before
 from vlp16emu.errors import RunError
 from vlp16emu.extras.bench.events import Event
-from vlp16emu.extras.bench.faults import PacketFault, arriving, earliest_ns, faults_of, kinds_of
+from vlp16emu.extras.bench.faults import PacketFault, arriving_packets, earliest_ns, faults_of, kinds_of
 from vlp16emu.extras.truth.folder import TruthFolder
 from vlp16emu.extras.truth.slots import SlotTable
 from vlp16emu.extras.truth.tables import (
@@ -207,7 +207,9 @@ class Truth:
         times = partial(timetable, scenario, self._units)
         span_ns = map(seconds_to_ns, span_s)
         self._to_come = self.beside(
-            engine.packets(*span_s) if to.per_return else arriving(scenario, self._units, times, *span_ns)
+            engine.packets(*span_s)
+            if to.per_return
+            else arriving_packets(scenario, self._units, times, *span_ns)
         )
         with ExitStack() as stack:
             self._folder = stack.enter_context(TruthFolder(to.folder, named_files(scenario)))

@@ -1,4 +1,4 @@
-"""The page in the browser: the stand, the path and what the sensor sees.
+"""Pages in the browser, and pictures: the stand, the path and what the sensor sees.
 
-It needs the extra `viewer`, and its verb alone imports it.
+Pages need the extra `viewer`, pictures the extra `picture`.
 """

@@ -1,4 +1,4 @@
-"""A walk that is being drawn: its way points, stops and speed, and the versions of it; it knows no page."""
+"""A walk that a user draws: its way points, stops and speed, and its versions; without a page."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -27,7 +27,7 @@ class WayPoint(NamedTuple):
 
     x_m: float
     y_m: float
-    pause_s: float = 0.0  # How long the person stops there
+    pause_s: float = 0.0  # time for which the person stops there
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class Draft:
 
     way_points: tuple[WayPoint, ...]
     speed_m_s: float
-    run_time_s: float | None  # Duration of the walk, which then determines the speed; None for `speed_m_s`
+    run_time_s: float | None  # duration of the walk, which then determines the speed; None for `speed_m_s`
     laps: int
     back_and_forth: bool
     is_whole: bool = False  # True to record the whole walk, however long it takes
@@ -51,9 +51,10 @@ class Draft:
         InputError if the scene's motion is no walk; TrajectoryError as `extras.walk.way_points.way_points`.
         """
         walk = walk_of(scenario)
-        one_way = walk.model_copy(update={"back_and_forth": False})
-        given = way_points(one_way, scenario.gps, scenario.world.site(scenario.world_seed).origin_m[:2])
-        rows = np.column_stack([given.xy_m, given.pause_s]).tolist()
+        single_walk = walk.model_copy(update={"back_and_forth": False})
+        site = scenario.world.site(scenario.world_seed)
+        path = way_points(single_walk, scenario.gps, site.origin_m[:2])
+        rows = np.column_stack([path.xy_m, path.pause_s]).tolist()
         points = tuple(WayPoint(*row) for row in rows)
         return cls(points, walk.speed_m_s, walk.run_time_s, walk.laps, walk.back_and_forth)
 
@@ -65,17 +66,16 @@ class Draft:
     @property
     def is_loop(self) -> bool:
         """True if the path closes: its last way point is at the first."""
-        first, last = self.way_points[0], self.way_points[-1]
-        return len(self.way_points) >= _FEWEST_OF_LOOP and _gap_m(first, last) < _SAME_M
+        gap_m = _gap_m(self.way_points[0], self.way_points[-1])
+        return len(self.way_points) >= _FEWEST_OF_LOOP and gap_m < _SAME_M
 
     def move(self, number: int, x_m: float, y_m: float) -> Self:
         """Return the draft with a way point, from 0, at another place; its stop moves with it."""
         last = len(self.way_points) - 1
-        together = {0, last} if self.is_loop and number in (0, last) else {number}
-        place = {"x_m": round(x_m, _DECIMALS), "y_m": round(y_m, _DECIMALS)}
-        rows = (
-            point._replace(**place) if i in together else point for i, point in enumerate(self.way_points)
-        )
+        numbers = {0, last} if self.is_loop and number in (0, last) else {number}
+        rows = list(self.way_points)
+        for index in numbers:
+            rows[index] = rows[index]._replace(x_m=round(x_m, _DECIMALS), y_m=round(y_m, _DECIMALS))
         return replace(self, way_points=tuple(rows))
 
     def set_stop(self, number: int, pause_s: float) -> Self:
@@ -85,15 +85,20 @@ class Draft:
         return replace(self, way_points=tuple(rows))
 
     def insert(self, x_m: float, y_m: float) -> tuple[Self, int]:
-        """Return the draft with a way point more, in the leg that it lengthens least, and its number."""
-        new = WayPoint(round(x_m, _DECIMALS), round(y_m, _DECIMALS))
-        detours_m = [_gap_m(a, new) + _gap_m(new, b) - _gap_m(a, b) for a, b in pairwise(self.way_points)]
+        """Return the draft with a further way point, in the leg that it lengthens least, and its number."""
+        point = WayPoint(round(x_m, _DECIMALS), round(y_m, _DECIMALS))
+        detours_m = [
+            _gap_m(begin, point) + _gap_m(point, end) - _gap_m(begin, end)
+            for begin, end in pairwise(self.way_points)
+        ]
         number = 1 + int(np.argmin(detours_m))
-        return replace(self, way_points=(*self.way_points[:number], new, *self.way_points[number:])), number
+        rows = list(self.way_points)
+        rows.insert(number, point)
+        return replace(self, way_points=tuple(rows)), number
 
     def remove(self, number: int) -> Self:
         """Return the draft without a way point, or the same one if too few would be left."""
-        rows = [point for i, point in enumerate(self.way_points) if i != number]
+        rows = [point for index, point in enumerate(self.way_points) if index != number]
         if self.is_loop and number in (0, len(rows)):
             rows = [*self.way_points[1:-1], self.way_points[1]._replace(pause_s=0.0)]
         fewest = _FEWEST_OF_LOOP if self.is_loop else _FEWEST
@@ -110,25 +115,35 @@ class Draft:
     def simplify(self, tolerance_m: float) -> Self:
         """Return the draft with fewer way points, whose curve passes all present ones within a tolerance.
 
-        Way points with a stop stay. A phone's track has one per second, far more than a curve needs.
+        Way points with a stop stay. The track of a phone has a way point per second, far more than a curve
+        needs.
         """
         xy_m = self.xy_m
         last = len(self.way_points) - 1
-        kept = {0, last} | {i for i, point in enumerate(self.way_points) if point.pause_s}
+        indices = {0, last} | {index for index, point in enumerate(self.way_points) if point.pause_s}
         if self.is_loop:
-            kept |= {last // 3, 2 * last // 3}
-        while added := set(_strays(xy_m, sorted(kept), tolerance_m)) - kept:
-            kept |= added
-        return replace(self, way_points=tuple(self.way_points[i] for i in sorted(kept)))
+            indices |= {last // 3, 2 * last // 3}
+        while strays := set(_strays(xy_m, sorted(indices), tolerance_m)) - indices:
+            indices |= strays
+        return replace(self, way_points=tuple(self.way_points[index] for index in sorted(indices)))
 
     def settings(self, first: "Draft", walk: Walk) -> dict[str, object]:
-        """Return the keys of a scene, with `walk` and its draft `first`, that this draft changes."""
+        """Return the keys of a scene that this draft changes, with their values.
+
+        Parameters
+        ----------
+        first : draft of the scene
+        walk : motion of the scene
+        """
         changed = dict[str, object]()
         if self.way_points != first.way_points:
-            changed["motion.way_points_m"] = [[one.x_m, one.y_m] for one in self.way_points]
-            numbered = enumerate(self.way_points, start=1)
-            stops = [{"way_point": i, "pause_s": one.pause_s} for i, one in numbered if one.pause_s]
-            stops += [one.model_dump(exclude_none=True) for one in walk.stops if one.at_m is not None]
+            changed["motion.way_points_m"] = [[point.x_m, point.y_m] for point in self.way_points]
+            stops = [
+                {"way_point": number, "pause_s": point.pause_s}
+                for number, point in enumerate(self.way_points, start=1)
+                if point.pause_s
+            ]
+            stops += [stop.model_dump(exclude_none=True) for stop in walk.stops if stop.at_m is not None]
             if stops or walk.stops:
                 changed["motion.stops"] = stops
         if self.run_time_s is not None and self.run_time_s != first.run_time_s:
@@ -173,12 +188,12 @@ class Versions:
             self._drafts[self._at :] = [draft]
 
     def step(self, count: int) -> None:
-        """Undo `-count` changes or redo `count`, as far as there are any."""
+        """Redo `count` changes, or undo as many if it is negative, as far as there are any."""
         self._at = min(max(self._at + count, 0), len(self._drafts) - 1)
 
 
 def plan_of(xy_m: F8) -> Path | None:
-    """Return the path through way points (n, 2) on level ground; None if nobody can turn so."""
+    """Return the path through way points (n, 2) on level ground; None if a turn is too tight to walk."""
     try:
         return level_path(xy_m)
     except InputError:
@@ -189,10 +204,10 @@ def _gap_m(first: WayPoint, second: WayPoint) -> float:
     return float(norm(np.array(first[:2]) - np.array(second[:2])))
 
 
-def _strays(xy_m: F8, kept: list[int], tolerance_m: float) -> Iterator[int]:
-    """Yield the point of each leg that is farthest from the curve through the kept ones, if too far."""
-    plan = plan_of(xy_m[kept])
-    for leg, (begin, end) in enumerate(pairwise(kept)):
+def _strays(xy_m: F8, indices: list[int], tolerance_m: float) -> Iterator[int]:
+    """Yield the way point of each leg that is farthest from the curve through `indices`, if it is too far."""
+    plan = plan_of(xy_m[indices])
+    for leg, (begin, end) in enumerate(pairwise(indices)):
         if end - begin < 2:
             continue
         line_m = xy_m[[begin, end]]

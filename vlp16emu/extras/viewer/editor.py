@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from html import escape
 from pathlib import Path
 from queue import SimpleQueue
@@ -24,15 +25,16 @@ from vlp16emu.run.emulator import Emulator
 from vlp16emu.scenario import Scenario, load
 from vlp16emu.trees import Tree
 from vlp16emu.types import F8, U1
+from vlp16emu.units import count_text
 
 _FARTHEST_M = 10_000.0  # limit of a way point from the scene's origin: nobody drags it farther
-_GIZMOS = 24  # most way points that all have arrows; of more only the chosen one, as arrows hide the path
+_GIZMOS = 24  # way points that all have arrows; of more only the selected one, as arrows hide the path
 _DOTS = 100  # places along the curve that insert a way point
 _RAISED_M = 0.3  # height of the path over the ground, so that the ground does not hide it
-_PREVIEW_S = 600.0  # most of a walk whose stand is drawn, if less is recorded: a browser draws some 100 m
+_PREVIEW_S = 600.0  # part of a walk whose stand is drawn, if less is recorded: a browser draws some 100 m
 _LISTED_EM = 12  # height of the list of marks, which scrolls
 _CLEAR: tuple[int, int, int] = (30, 90, 220)
-_CHOSEN: tuple[int, int, int] = (255, 255, 255)
+_SELECTED: tuple[int, int, int] = (255, 255, 255)
 _RGB: dict[Kind, tuple[int, int, int]] = {
     "unknown": (130, 130, 130),
     "left out": (240, 150, 20),
@@ -53,19 +55,19 @@ _DOT_M = 0.12
 
 
 @dataclass(frozen=True, slots=True)
-class Opened:
+class OpenScene:
     """A scene that is open in the editor."""
 
     file: Path
-    settings: Sequence[str]  # Of the command line
-    scenario: Scenario  # With these settings
-    inputs: Sequence[Path]  # Files that must not be replaced
-    to: Path | None  # File to save it in; None if the user named none
+    settings: Sequence[str]  # of the command line
+    scenario: Scenario  # with these settings
+    inputs: Sequence[Path]  # files that must not be replaced
+    to: Path | None  # file to save it in; None if the user named none
 
     def walkable(self, error: InputError) -> Scenario:
         """Return the scene with as many of its way points as a person can walk along; raise `error` if none.
 
-        A phone notes its place each second with an error of metres: nobody walks through all these places.
+        A phone records a position each second, with an error of metres: nobody walks through all of them.
         """
         walk = self.scenario.motion
         if not isinstance(walk, Walk):
@@ -86,56 +88,58 @@ class Opened:
 class Editor:
     """Way points of a draft in the scene, and its panel.
 
-    A thread of its own changes the draft, one request after another, and shows the outlook of the last.
-    The preview grows the stand in another thread.
+    A thread of its own changes the draft, one request after another, and shows the outlook of the last
+    change. The preview grows the stand in another thread.
 
     Parameters
     ----------
     server : page
-    opened : scene with the first draft
+    open_scene : scene with the first draft
     emulator : the scene for which the stand is drawn
-    seen : its stand
+    stand : its stand
     show : draws sweeps and stand of another emulator, and returns its stand
     """
 
     def __init__(
         self,
         server: viser.ViserServer,
-        opened: Opened,
+        open_scene: OpenScene,
         emulator: Emulator,
-        seen: Survey,
+        stand: Survey,
         show: Callable[[Emulator], Survey],
     ) -> None:
         self._server = server
-        self._opened = opened
+        self._scene = open_scene
         self._emulator = emulator
         self._show_stand = show
-        self._around = Surroundings(opened.scenario, emulator.parts.units, seen)
-        self._versions = Versions(Draft.of(opened.scenario))
+        self._around = Surroundings(open_scene.scenario, emulator.parts.units, stand)
+        self._versions = Versions(Draft.of(open_scene.scenario))
         self._versions.change(Draft.of(emulator.scenario))
-        self._grown = self._versions.draft
-        self._saved = self._versions.first
-        self._dragged: Draft | None = None  # while a way point is dragged
-        self._chosen = 0
+        self._grown_draft = self._versions.draft
+        self._saved_draft = self._versions.first
+        self._dragged: Draft | None = None  # the draft while a way point is dragged
+        self._selected = 0  # number of the selected way point, from 0
         self._is_growing = False
         self._note = ""
-        if self._grown != self._saved:
-            was = len(self._saved.way_points)
-            now = len(self._grown.way_points)
-            self._note = f"Nobody can walk through all {was} way points; {now} are left. Undo shows why."
+        if self._grown_draft != self._saved_draft:
+            count = len(self._saved_draft.way_points)
+            count_left = len(self._grown_draft.way_points)
+            self._note = (
+                f"Nobody can walk through all {count} way points; {count_left} are left. Undo shows why."
+            )
         self._requests: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._gizmos: list[viser.TransformControlsHandle] = []
         self._names: list[viser.LabelHandle] = []
         self._balls: viser.BatchedMeshHandle | None = None
         self._dots: viser.BatchedMeshHandle | None = None
-        self._panel()
+        self._build_panel()
         self._show()
         Thread(target=self._run, name="path editor", daemon=True).start()
 
-    def _panel(self) -> None:
+    def _build_panel(self) -> None:
         gui = self._server.gui
         draft = self._versions.draft
-        to = self._opened.to
+        to = self._scene.to
         with gui.add_folder("Path", order=0.0):  # before the sweeps, whose legend may be long
             self._text = gui.add_html("")
             ends = {"preview": self._begin_preview} | ({} if to is None else {"save": self._save})
@@ -154,33 +158,37 @@ class Editor:
                 "run time, s", draft.run_time_s or 0.0, min=0.0, step=1.0, hint="0: by the speed"
             )
             hint = "instead of the scene's duration"
-            self._whole = gui.add_checkbox("record all of it", draft.is_whole, hint=hint)
+            self._record_all = gui.add_checkbox("record all of it", draft.is_whole, hint=hint)
             self._tolerance = gui.add_number("tolerance, m", 1.0, min=0.05, max=20.0, step=0.25)
             self._add_buttons({"simplify": self._simplify}, "fewer way points, within the tolerance")
-        checkboxes = self._loop, self._return, self._whole
+        checkboxes = self._loop, self._return, self._record_all
         for control in (self._pause, self._laps, self._speed, self._time, *checkboxes):
-            self._on_user(control, self._take_panel)
+            self._on_user(control, self._read_panel)
         self._on_user(self._number, lambda: self._choose(int(_clip(self._number.value, 1, 1e6)) - 1))
 
     def _add_buttons(self, requests: dict[str, Callable[[], None]], hint: str | None = None) -> None:
         """Add a row of buttons, each with its request."""
         buttons = self._server.gui.add_button_group("", tuple(requests), hint=hint)
 
-        def pressed(event: viser.GuiEvent[Any]) -> None:
-            name = event.target.value
-            self._requests.put(lambda: self._press(requests, name))
+        def on_click(event: viser.GuiEvent[Any]) -> None:
+            self._requests.put(partial(self._press, requests, event.target.value))
 
-        buttons.on_click(pressed)
+        buttons.on_click(on_click)
 
     def _press(self, requests: dict[str, Callable[[], None]], name: str) -> None:
-        requests[name]()
+        requests[name]()  # KeyError for a name that a client has made up
 
     def _on_user(self, control: Any, request: Callable[[], None]) -> None:
         """Make a request when a user sets a control, and not when the panel follows a change."""
-        control.on_update(lambda event: self._requests.put(request) if event.client is not None else None)
+
+        def on_update(event: viser.GuiEvent[Any]) -> None:
+            if event.client is not None:
+                self._requests.put(request)
+
+        control.on_update(on_update)
 
     def _run(self) -> None:
-        """Execute requests without end, and show the result of those that have come together."""
+        """Execute requests without end, and show the result of all that wait together."""
         while True:
             request = self._requests.get()
             self._execute(request)
@@ -198,29 +206,30 @@ class Editor:
             self._note = "no such value"  # a client may send anything
 
     def _choose(self, number: int) -> None:
-        self._chosen = number
+        self._selected = number
 
     def _insert_after(self) -> None:
-        """Insert a way point on the curve, near the middle of the leg after the chosen one."""
+        """Insert a way point on the curve, near the middle of the leg after the selected one."""
         draft = self._versions.draft
-        last = len(self._versions.draft.way_points) - 1
-        ends_m = draft.xy_m[[min(self._chosen, last - 1), min(self._chosen, last - 1) + 1]]
+        last = len(draft.way_points) - 1
+        leg = min(self._selected, last - 1)
+        ends_m = draft.xy_m[[leg, leg + 1]]
         path_m = self._around.outlook(draft).path_m[:, :2]
         gap_m = np.abs(path_m - ends_m.mean(axis=0)).sum(axis=1)
         self._insert(*path_m[gap_m.argmin()].tolist())
 
     def _insert(self, x_m: float, y_m: float) -> None:
-        draft, self._chosen = self._versions.draft.insert(x_m, y_m)
+        draft, self._selected = self._versions.draft.insert(x_m, y_m)
         self._versions.change(draft)
 
     def _delete(self) -> None:
-        self._versions.change(self._versions.draft.remove(self._chosen))
+        self._versions.change(self._versions.draft.remove(self._selected))
 
     def _simplify(self) -> None:
         tolerance_m = _clip(self._tolerance.value, 0.05, 20.0)
         self._versions.change(self._versions.draft.simplify(tolerance_m))
 
-    def _take_panel(self) -> None:
+    def _read_panel(self) -> None:
         """Change the draft to the values of the panel."""
         draft = self._versions.draft
         speed_m_s = _clip(self._speed.value, 0.1, 10.0)
@@ -228,24 +237,24 @@ class Editor:
         if not run_time_s or speed_m_s != draft.speed_m_s:  # a new speed replaces the run time
             run_time_s = None
         draft = replace(
-            draft.set_stop(self._chosen, _clip(self._pause.value, 0.0, 86_400)),
+            draft.set_stop(self._selected, _clip(self._pause.value, 0.0, 86_400)),
             speed_m_s=speed_m_s,
             run_time_s=run_time_s,
             laps=int(_clip(self._laps.value, 1, 1000)),
             back_and_forth=self._return.value is True,
-            is_whole=self._whole.value is True,
+            is_whole=self._record_all.value is True,
         )
         self._versions.change(draft.set_loop(is_loop=self._loop.value is True))
 
     def _save(self) -> None:
-        opened = self._opened
+        scene = self._scene
         draft = self._versions.draft
-        if opened.to is None:
+        if scene.to is None:
             return
         changed = self._around.settings(draft)
-        write_scene(opened.to, opened.file, opened.settings, changed, inputs=opened.inputs)
-        self._saved = draft
-        self._note = f"Saved as {opened.to}"
+        write_scene(scene.to, scene.file, scene.settings, changed, inputs=scene.inputs)
+        self._saved_draft = draft
+        self._note = f"Saved as {scene.to}"
 
     def _begin_preview(self) -> None:
         draft = self._versions.draft
@@ -258,51 +267,53 @@ class Editor:
         """Grow the stand around a draft, and show it with its sweeps."""
         note = ""
         try:
-            end_s = self._around.outlook(replace(draft, is_whole=True)).recorded_s
-            longer_s = max(self._around.outlook(draft).recorded_s, min(end_s, _PREVIEW_S))
-            scenario = load(self._opened.scenario, settings | {"duration_s": longer_s})
+            walk_s = self._around.outlook(replace(draft, is_whole=True)).recorded_s
+            duration_s = max(self._around.outlook(draft).recorded_s, min(walk_s, _PREVIEW_S))
+            scenario = load(self._scene.scenario, settings | {"duration_s": duration_s})
             emulator = Emulator(scenario, threads=self._emulator.engine.threads, like=self._emulator)
-            seen = self._show_stand(emulator)
-            around = Surroundings(self._opened.scenario, emulator.parts.units, seen)
-            self._requests.put(lambda: self._take_grown(draft, emulator, around))
+            stand = self._show_stand(emulator)
+            around = Surroundings(self._scene.scenario, emulator.parts.units, stand)
+            self._requests.put(lambda: self._adopt_stand(draft, emulator, around))
         except Vlp16emuError as error:
             note = str(error)
         self._is_growing = False
-        self._requests.put(lambda: self._say(note) if note else None)
+        self._requests.put(lambda: self._set_note(note) if note else None)
 
-    def _take_grown(self, draft: Draft, emulator: Emulator, around: Surroundings) -> None:
-        self._grown = draft
+    def _adopt_stand(self, draft: Draft, emulator: Emulator, around: Surroundings) -> None:
+        """Compare later drafts with the stand that was grown around a draft."""
+        self._grown_draft = draft
         self._emulator = emulator
         self._around = around
 
-    def _say(self, note: str) -> None:
+    def _set_note(self, note: str) -> None:
         self._note = note
 
     def _show(self) -> None:
         """Draw the draft, and set the panel to its values."""
         draft = self._dragged or self._versions.draft
-        self._chosen = min(max(self._chosen, 0), len(draft.way_points) - 1)
+        self._selected = min(max(self._selected, 0), len(draft.way_points) - 1)
         outlook = self._around.outlook(draft)
         with self._server.atomic():
             self._show_path(outlook)
             self._show_way_points(draft)
-        self._text.content = self._words(draft, outlook)
-        chosen = draft.way_points[self._chosen]
+        self._text.content = self._summary(draft, outlook)
+        selected = draft.way_points[self._selected]
         values: list[tuple[Any, object]] = [
-            (self._number, self._chosen + 1),
-            (self._pause, chosen.pause_s),
+            (self._number, self._selected + 1),
+            (self._pause, selected.pause_s),
             (self._loop, draft.is_loop),
             (self._return, draft.back_and_forth),
             (self._laps, draft.laps),
             (self._speed, draft.speed_m_s),
             (self._time, draft.run_time_s or 0.0),
-            (self._whole, draft.is_whole),
+            (self._record_all, draft.is_whole),
         ]
         for control, value in values:
             if control.value != value:
                 control.value = value
 
-    def _words(self, draft: Draft, outlook: Outlook) -> str:
+    def _summary(self, draft: Draft, outlook: Outlook) -> str:
+        """Return the text of the panel as HTML."""
         count = f"{len(draft.way_points) - draft.is_loop} way points"
         lines = [f"<b>{outlook.length_m:.1f} m in {outlook.run_time_s:.1f} s</b>, {count}"]
         if not outlook.length_m:
@@ -310,17 +321,17 @@ class Editor:
         else:
             is_whole = outlook.run_time_s - outlook.recorded_s < 1 / PER_S
             part = "all of it" if is_whole else f"the first {outlook.recorded_s:.1f} s"
-            data = _in_thousands(outlook.data_packets)
-            position = _in_thousands(outlook.position_packets)
-            lines.append(f"recorded: {part}, {_in_thousands(outlook.revolutions)} revolutions,")
+            data = count_text(outlook.data_packets)
+            position = count_text(outlook.position_packets)
+            lines.append(f"recorded: {part}, {count_text(round(outlook.revolutions))} revolutions,")
             lines.append(f"{data} data and {position} position packets")
         if self._is_growing:
             lines.append("growing the stand along the path ...")
-        elif draft != self._grown:
+        elif draft != self._grown_draft:
             lines.append("stand and sweeps are those of an earlier path: see preview")
-        if self._opened.to is None:
+        if self._scene.to is None:
             lines.append("to save it, start with --save FILE.toml")
-        elif draft != self._saved:
+        elif draft != self._saved_draft:
             lines.append("not saved")
         if self._note:
             lines.append(f"<b>{escape(self._note)}</b>")
@@ -338,59 +349,58 @@ class Editor:
         scene = self._server.scene
         scene.add_line_segments("/draft", segments_m, colours, thickness=5.0, thickness_units="screen")
         rows = np.linspace(0, len(line_m) - 1, _DOTS + 2).astype(np.int64)[1:-1]
-        self._dots = self._put_balls("/dots", self._dots, line_m[rows], _DOT_M, rgb[rows], self._click_dot)
+        self._dots = self._draw_balls("/dots", self._dots, line_m[rows], _DOT_M, rgb[rows], self._click_dot)
 
     def _show_way_points(self, draft: Draft) -> None:
         shown_m = self._around.on_ground(draft.xy_m[:-1] if draft.is_loop else draft.xy_m)
         shown_m[:, 2] += _RAISED_M
         rgb = np.tile(np.array(_CLEAR, np.uint8), (len(shown_m), 1))
-        rgb[[one.pause_s > 0 for one in draft.way_points[: len(shown_m)]]] = (0, 190, 190)
-        rgb[self._chosen % len(shown_m)] = _CHOSEN
+        rgb[[way_point.pause_s > 0 for way_point in draft.way_points[: len(shown_m)]]] = (0, 190, 190)
+        rgb[self._selected % len(shown_m)] = _SELECTED
         radius_m = min(_BALL_M, 20.0 * _BALL_M / len(shown_m))  # of many way points no ball hides the path
-        self._balls = self._put_balls("/way_points", self._balls, shown_m, radius_m, rgb, self._choose)
+        self._balls = self._draw_balls("/way_points", self._balls, shown_m, radius_m, rgb, self._choose)
         is_few = len(shown_m) <= _GIZMOS
         count = len(shown_m) if is_few else 1
-        first = 0 if is_few else self._chosen % len(shown_m)
+        first = 0 if is_few else self._selected % len(shown_m)
         while len(self._gizmos) > count:
             self._gizmos.pop().remove()
             self._names.pop()
         while len(self._gizmos) < count:
             self._add_gizmo(len(self._gizmos))
-        for place, gizmo in enumerate(self._gizmos):
-            is_chosen = first + place == self._chosen
-            self._names[place].text = f"{first + place + 1}{' chosen' if is_chosen else ''}"
-            if self._dragged is None or not is_chosen:
-                gizmo.position = shown_m[first + place]
+        for index, gizmo in enumerate(self._gizmos):
+            is_selected = first + index == self._selected
+            self._names[index].text = f"{first + index + 1}{' chosen' if is_selected else ''}"
+            if self._dragged is None or not is_selected:
+                gizmo.position = shown_m[first + index]
         self._first_gizmo = first
 
-    def _put_balls(
+    def _draw_balls(
         self,
         name: str,
-        before: viser.BatchedMeshHandle | None,
-        places_m: F8,
+        balls_before: viser.BatchedMeshHandle | None,
+        positions_m: F8,
         radius_m: float,
         rgb: U1,
-        click: Callable[[int], None],
+        request: Callable[[int], None],
     ) -> viser.BatchedMeshHandle:
-        """Draw balls that can be clicked; while their number stays they are moved."""
-        if before is not None and len(before.batched_positions) == len(places_m):
-            before.batched_positions = places_m.astype(np.float32)
-            before.batched_colors = rgb
-            return before
-        still = np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (len(places_m), 1))
+        """Draw balls that can be clicked, or move the earlier ones if their number is the same."""
+        if balls_before is not None and len(balls_before.batched_positions) == len(positions_m):
+            balls_before.batched_positions = positions_m.astype(np.float32)
+            balls_before.batched_colors = rgb
+            return balls_before
+        upright = np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (len(positions_m), 1))
         look: Tree = {"lod": "off", "flat_shading": True}
         look |= dict.fromkeys(("cast_shadow", "receive_shadow"), False)
         faces: NDArray[np.uint32] = np.array(_BALL_FACES, np.uint32)
         balls = self._server.scene.add_batched_meshes_simple(
-            name, radius_m * _BALL, faces, still, places_m, batched_colors=rgb, **look
+            name, radius_m * _BALL, faces, upright, positions_m, batched_colors=rgb, **look
         )
 
-        def clicked(event: viser.SceneNodePointerEvent[Any]) -> None:
+        def on_click(event: viser.SceneNodePointerEvent[Any]) -> None:
             if event.instance_index is not None:
-                number = event.instance_index
-                self._requests.put(lambda: click(number))
+                self._requests.put(partial(request, event.instance_index))
 
-        balls.on_click(clicked)
+        balls.on_click(on_click)
         return balls
 
     def _click_dot(self, number: int) -> None:
@@ -398,36 +408,36 @@ class Editor:
         x_m, y_m, _ = self._dots.batched_positions[number].tolist()
         self._insert(x_m, y_m)
 
-    def _add_gizmo(self, place: int) -> None:
-        """Add the arrows of a way point, which slides level, and goes to the ground when it is let go."""
+    def _add_gizmo(self, index: int) -> None:
+        """Add arrows that drag a way point horizontally; it drops to the ground when it is released."""
         scene = self._server.scene
-        name = f"/gizmos/{place}"
+        name = f"/gizmos/{index}"
         look: Tree = {"scale": 1.6, "line_width": 4.0}
         look |= {"disable_rotations": True, "depth_test": False}
         gizmo = scene.add_transform_controls(name, active_axes=(True, True, False), **look)
 
-        async def dragged(event: viser.TransformControlsEvent) -> None:  # coroutines stay in order
+        async def on_drag(event: viser.TransformControlsEvent) -> None:  # coroutines stay in order
             x_m, y_m, _ = gizmo.position.tolist()
-            number = self._first_gizmo + place
+            number = self._first_gizmo + index
             is_end = event.phase == "end"
             self._requests.put(lambda: self._drag(number, x_m, y_m, is_end=is_end))
 
-        gizmo.on_update(dragged)
+        gizmo.on_update(on_drag)
         self._gizmos.append(gizmo)
-        self._names.append(scene.add_label(f"{name}/name", str(place + 1)))
+        self._names.append(scene.add_label(f"{name}/name", str(index + 1)))
 
     def _drag(self, number: int, x_m: float, y_m: float, *, is_end: bool) -> None:
         if not (abs(x_m) <= _FARTHEST_M and abs(y_m) <= _FARTHEST_M):  # False for NaN
             return
-        moved = self._versions.draft.move(number, x_m, y_m)
-        self._chosen = number
-        self._dragged = None if is_end else moved
+        draft = self._versions.draft.move(number, x_m, y_m)
+        self._selected = number
+        self._dragged = None if is_end else draft
         if is_end:
-            self._versions.change(moved)
+            self._versions.change(draft)
 
 
 def _list_of_marks(outlook: Outlook) -> str:
-    """Return what is in the way as HTML, by what becomes of it, the most serious first."""
+    """Return the marks as HTML, listed by kind, the most serious first."""
     parts = []
     for kind in reversed(_RGB):
         words = [escape(mark.words) for mark in outlook.marks if mark.kind == kind]
@@ -437,12 +447,7 @@ def _list_of_marks(outlook: Outlook) -> str:
     return f'<div style="max-height:{_LISTED_EM}em;overflow-y:auto">{"".join(parts)}</div>' if parts else ""
 
 
-def _in_thousands(number: float) -> str:
-    """Return a whole number in groups of three digits."""
-    return f"{number:,.0f}".replace(",", " ")
-
-
-def _clip(value: object, least: float, most: float) -> float:
-    """Return a number of a client within limits; the least for NaN."""
+def _clip(value: object, low: float, high: float) -> float:
+    """Return a number that a client sent, within limits; the lower one for NaN."""
     assert isinstance(value, int | float)
-    return float(min(max(least, value), most)) if math.isfinite(value) else least
+    return float(min(max(low, value), high)) if math.isfinite(value) else low

@@ -27,7 +27,7 @@ LAYERS = (*_LABELLED, *MEASURED, "range error")
 
 _SCALE = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)], np.float64)
 """Viridis at five values (matplotlib, `_cm_listed.py`)."""
-_EITHER_WAY = np.array([(59, 76, 192), (150, 150, 150), (180, 4, 38)], np.float64)
+_DIVERGING = np.array([(59, 76, 192), (150, 150, 150), (180, 4, 38)], np.float64)
 """Scale of values about 0: ends of coolwarm (K. Moreland, "Diverging color maps", ISVC 2009) about a grey
 that is visible on white."""
 _ERROR_CM = 6.0  # end of the scale of range errors: twice the +-3 cm of the data sheet
@@ -46,35 +46,37 @@ _DOT = "display:inline-block;width:0.8em;height:0.8em;margin-right:0.5em;border-
 
 
 def layers_of_scan(scan: Scan) -> tuple[str, ...]:
-    """Return the layers of a sweep; a capture without ground truth has no labels."""
+    """Return the layers of a sweep, without those of labels for a capture without ground truth."""
     return MEASURED if scan.labels is None else LAYERS
 
 
 def colours_of(scan: Scan, layer: str, species: Mapping[int, str]) -> tuple[U1, Entries]:
     """Return the colours (n, 3) of the points of a sweep in one of its layers, and the legend.
 
-    Names of species by number are `species`.
+    `species` are the names of species by number.
     """
     if scan.labels is None or layer not in _LABELLED:
         values, scale = _values(scan, layer)
-        return colours_of_scale(values, *scale[:2]), scale
-    labels: AnyArray = getattr(scan.labels, {"class": "semantic", "natural": "semantic"}.get(layer, layer))
-    different, which = np.unique(labels, return_inverse=True)
-    if layer == "instance":
-        return np.array([_instance_rgb(n) for n in different.tolist()], np.uint8).reshape(-1, 3)[
-            which.ravel()
-        ], None
+        low, high, _ = scale
+        return colours_of_scale(values, low, high), scale
     if layer == "natural":
         surfaces = np.zeros(len(scan.labels.semantic), SURFACE)
         for name in ("semantic", "part", "species"):
             surfaces[name] = getattr(scan.labels, name)
         return surface_colours(surfaces, species), _natural_legend(scan.labels, species)
-    named = _names_and_colours(layer, species)
-    other = ("", colour_of_kind("ground"))
-    shown = (named[n] for n in different.tolist() if n in named)
-    colours = [named.get(n, other)[1] for n in different.tolist()]
-    legend = {_title(name): (colour,) for name, colour in shown}
-    return np.array(colours, np.uint8).reshape(-1, 3)[which.ravel()], legend
+    labels: AnyArray = getattr(scan.labels, "semantic" if layer == "class" else layer)
+    distinct, row = np.unique(labels, return_inverse=True)
+    numbers: list[int] = distinct.tolist()
+    legend: Entries = None
+    if layer == "instance":
+        colours = [_instance_rgb(number) for number in numbers]
+    else:
+        entries = _names_and_colours(layer, species)
+        unnamed = ("", colour_of_kind("ground"))
+        colours = [entries.get(number, unnamed)[1] for number in numbers]
+        in_sight = (entries[number] for number in numbers if number in entries)
+        legend = {_title(name): (colour,) for name, colour in in_sight}
+    return np.array(colours, np.uint8).reshape(-1, 3)[row.ravel()], legend
 
 
 def _title(name: str) -> str:
@@ -84,7 +86,7 @@ def _title(name: str) -> str:
 def _natural_legend(labels: Labels, species: Mapping[int, str]) -> dict[str, tuple[Rgb, ...]]:
     """Return the colours of leaves and stems by species, then those of other classes in sight."""
     is_tree = labels.semantic == Semantic.TREE
-    names = [species.get(n, "") for n in np.unique(labels.species[is_tree]).tolist()]
+    names = [species.get(number, "") for number in np.unique(labels.species[is_tree]).tolist()]
     kinds = [kind for kind in _KINDS if (labels.semantic == kind).any()]
     legend = {_title(name) or "Tree": colours_of_plant(name) for name in names}
     return legend | {_KINDS[kind]: (colour_of_kind(kind.name.lower()),) for kind in kinds}
@@ -98,19 +100,24 @@ def _instance_rgb(instance: int) -> Rgb:
     return round(255 * red), round(255 * green), round(255 * blue)
 
 
-def colours_of_scale(values: F8, least: float, most: float) -> U1:
-    """Return colours (n, 3) of values (n,) on a scale, which is a diverging scale if it begins below 0."""
-    scale = _EITHER_WAY if least < 0 else _SCALE
-    place = np.clip((values - least) / max(most - least, 1e-9), 0.0, 1.0) * (len(scale) - 1)
-    return np.column_stack([np.interp(place, range(len(scale)), band) for band in scale.T]).astype(np.uint8)
+def colours_of_scale(values: F8, low: float, high: float) -> U1:
+    """Return the colours (n, 3) of values (n,) on a scale, a diverging one if it begins below 0."""
+    scale = _DIVERGING if low < 0 else _SCALE
+    position = np.clip((values - low) / max(high - low, 1e-9), 0.0, 1.0) * (len(scale) - 1)
+    return np.column_stack([np.interp(position, range(len(scale)), band) for band in scale.T]).astype(
+        np.uint8
+    )
 
 
 def _names_and_colours(layer: str, species: Mapping[int, str]) -> dict[int, tuple[str, Rgb]]:
+    """Return name and colour of the classes, parts or species by number."""
     if layer == "class":
-        named = {kind.value: (name := kind.name.lower(), colour_of_kind(name)) for kind in Semantic}
-        return named | {Semantic.TREE.value: ("tree", colour_of_species("european_beech"))}
+        names = {kind.value: kind.name.lower() for kind in Semantic}
+        entries = {number: (name, colour_of_kind(name)) for number, name in names.items()}
+        return entries | {Semantic.TREE.value: ("tree", colour_of_species("european_beech"))}
     if layer == "part":
-        return {part.value: (part.name.lower(), PART_RGB[part.name.lower()]) for part in PlantPart}
+        names = {part.value: part.name.lower() for part in PlantPart}
+        return {number: (name, PART_RGB[name]) for number, name in names.items()}
     return {number: (name, colour_of_species(name)) for number, name in species.items()}
 
 
@@ -127,8 +134,8 @@ def _values(scan: Scan, layer: str) -> tuple[F8, tuple[float, float, str]]:
         "ring": (scan.ring, float(scan.ring.max(initial=1)), "ring, 0 lowest"),
         "time": (since_s, float(since_s.max(initial=1e-3)), "time in the sweep, s"),
     }
-    value, most, label = values[layer]
-    return np.asarray(value, np.float64), (0.0, most, label)
+    array, limit, label = values[layer]
+    return np.asarray(array, np.float64), (0.0, limit, label)
 
 
 def legend_of(entries: Entries) -> str:
@@ -136,16 +143,16 @@ def legend_of(entries: Entries) -> str:
     if entries is None:
         return html_box(["each plant or thing in its own colour, the rest in grey"])
     if isinstance(entries, Mapping):
-        dots = {
-            name: "".join(f'<span style="{_DOT};background:rgb{rgb}"></span>' for rgb in colours)
-            for name, colours in entries.items()
-        }
-        return html_box(f"{dot}{escape(name)}" for name, dot in dots.items())
-    least, most, label = entries
-    colours = colours_of_scale(np.linspace(least, most, _STOPS), least, most).tolist()
+        lines = []
+        for name, colours in entries.items():
+            dots = (f'<span style="{_DOT};background:rgb{rgb}"></span>' for rgb in colours)
+            lines.append(f"{''.join(dots)}{escape(name)}")
+        return html_box(lines)
+    low, high, label = entries
+    colours = colours_of_scale(np.linspace(low, high, _STOPS), low, high).tolist()
     stops = ",".join(f"rgb{tuple(rgb)}" for rgb in colours)
     bar = f'<div style="height:0.8em;border-radius:2px;background:linear-gradient(to right,{stops})"></div>'
-    ends = f"<span>{least:g}</span><span>{escape(label)}</span><span>{most:.3g}</span>"
+    ends = f"<span>{low:g}</span><span>{escape(label)}</span><span>{high:.3g}</span>"
     return html_box([f'{bar}<div style="display:flex;justify-content:space-between">{ends}</div>'])
 
 

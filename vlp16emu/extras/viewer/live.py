@@ -36,9 +36,9 @@ from vlp16emu.types import F8, Labels, Packet, PacketKind
 from vlp16emu.units import S_NS
 
 PAGE_PORT = 8016  # port of the page, as of `vlp16emu view`
-_HELD = 512  # packets that wait for the copying thread: half a second of single return
-_EVERY_S = 0.05  # time between copies: half a revolution at 600 rpm
-_MOST = 16  # packets of a message: 100 kB with labels; a socket holds 208 KiB by default
+_MOST_WAITING = 512  # packets that wait for the copying thread: half a second of single return
+_COPY_PERIOD_S = 0.05  # time between copies: half a revolution at 600 rpm
+_MESSAGE_PACKETS = 16  # packets of a message: 100 kB with labels; a socket holds 208 KiB by default
 _MESSAGE_BYTES = 200_000
 _PAGE_KINDS = (PacketKind.DATA, PacketKind.POSITION)
 
@@ -47,8 +47,8 @@ _PAGE_KINDS = (PacketKind.DATA, PacketKind.POSITION)
 class PageSetup:
     """Constants of a page, sent to its process at the start."""
 
-    scene: str  # its name, path or title
-    port: int  # 0 for any that is free
+    scene: str  # name, path or title of the scene
+    port: int  # port of the page; 0 for any that is free
     units: int  # number of sensors
     species: Mapping[int, str]  # names by number
 
@@ -57,9 +57,8 @@ class PageSetup:
 class Batch:
     """Sent packets, and the state of the stream after the last of them."""
 
-    packets: tuple[
-        Packet, ...
-    ]  # data and position packets of all sensors; data packets with labels if they are at hand
+    packets: tuple[Packet, ...]
+    """Data and position packets of all sensors; data packets with labels if they are at hand."""
     world_T_sensor: F8  # (n, 4, 4) pose of the sensor of each packet at its first pulse
     since_s: float  # time of the last packet since the first pulse
     sent: Mapping[PacketKind, int]  # packets so far, by kind
@@ -78,9 +77,9 @@ def instant_ns(packet: Packet) -> int:
 
 
 def offer(channel: socket.socket, message: object) -> bool:
-    """Send a message without waiting.
+    """Send a message without waiting, and return False if the other end is gone.
 
-    It is lost if there is no room now. Returns False if the other end is gone.
+    The message is lost if there is no room for it now.
     """
     try:
         channel.send(pickle.dumps(message), socket.MSG_DONTWAIT)
@@ -92,7 +91,7 @@ def offer(channel: socket.socket, message: object) -> bool:
 
 
 def receive(channel: socket.socket) -> Any:
-    """Wait for the next message and return it. Raises EOFError if the other end is gone."""
+    """Wait for the next message, and return it; raises EOFError if the other end is gone."""
     data = b""
     with suppress(ConnectionError):
         data = channel.recv(_MESSAGE_BYTES)
@@ -112,9 +111,12 @@ class LivePage(StreamPart):
 
     def __init__(self, url: str, channel: socket.socket) -> None:
         self.url = url
-        self.held = deque[tuple[Packet, int]](maxlen=_HELD)  # packets with their lateness in ns
-        self.counts = Counter[PacketKind]()  # packets so far
+        self.waiting = deque[tuple[Packet, int]](maxlen=_MOST_WAITING)
+        """Packets for the copying thread, with their lateness in ns."""
+        self.counts = Counter[PacketKind]()
+        """Number of packets so far, by kind."""
         self.late = 0
+        """Number of those that were late by more than `TOLERANCE_NS`."""
         self._channel = channel
         self._lateness = LatenessHistogram()
         self._over = Event()
@@ -122,7 +124,7 @@ class LivePage(StreamPart):
         self._stream: SceneStream
 
     def follow(self, stream: SceneStream) -> None:
-        """Become a part of a stream."""
+        """Join a stream as one of its parts."""
         self._stream = stream
         stream.add(self)
 
@@ -135,7 +137,7 @@ class LivePage(StreamPart):
         late_ns = self._stream.pacer.late_ns
         self.counts[packet.kind] += 1
         self.late += late_ns > TOLERANCE_NS
-        self.held.append((packet, late_ns))
+        self.waiting.append((packet, late_ns))
 
     def end(self, _error: BaseException | None) -> None:
         """Stop the copying thread."""
@@ -144,13 +146,14 @@ class LivePage(StreamPart):
             self._thread.join()
 
     def _copy(self) -> None:
-        """Send what is held, until the stream or the page ends."""
-        while not self._over.wait(_EVERY_S):
-            for _ in range(math.ceil(len(self.held) / _MOST)):
-                held = [self.held.popleft() for _ in range(min(_MOST, len(self.held)))]
-                for _, late_ns in held:
+        """Send the packets that wait, until the stream or the page ends."""
+        while not self._over.wait(_COPY_PERIOD_S):
+            for _ in range(math.ceil(len(self.waiting) / _MESSAGE_PACKETS)):
+                count = min(_MESSAGE_PACKETS, len(self.waiting))
+                oldest = [self.waiting.popleft() for _ in range(count)]
+                for _, late_ns in oldest:
                     self._lateness.add(late_ns)
-                packets = [packet for packet, _ in held if packet.kind in _PAGE_KINDS]
+                packets = [packet for packet, _ in oldest if packet.kind in _PAGE_KINDS]
                 try:
                     batch = self._batch(packets)
                 except (Vlp16emuError, CancelledError):  # a live run has just ended, and has no more poses
@@ -160,16 +163,17 @@ class LivePage(StreamPart):
                     return
 
     def _batch(self, packets: Sequence[Packet]) -> Batch | None:
+        """Return packets with their poses and the state of the stream; None without packets."""
         if not packets:
             return None
         stream = self._stream
         t_ns = np.array([instant_ns(packet) for packet in packets])
-        number = np.array([packet.unit for packet in packets])
+        unit_numbers = np.array([packet.unit for packet in packets])
         poses = np.empty((len(packets), 4, 4))
         for unit in stream.emulator.parts.units:
-            own = number == unit.number
-            if own.any():
-                poses[own] = unit.world_T_sensor(t_ns[own])
+            is_of_unit = unit_numbers == unit.number
+            if is_of_unit.any():
+                poses[is_of_unit] = unit.world_T_sensor(t_ns[is_of_unit])
         return Batch(
             packets=tuple(with_labels(packet) for packet in packets),
             world_T_sensor=poses,

@@ -16,14 +16,13 @@ from typing import Any
 
 import numpy as np
 import viser
-from scipy.spatial.transform import Rotation
 
 from vlp16emu.errors import OutputError, PacketError
 from vlp16emu.extras.clouds.scan import Chunk, chunk_of_packets, cut_scans
 from vlp16emu.extras.viewer.layers import colours_of, html_box, layers_of_scan, legend_of
 from vlp16emu.extras.viewer.live import Batch, PageSetup, instant_ns, receive
 from vlp16emu.extras.viewer.live_settings import SettingsPanel
-from vlp16emu.extras.viewer.page import guarded_server
+from vlp16emu.extras.viewer.page import draw_points, guarded_server, set_pose
 from vlp16emu.extras.viewer.sweeps import Sweep, to_world
 from vlp16emu.hosts import LOOPBACK, url_of
 from vlp16emu.packets import DATA_BYTES, DATA_PAYLOAD, RETURN_MODE_BYTE, decode_position
@@ -31,22 +30,21 @@ from vlp16emu.sinks import TOLERANCE_NS
 from vlp16emu.types import F8, I8, Packet, PacketKind, Scan
 from vlp16emu.units import S_NS
 
-_NICE = 10  # added to the niceness of this process: the stream gets nine tenths of a core that both want
+_NICE = 10  # added to the niceness of this process: the stream gets nine tenths of a core that both need
 _DRAW_S = 0.1  # time between pictures
 _MOST_SWEEPS = 20
-_AT_FIRST = 5  # sweeps
+_SWEEPS_AT_FIRST = 5
 _POSES = 128  # messages whose poses are kept: 2000 packets, more than the slowest revolution has
 _PATH_STEP_M = 0.2  # spacing of the points of the path; doubled each time that there are `_MOST_PATH`
 _MOST_PATH = 4000
 _PATH_RGB = (220, 60, 40)
-_NAME = (
-    "white-space:nowrap;vertical-align:top;padding-right:0.8em;opacity:0.7"  # style of a name in the table
-)
+_NAME_STYLE = "white-space:nowrap;vertical-align:top;padding-right:0.8em;opacity:0.7"
+"""Style of a name in the table."""
 _CAMERA_M = (-11.0, -6.0, 6.0)  # first place of the camera, seen from the sensor
 
 
 class LiveView:
-    """What a stream sends, as sweeps.
+    """The last sweeps of a stream, its state and its path.
 
     A reading thread cuts packets into sweeps, and a drawing thread draws the last ones.
 
@@ -65,15 +63,14 @@ class LiveView:
         self._path_m = list[F8]()
         self._path_step_m = _PATH_STEP_M
         self._batch: Batch | None = None
-        self._read = 0  # data packets that have come here
+        self._data_packets = 0  # number of data packets that have come here
         self._latest = dict[PacketKind, bytes]()  # payloads of the selected sensor
         self._poses = deque[tuple[I8, F8]](maxlen=_POSES)
         self._sweeps = deque[tuple[int, Sweep]](maxlen=_MOST_SWEEPS)  # numbered
         self._rpm: float | None = None  # of the last two sweeps
-        self._points = dict[
-            int, tuple[Any, Any]
-        ]()  # by number modulo `_MOST_SWEEPS`: content, and handle of viser
-        self._drawn_path = 0
+        self._points = dict[int, tuple[Any, Any]]()
+        """Content and handle of viser of the drawn sweeps, by their number modulo `_MOST_SWEEPS`."""
+        self._drawn_path = 0  # number of points of the path that is drawn
         self._build()
 
     def _build(self) -> None:
@@ -87,7 +84,7 @@ class LiveView:
         with gui.add_folder("Points"):
             self._layer = gui.add_dropdown("colour by", ("reflectivity", "ring", "range", "time"))
             self._legend = gui.add_html("")
-            self._count = gui.add_slider("sweeps", 1, _MOST_SWEEPS, 1, _AT_FIRST)
+            self._count = gui.add_slider("sweeps", 1, _MOST_SWEEPS, 1, _SWEEPS_AT_FIRST)
             self._size = gui.add_slider("point, cm", 1.0, 20.0, 1.0, 4.0)
             self._follow = gui.add_checkbox("follow the sensor", initial_value=True)
         self._settings = SettingsPanel(self._server)
@@ -97,8 +94,8 @@ class LiveView:
         self._server.initial_camera.look_at = (0.0, 0.0, 0.0)
 
     def run(self, channel: socket.socket) -> None:
-        """Show what comes from a channel until its other end is gone."""
-        drawing = Thread(target=self._draw_on, name="drawing", daemon=True)
+        """Show the packets that come from a channel, until its other end is gone."""
+        drawing = Thread(target=self._draw_repeatedly, name="drawing", daemon=True)
         drawing.start()
         number = 0
         while not self._over.is_set():
@@ -138,21 +135,21 @@ class LiveView:
             except EOFError:
                 self._over.set()
                 return
-            own = [row for row, packet in enumerate(batch.packets) if packet.unit == unit]
-            packets = [batch.packets[row] for row in own]
-            self._read += sum(packet.kind is PacketKind.DATA for packet in batch.packets)
+            rows = [row for row, packet in enumerate(batch.packets) if packet.unit == unit]
+            packets = [batch.packets[row] for row in rows]
+            self._data_packets += sum(packet.kind is PacketKind.DATA for packet in batch.packets)
             self._batch = batch
             if packets:
-                self._note(packets, batch.world_T_sensor[own])
+                self._record(packets, batch.world_T_sensor[rows])
             data = [packet for packet in packets if packet.kind is PacketKind.DATA]
             try:
                 chunk = chunk_of_packets(data)
-            except PacketError:  # an event of the scene has made them so
+            except PacketError:  # an event of the scene has damaged them
                 continue
             if chunk is not None:
                 yield chunk
 
-    def _note(self, packets: list[Packet], world_T_sensor: F8) -> None:
+    def _record(self, packets: list[Packet], world_T_sensor: F8) -> None:
         """Keep the poses of packets, their place on the path, and the last payload of each kind."""
         if self._origin_m is None:
             self._origin_m = world_T_sensor[0, :3, 3].copy()
@@ -175,7 +172,7 @@ class LiveView:
         scan = replace(scan, world_T_sensor=world_T_sensor[-1])
         return Sweep(scan, to_world(scan.xyz_m, world_T_sensor[:-1]))
 
-    def _draw_on(self) -> None:
+    def _draw_repeatedly(self) -> None:
         while not self._over.wait(_DRAW_S):
             batch = self._batch
             if batch is None or not self._server.get_clients():
@@ -190,7 +187,7 @@ class LiveView:
             self._text.content = self._status(batch)
 
     def _draw_sweeps(self) -> None:
-        """Draw the last sweeps: those that are not on the page yet, or look different; hide all others."""
+        """Draw those of the last sweeps that are new or look different; remove all others."""
         # A client may send any number or text; NaN becomes the least.
         count = int(min(max(1, self._count.value), _MOST_SWEEPS))
         size_m = min(max(0.01, self._size.value / 100.0), 0.2)
@@ -201,31 +198,20 @@ class LiveView:
         if set(layers) != set(self._layer.options):
             self._layer.options = layers
         layer = self._layer.value if self._layer.value in layers else layers[0]
-        wanted = {number % _MOST_SWEEPS: (number, layer, size_m) for number, _ in sweeps}
+        contents = {number % _MOST_SWEEPS: (number, layer, size_m) for number, _ in sweeps}
         for number, sweep in sweeps:
-            place = number % _MOST_SWEEPS
-            if self._points.get(place, (None, None))[0] != wanted[place]:
-                self._points[place] = wanted[place], self._draw_points(place, sweep, layer, size_m)
-        for place in self._points.keys() - wanted.keys():
-            self._points.pop(place)[1].remove()
+            slot = number % _MOST_SWEEPS
+            if self._points.get(slot, (None, None))[0] != contents[slot]:
+                self._points[slot] = contents[slot], self._draw_points(slot, sweep, layer, size_m)
+        for slot in self._points.keys() - contents.keys():
+            self._points.pop(slot)[1].remove()
         if (world_T_sensor := sweeps[-1][1].scan.world_T_sensor) is not None:
-            self._sensor.position = world_T_sensor[:3, 3]
-            self._sensor.wxyz = Rotation.from_matrix(world_T_sensor[:3, :3]).as_quat(scalar_first=True)
+            set_pose(self._sensor, world_T_sensor)
 
-    def _draw_points(self, place: int, sweep: Sweep, layer: str, size_m: float) -> viser.PointCloudHandle:
+    def _draw_points(self, slot: int, sweep: Sweep, layer: str, size_m: float) -> viser.PointCloudHandle:
         colours, entries = colours_of(sweep.scan, layer, self._setup.species)
-        middle_m = sweep.world_m.mean(axis=0) if len(sweep.world_m) else np.zeros(3)
         self._legend.content = legend_of(entries)
-        return self._server.scene.add_point_cloud(
-            f"/world/sweep/{place}",
-            (sweep.world_m - middle_m).astype(np.float32),
-            colours,
-            point_size=size_m,
-            point_shape="circle",
-            point_shading="flat",
-            precision="float32",
-            position=middle_m,
-        )
+        return draw_points(self._server, f"/world/sweep/{slot}", sweep.world_m, colours, size_m)
 
     def _draw_path(self) -> None:
         path_m = np.array([*self._path_m, self._place_m])
@@ -235,21 +221,21 @@ class LiveView:
             self._server.scene.add_line_segments("/world/path", lines_m, _PATH_RGB, thickness=0.06)
 
     def _status(self, batch: Batch) -> str:
-        """Return the table of the stream's state, and of what the packets say."""
-        late = batch.lateness
+        """Return the table of the stream's state, and of the state that packets report."""
+        lateness = batch.lateness
         data = batch.sent.get(PacketKind.DATA, 0)
         rows = {
             "time": f"{batch.since_s:.1f} s",
             "packets sent": f"{data} data, {batch.sent.get(PacketKind.POSITION, 0)} position",
             f"over {TOLERANCE_NS // 1_000_000} ms late": f"{batch.late}, delay {batch.delay_s:.2f} s",
-            "lateness": f"99 % in {late.p99_ns / 1e6:.1f} ms, all in {late.max_ns / 1e6:.1f} ms",
+            "lateness": f"99 % in {lateness.p99_ns / 1e6:.1f} ms, all in {lateness.max_ns / 1e6:.1f} ms",
             "GPS": gps_text(self._latest.get(PacketKind.POSITION, b"")),
             "rotor": "no revolution" if self._rpm is None else f"{self._rpm:.1f} rpm",
             "return mode": mode_text(self._latest.get(PacketKind.DATA, b"")),
-            "on this page": f"{self._read / max(data, 1):.0%} of data packets",
+            "on this page": f"{self._data_packets / max(data, 1):.0%} of data packets",
         }
         cells = (
-            f'<tr><td style="{_NAME}">{escape(name)}</td><td>{escape(text)}</td></tr>'
+            f'<tr><td style="{_NAME_STYLE}">{escape(name)}</td><td>{escape(text)}</td></tr>'
             for name, text in rows.items()
         )
         return html_box([f"<table>{''.join(cells)}</table>"])

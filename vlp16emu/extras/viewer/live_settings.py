@@ -1,6 +1,6 @@
 """Controls for the settings of a streaming sensor, on its page.
 
-They are one more client of the sensor's web interface.
+They act as a client of the sensor's web interface.
 """
 
 import json
@@ -20,8 +20,8 @@ from vlp16emu.sensor.settings import LEAST_RPM, MOST_RPM, RPM_STEP
 from vlp16emu.trees import Tree
 from vlp16emu.types import ReturnMode
 
-_POLL_S = 1.0  # time between two looks at the settings, which events and other clients change too
-_CALM_S = 0.25  # a control that is dragged is sent once it rests for so long
+_POLL_S = 1.0  # time between readings of the settings, which events and other clients change too
+_CALM_S = 0.25  # time for which a dragged control rests before its value is sent
 _TIMEOUT_S = 3.0
 _MOST_BYTES = 10_000  # limit of an answer, which has some 400 bytes
 _FORM = "/cgi/setting"
@@ -38,16 +38,24 @@ class _Control(NamedTuple):
     handle: Any  # of viser, with `value`
     table: str  # table of the key in the document, and end of the form's path; empty for the outermost
     key: str
-    to_form: Callable[[Any], str]  # form's text of a value of the control
-    to_control: Callable[[Any], Any]  # control's value of a value of the document
+    to_form: Callable[[Any], str]  # converts a value of the control to the text of the form
+    to_control: Callable[[Any], Any]  # converts a value of the document to that of the control
 
 
-def _switch_text(on: bool) -> str:
-    return "on" if on else "off"
+def _switch_text(is_on: bool) -> str:
+    return "on" if is_on else "off"
 
 
 def _is_on(text: str) -> bool:
     return text == "On"
+
+
+def _centidegrees_text(angle_deg: float) -> str:
+    return str(round(100 * angle_deg))
+
+
+def _degrees(centidegrees_text: str) -> float:
+    return int(centidegrees_text) / 100
 
 
 class SettingsPanel:
@@ -59,10 +67,9 @@ class SettingsPanel:
     """
 
     def __init__(self, server: viser.ViserServer) -> None:
-        self._place: tuple[str, int] | None = None
-        self._touched = dict[
-            int, Any
-        ]()  # values of controls that somebody moved, by the index of the control
+        self._address: tuple[str, int] | None = None
+        self._touched = dict[int, Any]()
+        """Values of controls that a user has moved, by the index of the control."""
         self._wake = Event()
         self._over = False
         gui = server.gui
@@ -82,9 +89,7 @@ class SettingsPanel:
             _Control(start, "fov", "start", str, int),
             _Control(end, "fov", "end", str, int),
             _Control(lock, "phaselock", "enabled", _switch_text, _is_on),
-            _Control(
-                phase, "phaselock", "offset", lambda deg: str(round(100 * deg)), lambda cdeg: int(cdeg) / 100
-            ),
+            _Control(phase, "phaselock", "offset", _centidegrees_text, _degrees),
         )
         for index, control in enumerate(self._controls):
             control.handle.disabled = True
@@ -99,15 +104,15 @@ class SettingsPanel:
         self._wake.set()
         self._thread.join()
 
-    def connect(self, place: tuple[str, int] | None) -> None:
+    def connect(self, address: tuple[str, int] | None) -> None:
         """Control the sensor whose web interface is at a host and port; None for a stream without one."""
-        if place == self._place:
+        if address == self._address:
             return
-        self._place = place
+        self._address = address
         for control in self._controls:
-            control.handle.disabled = place is None
-        if place is not None:
-            self._say(f"set over http://{place[0]}:{place[1]}/, as any client does")
+            control.handle.disabled = address is None
+        if address is not None:
+            self._say(f"set over http://{address[0]}:{address[1]}/, as any client does")
         self._wake.set()
 
     def _touch(self, event: viser.GuiEvent[Any], index: int) -> None:
@@ -130,7 +135,7 @@ class SettingsPanel:
 
     def _exchange(self) -> None:
         """Send the controls that were moved, then show the settings in force."""
-        if self._place is None:
+        if self._address is None:
             return
         while self._touched:
             index = next(iter(self._touched))
@@ -144,9 +149,9 @@ class SettingsPanel:
             self._show(settings)
 
     def _ask(self, method: str, path: str, body: str | None = None) -> Tree:
-        assert self._place is not None
+        assert self._address is not None
         headers = {"Content-Type": "application/x-www-form-urlencoded"} if body else {}
-        with closing(HTTPConnection(*self._place, timeout=_TIMEOUT_S)) as connection:
+        with closing(HTTPConnection(*self._address, timeout=_TIMEOUT_S)) as connection:
             connection.request(method, path, body, headers)
             answer = connection.getresponse()
             content = answer.read(_MOST_BYTES)

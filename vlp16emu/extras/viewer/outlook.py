@@ -1,4 +1,4 @@
-"""What a drawn walk leads to: length, times and packets of its recording, and what is in its way.
+"""Outlook of a drawn walk: length, times and packets of its recording, and things in its way.
 
 The curve and its timing are those of the walk itself, so that a recording does what is shown here.
 """
@@ -36,8 +36,12 @@ through it; `left out`: the stand is grown without it; `unknown`: what stands th
 
 _SOLID = frozenset(
     {
-        *(FloorKind.STONE, FloorKind.LOG, FloorKind.BROKEN_LOG),
-        *(FloorKind.STUMP, FloorKind.BROKEN_STUMP, FloorKind.ROOT_PLATE),
+        FloorKind.STONE,
+        FloorKind.LOG,
+        FloorKind.BROKEN_LOG,
+        FloorKind.STUMP,
+        FloorKind.BROKEN_STUMP,
+        FloorKind.ROOT_PLATE,
     }
 )
 """Things on the ground that people walk around; they step over or through the others."""
@@ -58,51 +62,51 @@ class Mark:
 
 @dataclass(frozen=True, slots=True)
 class Outlook:
-    """Result of a draft."""
+    """Path of a draft, its recording, and the things in its way."""
 
     path_m: F8  # (n, 3) on the ground; through the way points without a curve if nobody can walk it
-    marks: tuple[Mark, ...] = ()  # In order along the path
-    length_m: float = 0.0  # This and the values below are 0 if nobody can walk it
+    marks: tuple[Mark, ...] = ()  # in order along the path
+    length_m: float = 0.0  # this and the values below are 0 if nobody can walk it
     run_time_s: float = 0.0
-    recorded_s: float = 0.0  # Duration of the recording: the scene's, but no longer than the walk
-    revolutions: float = 0.0  # Of the first sensor
-    data_packets: int = 0  # Of all sensors; 0 for a sensor without packets
+    recorded_s: float = 0.0  # duration of the recording: the scene's, but no longer than the walk
+    revolutions: float = 0.0  # of the first sensor
+    data_packets: int = 0  # of all sensors; 0 for a sensor without packets
     position_packets: int = 0
 
     @property
     def refusal(self) -> str:
-        """Why `record` would refuse the scene; empty if it takes it."""
+        """Reason for which `record` would refuse the scene; empty if it would not."""
         return next((mark.words for mark in self.marks if mark.kind == "refused"), "")
 
 
 class Surroundings:
-    """The ground of a scene, and what was grown on it, for the outlook of drafts.
+    """The ground of a scene and the stand that was grown on it, for the outlook of drafts.
 
     Parameters
     ----------
     scenario : scene with the first draft, in which the motion is a walk
     units : its sensors
-    seen : what stands near the path for which the world was grown last
+    stand : the stand near the path for which the world was grown last
     """
 
-    def __init__(self, scenario: Scenario, units: Sequence[Unit], seen: Survey) -> None:
+    def __init__(self, scenario: Scenario, units: Sequence[Unit], stand: Survey) -> None:
         self._scenario = scenario
         self._walk = walk_of(scenario)
         self._first = Draft.of(scenario)
         self._units = units
-        self._seen = seen
+        self._stand = stand
         self._site = scenario.world.site(scenario.world_seed)
         world = scenario.world
         self._clearance_m = _BODY_M
         if isinstance(world, Woods):
             self._clearance_m = world.path_clearance_m
-        self._trees = listed_trees(world, scenario.world_seed) if isinstance(world, Plot) else seen.trees
+        self._trees = listed_trees(world, scenario.world_seed) if isinstance(world, Plot) else stand.trees
         keeps_stems = isinstance(world, Plot) and world.on_conflict != "drop"
         self._stems: Kind = "refused" if keeps_stems else "left out"
-        self._solids = [*_solids(seen, self._walk.sensor_height_m)]
-        self._middle_m = np.array([one.xy_m.mean(axis=0) for one in self._solids]).reshape(-1, 2)
-        around_m = zip(self._middle_m, (one.xy_m for one in self._solids), strict=True)
-        self._reach_m = np.array([norm(xy_m - middle_m).max() for middle_m, xy_m in around_m])
+        self._solids = [*_solids(stand, self._walk.sensor_height_m)]
+        self._middle_m = np.array([solid.xy_m.mean(axis=0) for solid in self._solids]).reshape(-1, 2)
+        pairs = zip(self._solids, self._middle_m, strict=True)
+        self._reach_m = np.array([norm(solid.xy_m - middle_m).max() for solid, middle_m in pairs])
 
     def on_ground(self, xy_m: F8) -> F8:
         """Return points (n, 3) on the ground at places (n, 2)."""
@@ -119,7 +123,7 @@ class Surroundings:
         return changed
 
     def outlook(self, draft: Draft) -> Outlook:
-        """Return what a draft leads to."""
+        """Return the outlook of a draft."""
         try:
             scenario = load(self._scenario, draft.settings(self._first, self._walk))
             route = walk_of(scenario).route(self._site, scenario.gps, is_stored=False)
@@ -162,10 +166,12 @@ class Surroundings:
         path = Corridor(xy_m, self._clearance_m)
         yield from self._stem_marks(path, along_m)
         yield from self._solid_marks(path, along_m)
-        if self._seen.hall is None:
-            grown_m = Polyline(self._seen.path_m[:, :2]).distance_m(xy_m)
-            if (rows := grown_m > self._seen.radius_m).any():
-                beyond = f"farther than {self._seen.radius_m:g} m from the path for which the stand was grown"
+        if self._stand.hall is None:
+            grown_m = Polyline(self._stand.path_m[:, :2]).distance_m(xy_m)
+            if (rows := grown_m > self._stand.radius_m).any():
+                beyond = (
+                    f"farther than {self._stand.radius_m:g} m from the path for which the stand was grown"
+                )
                 yield Mark("unknown", f"{_stretch(along_m, rows)}: {beyond}", rows)
 
     def _off_ground(self, xy_m: F8, along_m: F8) -> Iterator[Mark]:
@@ -179,21 +185,21 @@ class Surroundings:
             yield Mark("refused", f"{_stretch(along_m, rows)}: {words}", rows)
 
     def _stem_marks(self, path: Corridor, along_m: F8) -> Iterator[Mark]:
-        table = self._seen.plants.trees
+        table = self._stand.plants.trees
         if not len(self._trees):
             return
         radius_m = foot_discs(self._trees, table=table)[:, 2]
         which = np.flatnonzero(path_gap_m(self._trees, radius_m, path) < path.clearance_m)
         for tree, stem_m in zip(self._trees[which], radius_m[which].tolist(), strict=True):
             rows = _near_stem(tree, stem_m + path.clearance_m, path.xy_m)
-            name = self._seen.species[int(tree["species"])].replace("_", " ")
+            name = self._stand.species[int(tree["species"])].replace("_", " ")
             words = f"stem of {name}, DBH {100 * tree['dbh_m']:.0f} cm"
             yield Mark(self._stems, f"{_stretch(along_m, rows)}: {words}", rows)
 
     def _solid_marks(self, path: Corridor, along_m: F8) -> Iterator[Mark]:
         gap_m = path.distance_m(self._middle_m) - self._reach_m
-        for i in np.flatnonzero(gap_m < max(path.clearance_m, _BODY_M)).tolist():
-            solid = self._solids[i]
+        for number in np.flatnonzero(gap_m < max(path.clearance_m, _BODY_M)).tolist():
+            solid = self._solids[number]
             clearance_m = path.clearance_m if solid.kind == "left out" else _BODY_M
             if path.distance_m(solid.xy_m).min() < clearance_m:
                 rows = _rows_near(path.xy_m, solid.xy_m, clearance_m)
@@ -209,28 +215,28 @@ class _Solid:
     xy_m: F8  # (k, 2) places that it occupies below the sensor
 
 
-def _solids(seen: Survey, height_m: float) -> Iterator[_Solid]:
-    """Yield stones and dead wood as far as they are drawn, the user's meshes, and the objects of a hall."""
-    window = seen.window
-    near = Polyline(seen.path_m[:, :2]).distance_m(window.world_T_shape[:, :2, 3]) <= seen.radius_m
-    for i, which in enumerate(window.shape.tolist()):
-        key = window.shapes[which]
-        row = window.surfaces[window.first_surface[i]]
-        name = seen.names.get(int(row["instance"]))
-        is_thing = isinstance(key, FloorKey) and key.kind in _SOLID and near[i]
-        if not is_thing and (name is None or row["semantic"] == Semantic.GROUND):
+def _solids(stand: Survey, height_m: float) -> Iterator[_Solid]:
+    """Yield the stones and dead wood that are drawn, the user's meshes, and the objects of a hall."""
+    window = stand.window
+    near = Polyline(stand.path_m[:, :2]).distance_m(window.world_T_shape[:, :2, 3]) <= stand.radius_m
+    for placement, shape in enumerate(window.shape.tolist()):
+        key = window.shapes[shape]
+        surface = window.surfaces[window.first_surface[placement]]
+        name = stand.names.get(int(surface["instance"]))
+        is_thing = isinstance(key, FloorKey) and key.kind in _SOLID and near[placement]
+        if not is_thing and (name is None or surface["semantic"] == Semantic.GROUND):
             continue
-        world_T = window.world_T_shape[i]
-        meshes = [mesh for mesh in seen.world.shape(key) if len(mesh.faces)]
+        world_T = window.world_T_shape[placement]
+        meshes = [mesh for mesh in stand.world.shape(key) if len(mesh.faces)]
         points_m = np.concatenate([_sample(mesh, world_T) for mesh in meshes])
-        low = points_m[:, 2] < seen.bare.height_m(points_m[:, 0], points_m[:, 1]) + height_m
+        low = points_m[:, 2] < stand.bare.height_m(points_m[:, 0], points_m[:, 1]) + height_m
         if low.any():
             kind: Kind = "left out" if name is None else "stays"
             yield _Solid(name or str(key.kind).replace("_", " "), kind, points_m[low, :2])
 
 
 def _sample(mesh: Mesh, world_T_mesh: F8) -> F8:
-    """Return points (k, 3) in the world all over a mesh, between a centimetre and `_SAMPLE_M` apart."""
+    """Return points (k, 3) in the world from all over a mesh, 1 cm to `_SAMPLE_M` apart."""
     vertices_m = matvec(world_T_mesh[:, :3], mesh.vertices_m.astype(np.float64)) + world_T_mesh[:, 3]
     faces = mesh.faces
     if np.ptp(vertices_m, axis=0).max() <= _SAMPLE_M:
@@ -258,6 +264,6 @@ def _rows_near(xy_m: F8, places_m: F8, within_m: float) -> NDArray[np.bool_]:
 
 
 def _stretch(along_m: F8, rows: NDArray[np.bool_]) -> str:
-    """Return the place of a stretch along the path in words."""
+    """Return begin and end of a stretch along the path in words."""
     first_m, last_m = along_m[rows][[0, -1]]
     return f"{first_m:.0f} m" if last_m - first_m < 1.5 else f"{first_m:.0f} to {last_m:.0f} m"

@@ -27,19 +27,20 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from vlp16emu.extras.survey import Survey, survey
-from vlp16emu.extras.viewer.editor import Editor, Opened
+from vlp16emu.extras.viewer.editor import Editor, OpenScene
 from vlp16emu.extras.viewer.layers import colours_of, html_box, layers_of_scan, legend_of
 from vlp16emu.extras.viewer.stand import pieces_of
 from vlp16emu.extras.viewer.sweeps import CaptureSweeps, SceneSweeps, Sweep
 from vlp16emu.extras.walk.settings import Walk
 from vlp16emu.hosts import free_address, is_address, is_wildcard, place_of
 from vlp16emu.run.emulator import Emulator
-from vlp16emu.types import F8
+from vlp16emu.types import F8, U1
+from vlp16emu.units import count_text
 
 LOOPBACK = frozenset({"127.0.0.1", "localhost"})
-_MOST_KEPT = 50  # sweeps drawn together: 1.2 million points
+_MOST_SWEEPS = 50  # sweeps drawn together: 1.2 million points
 _LISTED = 6  # greatest number of faults listed for a sweep
-_PATH = (220, 60, 40)
+_PATH_RGB = (220, 60, 40)
 
 
 @contextmanager
@@ -71,14 +72,12 @@ def guarded_server(host: str, port: int) -> Iterator[viser.ViserServer]:
 def _check_requests(
     server: viser.ViserServer, names: frozenset[str], *, takes_addresses: bool = False
 ) -> None:
-    logging.getLogger("websockets.server").setLevel(
-        logging.CRITICAL + 1
-    )  # bad requests must not fill our log
+    """Let a server answer requests of our own page only, for its `names`; others are forbidden."""
+    logging.getLogger("websockets.server").setLevel(logging.CRITICAL + 1)  # bad requests fill no log
     loop = server.get_event_loop()
     # viser's websocket server is a local variable of a task.
-    values = (
-        value for task in all_tasks(loop) for frame in task.get_stack() for value in frame.f_locals.values()
-    )
+    frames = [frame for task in all_tasks(loop) for frame in task.get_stack()]
+    values = [value for frame in frames for value in frame.f_locals.values()]
     web = next(value for value in values if isinstance(value, Server))
     answer = web.process_request
     assert answer is not None
@@ -99,11 +98,9 @@ def _check_requests(
 def is_ours(headers: Headers, names: frozenset[str], *, takes_addresses: bool = False) -> bool:
     """Return True if a request is for one of our names and comes from our own page.
 
-    With `takes_addresses` any address may stand for a name: only a name can be made to resolve to this
-    machine.
-
     A page of another origin sends that origin in `Origin` (RFC 6454, section 7); a foreign name that resolves
-    to this machine is in `Host`.
+    to this machine is in `Host`. With `takes_addresses` any address may stand for a name: only a name can be
+    made to resolve to this machine.
     """
     hosts = headers.get_all("Host")
     origins = headers.get_all("Origin")
@@ -115,33 +112,33 @@ def is_ours(headers: Headers, names: frozenset[str], *, takes_addresses: bool = 
 
 
 def scene_page(
-    server: viser.ViserServer, emulator: Emulator, opened: Opened, unit: int, radius_m: float
+    server: viser.ViserServer, emulator: Emulator, open_scene: OpenScene, unit: int, radius_m: float
 ) -> "Page":
-    """Grow a scene and draw it up to a radius around its path, which can be edited if it is that of a walk.
+    """Grow a scene and draw it up to a radius around its path, which can be edited if it is a walk.
 
-    InputError without such a unit, or if the stand cannot be grown.
+    Raises InputError if there is no such unit, or the stand cannot be grown.
     """
     sweeps = SceneSweeps(emulator, unit)  # first: a wrong number should not wait for the stand
     text = server.gui.add_markdown("growing the world")
-    seen = _stand_of(emulator, radius_m)
-    page = Page(server, sweeps, seen.species, _draw_stand(server, seen))
-    way_m = seen.path_m
-    _look_from(server, way_m[0], way_m[min(len(way_m) - 1, 60)] - way_m[0])
-    if not isinstance(opened.scenario.motion, Walk):
-        if len(way_m) > 1:
-            segments_m = np.stack([way_m[:-1], way_m[1:]], axis=1)
-            server.scene.add_line_segments("/walk", segments_m, _PATH, thickness=0.06)
-        text.content = f"path not to be edited: `motion.kind` is {opened.scenario.motion.kind}, not walk"
+    stand = _stand_of(emulator, radius_m)
+    page = Page(server, sweeps, stand.species, _draw_stand(server, stand))
+    path_m = stand.path_m
+    _look_from(server, path_m[0], path_m[min(len(path_m) - 1, 60)] - path_m[0])
+    if not isinstance(open_scene.scenario.motion, Walk):
+        if len(path_m) > 1:
+            segments_m = np.stack([path_m[:-1], path_m[1:]], axis=1)
+            server.scene.add_line_segments("/walk", segments_m, _PATH_RGB, thickness=0.06)
+        text.content = f"path not to be edited: `motion.kind` is {open_scene.scenario.motion.kind}, not walk"
         return page
 
-    def show(other: Emulator) -> Survey:
-        page.change(SceneSweeps(other, unit))
-        seen = _stand_of(other, radius_m)
-        page.root = _draw_stand(server, seen)
-        return seen
+    def show(other_emulator: Emulator) -> Survey:
+        page.change(SceneSweeps(other_emulator, unit))
+        stand = _stand_of(other_emulator, radius_m)
+        page.root = _draw_stand(server, stand)
+        return stand
 
     text.content = ""
-    Editor(server, opened, emulator, seen, show)
+    Editor(server, open_scene, emulator, stand, show)
     return page
 
 
@@ -164,22 +161,21 @@ def capture_page(server: viser.ViserServer, capture: Path, truth: Path | None, u
     return Page(server, sweeps, sweeps.species)
 
 
-def _draw_stand(server: viser.ViserServer, seen: Survey) -> viser.FrameHandle:
+def _draw_stand(server: viser.ViserServer, stand: Survey) -> viser.FrameHandle:
     """Draw the stand along the path in place of an earlier one, and return the parent node."""
     scene = server.scene
-    pieces = [*pieces_of(seen)]  # first: it takes seconds, during which an earlier stand stays
+    pieces = [*pieces_of(stand)]  # first: it takes seconds, during which an earlier stand stays
     scene.remove_by_name("/stand")
     root = scene.add_frame("/stand", show_axes=False)
     scene.configure_default_lights(enabled=True, cast_shadow=False)
-    scene.configure_environment_map(
-        None
-    )  # image-based light on each pixel is slow; two lamps are enough for a stand
-    # The view into a hall is through its ceiling.
-    look: dict[str, Any] = {"lod": "off", "flat_shading": True, "material": "toon5"}
-    look |= {
+    scene.configure_environment_map(None)  # image-based light is slow; two lamps are enough for a stand
+    look: dict[str, Any] = {
+        "lod": "off",
+        "flat_shading": True,
+        "material": "toon5",
         "cast_shadow": False,
         "receive_shadow": False,
-        "side": "double" if seen.hall is None else "front",
+        "side": "double" if stand.hall is None else "front",  # a hall is seen through its ceiling
     }
     for name, piece in pieces:
         scene.add_batched_meshes_simple(f"/stand/{name}", **piece, **look)
@@ -194,8 +190,37 @@ def _look_from(server: viser.ViserServer, place_m: F8, ahead_m: F8) -> None:
     camera.look_at = (place_m[0] + 6 * east, place_m[1] + 6 * north, place_m[2])
 
 
+def draw_points(
+    server: viser.ViserServer, name: str, world_m: F8, rgb: U1, size_m: float
+) -> viser.PointCloudHandle:
+    """Draw points (n, 3) in colours (n, 3) as discs, about their middle: browsers compute in float32."""
+    middle_m = world_m.mean(axis=0) if len(world_m) else np.zeros(3)
+    return server.scene.add_point_cloud(
+        name,
+        (world_m - middle_m).astype(np.float32),
+        rgb,
+        point_size=size_m,
+        point_shape="circle",
+        point_shading="flat",
+        precision="float32",
+        position=middle_m,
+    )
+
+
+def set_pose(frame: viser.FrameHandle, world_T_frame: F8) -> None:
+    """Move the axes of a frame to a pose (4, 4)."""
+    frame.position = world_T_frame[:3, 3]
+    frame.wxyz = Rotation.from_matrix(world_T_frame[:3, :3]).as_quat(scalar_first=True)
+
+
 class Page:
-    """Points of sweeps and the axes of their sensor, with their controls; `root` is the node of the stand."""
+    """Points of sweeps and the axes of their sensor, with their controls.
+
+    Parameters
+    ----------
+    species : names of species by number
+    root : node of the stand, which a control hides; None without a stand
+    """
 
     def __init__(
         self,
@@ -212,8 +237,8 @@ class Page:
         self._wake = Event()
         self._wake.set()
         self._time_s = 0.0
-        self._kept = deque[Sweep]([sweeps.at(0.0)], maxlen=_MOST_KEPT)
-        self._layers = layers_of_scan(self._kept[0].scan)
+        self._drawn_sweeps = deque[Sweep]([sweeps.at(0.0)], maxlen=_MOST_SWEEPS)
+        self._layers = layers_of_scan(self._drawn_sweeps[0].scan)
         self._frame = server.scene.add_frame("/sensor", axes_length=0.6, axes_radius=0.02)
         gui = server.gui
         last_s = max(sweeps.last_s, sweeps.step_s)
@@ -225,7 +250,7 @@ class Page:
             self._size = gui.add_slider("point, cm", 1.0, 20.0, 1.0, 5.0)
             self._stand = gui.add_checkbox("stand", initial_value=True, visible=root is not None)
             self._together = gui.add_slider(
-                "sweeps", 1, _MOST_KEPT, 1, 1, hint="how many stay as they are played"
+                "sweeps", 1, _MOST_SWEEPS, 1, 1, hint="how many stay as they are played"
             )
             self._text = gui.add_markdown("")
             self._faults = gui.add_html("")
@@ -258,28 +283,22 @@ class Page:
         layer = self._layer.value if self._layer.value in self._layers else self._layers[0]
         if time_s != self._time_s:
             if not 0.0 < time_s - self._time_s < 1.5 * self._sweeps.step_s:
-                self._kept.clear()
-            self._kept.append(self._sweeps.at(time_s))
+                self._drawn_sweeps.clear()
+            self._drawn_sweeps.append(self._sweeps.at(time_s))
             self._time_s = time_s
-        shown = list(self._kept)[-max(self._together.value, 1) :]
-        points_m = np.concatenate([sweep.world_m for sweep in shown])
-        middle_m = points_m.mean(axis=0) if len(points_m) else np.zeros(3)
-        made = [colours_of(sweep.scan, layer, self._species) for sweep in shown]
-        look: dict[str, Any] = {"precision": "float32", "point_shape": "circle", "point_shading": "flat"}
-        look |= {"point_size": size_m, "position": middle_m}
-        rgb = np.concatenate([colours for colours, _ in made])
-        shown_m = (points_m - middle_m).astype(np.float32)
+        sweeps = list(self._drawn_sweeps)[-max(self._together.value, 1) :]
+        points_m = np.concatenate([sweep.world_m for sweep in sweeps])
+        layers = [colours_of(sweep.scan, layer, self._species) for sweep in sweeps]
+        rgb = np.concatenate([colours for colours, _ in layers])
         with self._server.atomic():
-            self._server.scene.add_point_cloud("/sweep", shown_m, rgb, **look)
-            if (world_T_sensor := shown[-1].scan.world_T_sensor) is not None:
-                self._frame.position = world_T_sensor[:3, 3]
-                self._frame.wxyz = Rotation.from_matrix(world_T_sensor[:3, :3]).as_quat(scalar_first=True)
+            draw_points(self._server, "/sweep", points_m, rgb, size_m)
+            if (world_T_sensor := sweeps[-1].scan.world_T_sensor) is not None:
+                set_pose(self._frame, world_T_sensor)
             if self.root is not None:
                 self.root.visible = self._stand.value
-        self._legend.content = legend_of(made[-1][1])
-        points = f"{len(points_m):,}".replace(",", " ")
-        self._text.content = f"{points} points by {layer}, sweep at {time_s:.1f} s"
-        self._faults.content = html_box(map(escape, shown[-1].faults[:_LISTED]))
+        self._legend.content = legend_of(layers[-1][1])
+        self._text.content = f"{count_text(len(points_m))} points by {layer}, sweep at {time_s:.1f} s"
+        self._faults.content = html_box(map(escape, sweeps[-1].faults[:_LISTED]))
 
     def _advance(self, began_s: float) -> None:
         """Move the cursor to the next sweep, no faster than in real time."""

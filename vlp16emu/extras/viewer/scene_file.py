@@ -65,10 +65,10 @@ def write_scene(
     for key, value in changed.items():
         *tables, name = key.split(".")
         reduce(getitem, tables, document)[name] = _toml_value(value)
-    written = tomlkit.dumps(document)
-    load(toml(written), folder=to.parent)  # what is written can be read
+    new_text = tomlkit.dumps(document)
+    load(toml(new_text), folder=to.parent)  # what is written can be read
     with OutputFile(to, inputs=inputs) as output, output.writing() as file:
-        file.write(written.encode())
+        file.write(new_text.encode())
 
 
 def _toml_value(value: object) -> Any:
