@@ -266,8 +266,8 @@ def _unlike(moved_m: F8, true_m: F8, turned: "Rotation", true_turned: "Rotation"
     return math.sqrt(((moved_m - true_m) ** 2).sum(axis=1).mean()) + math.sqrt((off_rad**2).mean())
 
 
-def _align(found: RecordedPoses, inside: NDArray[np.bool_], true: Trajectory, alignment: str):  # type: ignore[no-untyped-def]  # noqa: ANN202 - of evo, which has no types
-    """Return the true and the found trajectory, as evo's classes, at the same instants."""
+def _align(found: RecordedPoses, inside: NDArray[np.bool_], true: Trajectory, alignment: str) -> Any:
+    """Return the true and the found trajectory at the same instants, as evo's classes."""
     from evo.core.geometry import GeometryException, umeyama_alignment
     from evo.core.trajectory import PoseTrajectory3D
     from scipy.spatial.transform import Rotation
