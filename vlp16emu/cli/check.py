@@ -81,9 +81,9 @@ def _verify_bag(file: Path, unit: str | None, slam: str, *, as_json: bool) -> No
     if as_json:
         programs = {
             name: {
-                "fit": not result.of(name),
+                "fit": not result.findings_of(name),
                 "configurations": result.configurations[name],
-                "findings": result.of(name),
+                "findings": result.findings_of(name),
             }
             for name in result.programs
         }
@@ -91,7 +91,7 @@ def _verify_bag(file: Path, unit: str | None, slam: str, *, as_json: bool) -> No
     else:
         for finding in result.findings:
             print_line(str(finding))
-        counts = {name: len(result.of(name)) for name in result.programs}
+        counts = {name: len(result.findings_of(name)) for name in result.programs}
         verdicts = {name: f"{n} finding{'s' * (n > 1)}" if n else "fit" for name, n in counts.items()}
         for name, files in result.configurations.items():
             verdicts[name] += f", with {', '.join(files)}" if files else ""

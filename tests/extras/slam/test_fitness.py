@@ -440,8 +440,8 @@ def test_cartographer_takes_times_before_the_stamp(rest, tmp_path):
     found = fitness(
         write(tmp_path / "bag", [column("time", lambda t: t - t.max())(one) for one in rest]), "all"
     )
-    assert found.of("cartographer") == []
-    assert [one.rule for one in found.of("lio-sam")] == ["time-zero"]
+    assert found.findings_of("cartographer") == []
+    assert [one.rule for one in found.findings_of("lio-sam")] == ["time-zero"]
 
 
 def faster(found):
@@ -514,7 +514,7 @@ def test_each_damage_is_found(rest, tmp_path, name):
         one.name for one in programs().values() if rule in one.needs
     }
     for program, words in reported.items():
-        (finding,) = found.of(program)
+        (finding,) = found.findings_of(program)
         assert words in str(finding)
         assert "\n" not in str(finding)
 
