@@ -496,7 +496,7 @@ class PositionChunk:
 
 def _first_of_runs(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return a mask (n,) of the first of each run of consecutive packets in a mask (n,)."""
-    return mask & ~np.append(False, mask[:-1])
+    return np.asarray(mask & ~np.append(False, mask[:-1]))
 
 
 class PositionRules:
