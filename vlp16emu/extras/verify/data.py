@@ -429,9 +429,9 @@ class PositionChunk:
         packets = [before.last, *datagrams] if before else list(datagrams)
         self.added = slice(1 if before else 0, None)  # without the packet of the chunk before
         self.number, self.stamp_ns, self.identification = np.array(
-            [(each.number, each.stamp_ns, each.identification) for each in packets]
+            [(packet.number, packet.stamp_ns, packet.identification) for packet in packets]
         ).T
-        payload = np.frombuffer(b"".join(each.payload for each in packets), np.uint8)
+        payload = np.frombuffer(b"".join(packet.payload for packet in packets), np.uint8)
         payload = payload.reshape(len(packets), -1)
         fields = payload.view(POSITION_PAYLOAD)[:, 0]
         self.head = payload[:, : self.head_bytes].max(axis=1)
@@ -455,13 +455,13 @@ class PositionChunk:
         self.due = np.append(self.identification[0], (self.identification[:-1] + 1) % 0x10000)
         self.missing = (self.identification - self.due) % 0x10000
         possible = np.diff(self.stamp_ns, prepend=self.stamp_ns[0]).clip(0) // _SHORTEST_INTERVAL_NS
-        is_counted = np.array([not is_rewritten(each) for each in packets])
+        is_counted = np.array([not is_rewritten(packet) for packet in packets])
         self.is_lost = (self.missing > 0) & (self.missing <= possible) & is_counted
         self.is_no_count = (self.missing > possible) & is_counted
 
     def _read_sentences(self, packets: Sequence[Datagram], before: "PositionChunk | None") -> None:
         """Read the sentences, and compare their seconds with the clock and with earlier sentences."""
-        areas = [each.payload[SENTENCE_OFFSET:] for each in packets]
+        areas = [packet.payload[SENTENCE_OFFSET:] for packet in packets]
         columns = zip(*map(_read_sentence, areas), strict=True)
         self.second, self.status, self.malformed, self.end, self.checksum, self.right, is_leap, talker = map(
             np.array, columns

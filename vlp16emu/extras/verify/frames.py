@@ -127,15 +127,15 @@ TABLES = {name: tuple(_row(**row) for row in rows) for name, rows in _ROWS.items
 
 
 class _Element:
-    """Element `i` of each column, by name."""
+    """One element of each column, by the name of the column, for `str.format_map`."""
 
-    def __init__(self, columns: object, i: int) -> None:
+    def __init__(self, columns: object, index: int) -> None:
         self._columns = columns
-        self._i = i
+        self._index = index
 
     def __getitem__(self, name: str) -> Any:
         value = getattr(self._columns, name)
-        return value.flat[self._i] if isinstance(value, np.ndarray) else value
+        return value.flat[self._index] if isinstance(value, np.ndarray) else value
 
 
 class Findings:
@@ -242,21 +242,23 @@ class _Frames:
         self.kind = kind
         is_data = kind is PacketKind.DATA
         payload_bytes = PAYLOAD_BYTES[kind]
-        self.number = np.array([each.number for each in datagrams])
-        self.captured_bytes = np.array([each.captured_bytes for each in datagrams])
-        self.wire_bytes = np.array([each.wire_bytes for each in datagrams])
-        self.frame_bytes = np.array([len(each.header) + payload_bytes for each in datagrams])
+        self.number = np.array([datagram.number for datagram in datagrams])
+        self.captured_bytes = np.array([datagram.captured_bytes for datagram in datagrams])
+        self.wire_bytes = np.array([datagram.wire_bytes for datagram in datagrams])
+        self.frame_bytes = np.array([len(datagram.header) + payload_bytes for datagram in datagrams])
         self.is_cut = (self.captured_bytes != self.frame_bytes) | (self.wire_bytes != self.frame_bytes)
-        self.is_rewritten = np.array([not is_data and is_rewritten(each) for each in datagrams])
-        raw = np.frombuffer(b"".join(each.ip[:20] + each.header[-8:] for each in datagrams), _HEADER)
+        self.is_rewritten = np.array([not is_data and is_rewritten(datagram) for datagram in datagrams])
+        raw = np.frombuffer(
+            b"".join(datagram.ip[:20] + datagram.header[-8:] for datagram in datagrams), _HEADER
+        )
         header = _words(raw.tobytes(), len(raw))
-        payload = _words(b"".join(each.payload for each in datagrams), len(raw))
+        payload = _words(b"".join(datagram.payload for datagram in datagrams), len(raw))
         # The UDP sum includes addresses, protocol and length (RFC 768).
         udp = header[:, 6:].sum(axis=1) + payload.sum(axis=1) + dpkt.ip.IP_PROTO_UDP + raw["udp_bytes"]
         # Words that include their own checksum add up to a multiple of 2**16 - 1 (RFC 1071).
         fields = [
             ("IP version", raw["version"] >> 4, 4),
-            ("header bytes", np.array([len(each.ip) + 8 for each in datagrams]), 28),
+            ("header bytes", np.array([len(datagram.ip) + 8 for datagram in datagrams]), 28),
             ("type of service", raw["tos"], 0),
             ("IP length", raw["total"], 28 + payload_bytes),
             ("flags and offset", raw["fragment"], _FLAGS[kind]),
