@@ -327,7 +327,7 @@ def test_a_library_is_imported_where_it_belongs():
 
 
 def test_files_of_users_come_in_through_one_door():
-    """Only `inputs.py` opens what a user names; other modules open what the table says, and no more modules."""
+    """Only `inputs.py` opens what a user names; other modules open what the table says, and no others do."""
     assert {name for name, tree in trees().items() if opens(tree)} == OPENS.keys()
     assert opens(ast.parse("with Path(name).open() as file: pass")) == [1]
     assert opens(ast.parse("np.loadtxt(path)")) == [1]
@@ -335,7 +335,7 @@ def test_files_of_users_come_in_through_one_door():
 
 
 def test_names_of_hosts_are_looked_up_in_one_place():
-    """Only `hosts.py` asks for the address of a name, or binds a socket to one: a name server may not answer."""
+    """Only `hosts.py` asks for the address of a name, or binds a socket: a name server may not answer."""
     asking = {"getaddrinfo", "gethostbyname", "create_connection", "create_server", "TCPServer"}
     found = {
         name
@@ -353,6 +353,22 @@ def test_only_the_command_line_prints():
         calls = {ast.unparse(func) for func in funcs if isinstance(func, ast.Name | ast.Attribute)}
         printing = calls & {"print", "exit", "sys.exit", "sys.stdout.write", "sys.stderr.write"}
         assert not printing or name.startswith("cli/"), f"{name} calls {printing}"
+
+
+def test_lines_have_at_most_110_columns():
+    """No line of a Python file, nor of a program of the shell, is longer, also where ruff allows it."""
+    root = PACKAGE.parent
+    tools = [path for folder in ("tools", ".ci") for path in (root / folder).rglob("*") if path.is_file()]
+    programs = [path for path in tools if path.suffix == ".sh" or path.read_bytes()[:2] == b"#!"]
+    assert {"step.sh", "run", "unmask"} <= {path.name for path in programs}
+    files = [*FILES, *(root / "tests").rglob("*.py"), *(root / "tools").rglob("*.py"), *programs]
+    found = [
+        f"{path.relative_to(root)}:{number}"
+        for path in files
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+        if len(line) > 110
+    ]
+    assert found == []
 
 
 def test_files_and_functions_are_short():

@@ -429,8 +429,8 @@ def test_a_damaged_description_is_named_by_its_member(walk, tmp_path, refused, f
 @pytest.mark.parametrize("file", ["trajectory.npy", "imu.npy", "gnss.npy"])
 @pytest.mark.parametrize("damage", ["nan", "times", "fifo", "loop", "sparse"])
 def test_damaged_rows_of_truth_are_refused(walk, tmp_path, refused, file, damage):
-    """A NaN, times that do not ascend, a special file, a loop of links, and a table of gigabytes that holds no
-    rows of a run are refused with the file's name, and no bag is made."""
+    """A NaN, times that do not ascend, a special file, a loop of links, and a table of gigabytes that holds
+    no rows of a run are refused with the file's name, and no bag is made."""
     shutil.copytree(walk / "truth", tmp_path / "truth")
     place = tmp_path / "truth" / file
     rows = np.load(place)

@@ -1,7 +1,7 @@
 """Small files of kinds that people reported, each with its right answer and the authority for it.
 
-The rows are those of `tools/cases`. Most files are in `../shared/cases`, whose README names the public reports; they
-are no part of the project.
+The rows are those of `tools/cases`. Most files are in `../shared/cases`, whose README names the public
+reports; they are no part of the project.
 """
 
 import pytest

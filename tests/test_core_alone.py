@@ -34,7 +34,8 @@ def core(tmp_path_factory):
     def run(*lines):
         """Carry out command lines in one process; gives the greatest exit code, and what it printed on
         stdout and stderr."""
-        program = "import sys, json; from vlp16emu.cli.app import run; sys.exit(max([run(line) for line in json.loads(sys.argv[1])]))"
+        program = "import sys, json; from vlp16emu.cli.app import run; "
+        program += "sys.exit(max([run(line) for line in json.loads(sys.argv[1])]))"
         command = [sys.executable, "-c", program, json.dumps([[*map(str, line), "--json"] for line in lines])]
         return subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, check=False)
 

@@ -116,10 +116,13 @@ def script(name, seconds):
     return runpy.run_path(f"{EXAMPLES}/own_{{name}}.py", run_name="__main__")
 
 script("world", "0.1")
-scene, seen = {{"schema": 1, "motion": {{"kind": "static"}}, "world": {{"kind": "dunes", "height_m": 3.0}}}}, []
+world = {{"kind": "dunes", "height_m": 3.0}}
+scene = {{"schema": 1, "motion": {{"kind": "static"}}, "world": world}}
+seen = []
 for returns in Emulator(scene, ideal=True).returns(0.0, 0.1):
     hit = returns.distance_m[..., 0] > 0
-    x_m, _, z_m = (returns.firings.origin_m[hit] + returns.firings.direction[hit] * returns.distance_m[hit][:, :1]).T
+    ray_m = returns.firings.direction[hit] * returns.distance_m[hit][:, :1]
+    x_m, _, z_m = (returns.firings.origin_m[hit] + ray_m).T
     seen.append([len(x_m), np.abs(z_m - 1.5 * np.sin(2 * np.pi * x_m / 40)).max()])
 sensor = script("sensor", "0.1")["Dense32"](model="dense-32")
 script("motion", "2.0")

@@ -162,8 +162,8 @@ PLACES = {
 @pytest.mark.parametrize(("read", "name"), [*TEXTS, *OTHERS, *FURTHER])
 @pytest.mark.parametrize("text", PLACES)
 def test_what_came_in_the_place_of_a_file_is_named(tmp_path, read, name, text):
-    """An empty file, a pointer of Git LFS (docs/spec.md of git-lfs/git-lfs, the one there but for its sum) and a
-    page of HTML are called so for every kind of input, and none of their text is shown."""
+    """An empty file, a pointer of Git LFS (docs/spec.md of git-lfs/git-lfs, the one there but for its sum)
+    and a page of HTML are called so for every kind of input, and none of their text is shown."""
     path = tmp_path / name
     path.write_text(text)
     with pytest.raises(InputError) as caught:

@@ -34,7 +34,7 @@ def test_an_event_ends_the_wait_for_a_pipe(tmp_path):
 
 
 def test_a_file_that_grows_is_bounded():
-    """Files of the system have size 0 and content; what is longer than the limit is refused while it is read."""
+    """Files of the system have size 0 and content; one beyond the limit is refused while it is read."""
     with pytest.raises(InputError, match=r"found \d\d+ bytes; expected words of at most 10 bytes"):
         read_bytes(Path("/proc/self/status"), "words", InputError, most_bytes=10)
 

@@ -107,7 +107,8 @@ def test_what_was_flown_repeats_the_run_byte_for_byte(flown):
     streamed = flown.streamed
     skipped, left_out = streamed.sent.skipped["data"], 4 * round(streamed.live.left_out_s / 0.005308416)
     missing = len(flown.repeated[PacketKind.DATA]) - len(flown.sent[PacketKind.DATA])
-    # The last step has up to three packets less, and a stream that skips may skip packets of steps that were left out before.
+    # The last step has up to three packets less, and a stream that skips may skip packets of steps that were
+    # left out before.
     assert skipped - 4 < missing <= skipped + left_out
 
 
@@ -169,8 +170,8 @@ class Opened(logging.Handler):
 
 
 def test_poses_that_jump_while_the_world_is_opened_do_not_hold_up_the_run(tmp_path):
-    """A body that is 100 m further at each window that is opened, which would ask for windows without end: the
-    run begins after a few, and ends with its packets and ground truth."""
+    """A body that is 100 m further at each window that is opened, which would ask for windows without end:
+    the run begins after a few, and ends with its packets and ground truth."""
     ports = ["sensor.data_port=9", "sensor.position_port=10"]
     emulator = Emulator("static_bench", [*BARE, *EXACT, LIVE, *ports])
     places = []

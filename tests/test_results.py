@@ -1,4 +1,4 @@
-"""Each page of results names the commands that make it; its tools run here, and `test_documents.py` reads its verbs."""
+"""Each page of results names its commands: tools run here, and `test_documents.py` reads the verbs."""
 
 import shutil
 import sys

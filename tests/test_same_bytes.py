@@ -18,10 +18,11 @@ from vlp16emu.scenario import load
 PACKAGE = Path(__file__).resolve().parents[1] / "vlp16emu"
 
 ROOMS = (
-    "elementary.py", "engine", "extras/clouds/scan.py", "extras/imu", "extras/live", "extras/meshes",
-    "extras/splines.py", "extras/walk", "foliage", "forest", "motion", "packets", "random.py", "raycast", "returns",
-    "run/stream.py", "sensor", "trig.py", "types.py", "units.py", "world",
-)  # fmt: skip
+    *("extras/clouds/scan.py", "extras/imu", "extras/live", "extras/meshes", "extras/splines.py"),
+    *("extras/walk", "engine", "foliage", "forest", "motion", "packets", "raycast", "returns"),
+    *("run/stream.py", "sensor", "world"),
+    *("elementary.py", "random.py", "trig.py", "types.py", "units.py"),
+)
 """Folders and files on the way from a scene to its packets."""
 
 ALLOWED = {
@@ -46,11 +47,32 @@ NUMPY = frozenset(
     " linalg fft".split()
 )
 """What libraries compute by one of several variants; `linalg` and `fft` with all that they have."""
-DRAWS = frozenset({
-    "binomial", "chisquare", "dirichlet", "exponential", "geometric", "gumbel", "laplace", "logistic", "lognormal",
-    "logseries", "multinomial", "multivariate_normal", "negative_binomial", "pareto", "standard_cauchy",
-    "standard_gamma", "standard_t", "triangular", "vonmises", "wald", "weibull", "zipf",
-})  # fmt: skip
+DRAWS = frozenset(
+    [
+        "binomial",
+        "chisquare",
+        "dirichlet",
+        "exponential",
+        "geometric",
+        "gumbel",
+        "laplace",
+        "logistic",
+        "lognormal",
+        "logseries",
+        "multinomial",
+        "multivariate_normal",
+        "negative_binomial",
+        "pareto",
+        "standard_cauchy",
+        "standard_gamma",
+        "standard_t",
+        "triangular",
+        "vonmises",
+        "wald",
+        "weibull",
+        "zipf",
+    ]
+)
 """Numbers that numpy draws by functions of libm, and `vlp16emu.random.generator` not by its own."""
 LIBRARIES = ("scipy", "pymap3d", "cmath", "statistics", "numpy.linalg", "numpy.fft")
 

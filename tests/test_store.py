@@ -105,8 +105,8 @@ def test_only_our_own_folders_and_those_of_root_are_taken(monkeypatch, folder, o
 
 
 def test_a_folder_that_is_exchanged_is_not_read(kept, folder, tmp_path):
-    """A user who owns a folder above may rename ours and put another there: what comes back is from the folder
-    that was checked, and nothing is written to the other."""
+    """A user who owns a folder above may rename ours and put another there: what comes back is from the
+    folder that was checked, and nothing is written to the other."""
     assert kept.read("a.thing") == b"one two"
     theirs = tmp_path / "theirs" / "files"
     Store(theirs, ".thing", 1000).write("a.thing", b"planted")

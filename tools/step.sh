@@ -1,7 +1,7 @@
 # Steps of a check, for bash: sourced by tools/check and .ci/run.
 
-# Run a command, and print one line at its end: wall time, CPU time of all its processes, and its last line; for
-# pytest also skipped tests with the reason. Print all its output if it fails.
+# Run a command, and print one line at its end: wall time, CPU time of all its processes, and its last line;
+# for pytest also skipped tests with the reason. Print all its output if it fails.
 step() {
     local name=$1 code=0 log spent TIMEFORMAT='%R %U %S'
     shift

@@ -138,8 +138,8 @@ def overwritten(content, at, header):
 @pytest.mark.parametrize(("name", "header"), [("o.bag", b"op="), ("o.mcap", b"velodyne")])
 @pytest.mark.parametrize("damaged", [lost, overwritten])
 def test_a_damaged_record_of_a_bag_costs_its_message(bench, tmp_path, name, header, damaged):
-    """Packets of all other messages are those that rosbags finds in the bag before; the place is reported once by
-    a warning."""
+    """Packets of all other messages are those that rosbags finds in the bag before; the place is reported
+    once by a warning."""
     whole_path = tmp_path / f"whole_{name}"
     write_bag(bench, whole_path)
     whole = by_rosbags(whole_path)

@@ -1,10 +1,10 @@
-"""The program in forks of a process that has loaded it: each gets one signal, once it waits for the outside world.
+"""The program in forks of a process that has loaded it: each gets one signal once it waits.
 
-Each line of standard input is a command: its words, folder, the number of the signal, and a file that it waits
-to open, or none. It waits once that file is opened, a name server of this machine is asked, or a connection to a
-server of this machine is made, whose port stands for {port} in the words. Neither of the two ever answers. The
-line of the answer has the exit code (none if the signal did not end the program), whether it waited, and the words
-on its standard error.
+Each line of standard input is a command: its words, folder, the number of the signal, and a file that it
+waits to open, or none. It waits once that file is opened, a name server of this machine is asked, or a
+connection to a server of this machine is made, whose port stands for {port} in the words. Neither of the two
+ever answers. The line of the answer has the exit code (none if the signal did not end the program), whether
+it waited, and the words on its standard error.
 """
 
 import json
@@ -93,7 +93,7 @@ def carry_out(command, servers):
 
 
 def main_here():
-    """Answer commands until the input ends; with an argument, a file of a resolver, as this machine's names."""
+    """Answer commands until the input ends; an argument is the file of a resolver for this machine."""
     silent = socket.create_server(("127.0.0.1", 0))
     servers = [silent]
     if sys.argv[1:]:

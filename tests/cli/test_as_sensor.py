@@ -50,7 +50,10 @@ def ended(*words):
     return {"code": code, "out": out.getvalue(), "err": err.getvalue()}
 
 receiver = subprocess.Popen(
-    ["unshare", "--net", sys.executable, "-c", sys.argv[1]], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ["unshare", "--net", sys.executable, "-c", sys.argv[1]],
+    stdin=subprocess.PIPE,
+    stdout=subprocess.PIPE,
+    text=True,
 )
 assert receiver.stdout.readline() == "here\\n"
 ip("link set lo up")
@@ -70,7 +73,8 @@ ip("addr add 192.168.1.201/24 dev sensor0")
 ip("addr add 192.168.1.202/24 dev sensor0")
 outcomes["whole"] = ended("--interface", "sensor0", "--duration", "0.1", "--set", "rig=[{}]")
 report = json.loads(outcomes["whole"]["out"])
-outcomes["frames"] = [receiver.stdout.readline().strip() for _ in range(report["packets"] + report["position_packets"])]
+sent = report["packets"] + report["position_packets"]
+outcomes["frames"] = [receiver.stdout.readline().strip() for _ in range(sent)]
 going = stream("--interface", "sensor0", "--duration", "3600")
 for _ in range(50):
     receiver.stdout.readline()

@@ -31,7 +31,7 @@ def taken():
     ids=lambda words: f"{words[0]} {words[-2]} {words[-1]}",
 )
 def test_bad_options_of_a_forest_open_no_window(refused, caplog, tmp_path, taken, words):
-    """No window of the forest is opened, in which its trees would grow, for a command line that is refused."""
+    """A command line that is refused opens no window of the forest, in which trees would grow."""
     caplog.set_level("DEBUG", GROWTH)
     (tmp_path / "file").write_text("of the user", encoding="utf-8")
     refused([word.format(folder=tmp_path, port=taken) for word in words])

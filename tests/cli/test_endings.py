@@ -48,7 +48,10 @@ def test_a_gap_is_reported_and_shortened(gap):
 
 
 REPLAY = "replay {gap} --keep-gaps --data-port 9 --position-port 10"
-LIVE = "stream static_bench --set motion={{kind='live'}} --pose-in udp://127.0.0.1:0 --data-port 9 --position-port 10"
+LIVE = (
+    "stream static_bench --set motion={{kind='live'}} --pose-in udp://127.0.0.1:0"
+    " --data-port 9 --position-port 10"
+)
 
 
 @pytest.mark.parametrize(("line", "number"), [(REPLAY, signal.SIGHUP), (LIVE, signal.SIGTERM)])

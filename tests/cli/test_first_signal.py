@@ -1,4 +1,4 @@
-"""The first signal ends the program wherever it waits for the outside world: for a reader, the answer of a name
+"""The first signal ends the program where it waits for the outside world: for a reader, the answer of a name
 server, or that of a server which has taken the connection."""
 
 import json
@@ -74,8 +74,8 @@ def words_of(verb, name, at, value, inputs):
     ("verb", "name", "at"), WAITING_OUT, ids=[f"{verb} {name}" for verb, name, _ in WAITING_OUT]
 )
 def test_an_output_without_a_reader_ends_with_sigterm(forks, inputs, tmp_path, verb, name, at):
-    """A FIFO that nobody reads, as any output of any verb: it is refused, or SIGTERM ends the wait with 130 and
-    without a word; the FIFO stays."""
+    """A FIFO that nobody reads, as any output of any verb: it is refused, or SIGTERM ends the wait with 130
+    and without a word; the FIFO stays."""
     pipe = tmp_path / f"pipe{ending_of(verb, name)}"
     os.mkfifo(pipe)
     end = forks.end(words_of(verb, name, at, pipe, inputs), tmp_path, signal.SIGTERM, pipe)

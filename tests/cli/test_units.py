@@ -7,7 +7,10 @@ import pytest
 
 from vlp16emu.captures import capture
 
-RIG = "rig=[{mount={pitch_deg=-35.0}}, {return_mode='dual', address='10.0.0.7', data_port=2368, position_port=8308}]"
+RIG = (
+    "rig=[{mount={pitch_deg=-35.0}},"
+    " {return_mode='dual', address='10.0.0.7', data_port=2368, position_port=8308}]"
+)
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,5 @@
-"""What all verbs have in common: a good run, one JSON object, Ctrl-C, a line for an unknown option, and files of
-the user that stay as they are."""
+"""What all verbs have in common: a good run, one JSON object, Ctrl-C, a line for an unknown option, and files
+of the user that stay as they are."""
 
 import fcntl
 import io
@@ -279,8 +279,8 @@ def drain(path):
 def test_an_output_without_a_reader_ends_with_ctrl_c(
     inputs, tmp_path, monkeypatch, capsys, opens, verb, name, at
 ):
-    """A FIFO that nobody reads, as any output of any verb: refused, or the first Ctrl-C ends the wait with 130;
-    the FIFO stays."""
+    """A FIFO that nobody reads, as any output of any verb: refused, or the first Ctrl-C ends the wait with
+    130; the FIFO stays."""
     monkeypatch.chdir(tmp_path)
     Path("spec.toml").write_text(SPEC)
     pipe = tmp_path / f"pipe{ending_of(verb, name)}"

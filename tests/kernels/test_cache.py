@@ -323,7 +323,8 @@ def test_the_target_is_that_of_the_environment(chosen):
 import vlp16emu.kernels.compiler as compiler
 from llvmlite import binding
 from numba.core.registry import cpu_target
-print(*cpu_target.target_context.codegen().magic_tuple()[1:], compiler.target_for(binding.get_host_cpu_features()))
+host = compiler.target_for(binding.get_host_cpu_features())
+print(*cpu_target.target_context.codegen().magic_tuple()[1:], host)
 """
     environment = {**os.environ, "VLP16EMU_TARGET": chosen}
     found = subprocess.check_output([sys.executable, "-c", program], text=True, env=environment).split()

@@ -159,8 +159,8 @@ def test_frames_of_glim_are_one_tree_with_and_without_a_bag():
     frame has a second parent.
 
     It sends map to odom, odom to its base and its IMU to its lidar, and looks its base up from the IMU if
-    they are not one frame (koide3/glim_ros2 13a6bcb26e176144f65b6ecd221edfebd0a36a66, src/glim_ros/rviz_viewer.cpp,
-    odometry_new_frame).
+    they are not one frame (koide3/glim_ros2 13a6bcb26e176144f65b6ecd221edfebd0a36a66,
+    src/glim_ros/rviz_viewer.cpp, odometry_new_frame).
     """
     glim = json.loads(configurations(programs()["glim"], Rig())["glim_ros.json"])["glim_ros"]
     imu = glim["imu_frame_id"]

@@ -18,7 +18,8 @@ WIDE = [
 @pytest.mark.parametrize("model", WIDE)
 def test_hits_are_those_of_the_slow_twin(workers, model):
     """Sub-rays, rounds and displaced hits of the fast caster equal those of brute force in float64."""
-    # An adaptive beam is so narrow that pulses are far apart: the twin does not judge by neighbours (see `test_adaptive`).
+    # An adaptive beam is so narrow that pulses are far apart: the twin does not judge by neighbours (see
+    # `test_adaptive`).
     narrow = {"divergence_mrad": (1.0, 0.5)} if model == "adaptive" else {}
     beam = lab.beam(model, rays=4 if model == "fixed" else 12, **narrow)
     scenes = lab.opened(workers), ReferenceScene(lab.placed(30), lab.soup)

@@ -137,8 +137,8 @@ def test_errors_and_ctrl_c_end_a_stream():
 
 
 def test_a_world_that_ends_during_a_run_keeps_what_was_sent():
-    """An InputError after the first packet ends the stream as an interrupt, with its line; one before it, where
-    nothing is made yet, is raised."""
+    """An InputError after the first packet ends the stream as an interrupt, with its line; one before it,
+    where nothing is made yet, is raised."""
 
     def ending(count):
         yield from make_packets(count)

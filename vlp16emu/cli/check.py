@@ -97,9 +97,9 @@ def _verify_bag(file: Path, unit: str | None, slam: str, *, as_json: bool) -> No
     if as_json:
         programs = {
             name: {
-                "fit": not result.of(name),
+                "fit": not result.findings_of(name),
                 "configurations": result.configurations[name],
-                "findings": result.of(name),
+                "findings": result.findings_of(name),
             }
             for name in result.programs
         }
@@ -109,7 +109,7 @@ def _verify_bag(file: Path, unit: str | None, slam: str, *, as_json: bool) -> No
             print_line(str(finding))
         verdicts = {}
         for name in result.programs:
-            number = len(result.of(name))
+            number = len(result.findings_of(name))
             files = result.configurations[name]
             verdict = quantity(number, "finding") if number else "fit"
             verdicts[name] = f"{verdict}, with {', '.join(files)}" if files else verdict

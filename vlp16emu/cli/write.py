@@ -384,7 +384,8 @@ def view(
     host: Annotated[
         str,
         Option(
-            "Address of this machine to listen on, 0.0.0.0 or :: for all; other machines can then open the page.",
+            "Address of this machine to listen on, 0.0.0.0 or :: for all; other machines can then open "
+            "the page.",
             "ADDRESS",
         ),
     ] = "127.0.0.1",

@@ -48,7 +48,8 @@ _MEASURES = {
     **dict.fromkeys(("stump", "broken_stump"), ("diameter", 0)),
     "root_plate": ("diameter", 1),
     **dict.fromkeys(("tuft", "herb", "fern", "dwarf_shrub"), ("height", 2)),
-}  # reported size of a kind of object, and its axis
+}
+"""Reported size of each kind of object, and its axis."""
 _STEPS_PER_S = 10  # rate of the points of the path: about 12 cm apart at walking speed
 
 
@@ -90,8 +91,11 @@ class Survey:
     @property
     def names(self) -> Mapping[int, str]:
         """Names by instance, for objects that have one."""
-        named = (one for one in (self.world, self.bare) if isinstance(one, HallWorld | Furnished))
-        return {instance: name for one in named for instance, name in one.names.items()}
+        names = dict[int, str]()
+        for world in (self.world, self.bare):
+            if isinstance(world, HallWorld | Furnished):
+                names |= world.names
+        return names
 
     @property
     def bounds_m(self) -> tuple[F8, F8]:
@@ -128,6 +132,7 @@ class Survey:
         return circles[np.argsort(circles["tree"], kind="stable")]
 
     def _crowns(self, trees: NDArray[np.void]) -> list[CrownKey]:
+        """Return the crowns of some of the trees (k,)."""
         window = self.window
         instance = window.surfaces["instance"][window.first_surface].tolist()
         shapes = (window.shapes[i] for i in window.shape)
@@ -192,13 +197,15 @@ def stand_rows(inventory: NDArray[np.void], species: Mapping[int, str], ground_m
     Figures of all trees follow if there are several species.
     """
     numbers, stems = np.unique(inventory["species"], return_counts=True)
-    own = [
-        (species[int(n)], inventory[inventory["species"] == n])
-        for n in numbers[np.argsort(-stems, kind="stable")]
+    groups = [
+        (species[int(number)], inventory[inventory["species"] == number])
+        for number in numbers[np.argsort(-stems, kind="stable")]
     ]
+    if len(groups) > 1:
+        groups.append(("all", inventory))
     ground_ha = ground_m2 / 10_000
     rows = list[Tree]()
-    for name, trees in own if len(own) < 2 else [*own, ("all", inventory)]:
+    for name, trees in groups:
         dbh_m = trees["dbh_m"]
         # The mean of diameters is quadratic.
         row = {"stems_per_ha": len(trees) / ground_ha, "dbh_mean_cm": 100 * np.sqrt(np.mean(dbh_m**2))}
@@ -206,9 +213,7 @@ def stand_rows(inventory: NDArray[np.void], species: Mapping[int, str], ground_m
         row |= {"height_mean_m": trees["height_m"].mean(), "height_max_m": trees["height_m"].max()}
         row["basal_area_m2_per_ha"] = np.sum(np.pi / 4 * dbh_m**2) / ground_ha
         row["stem_m3_per_ha"] = trees["stem_m3"].sum() / ground_ha  # volume of stems over bark
-        row["leaf_area_index"] = (
-            trees["leaf_m2"].sum() / ground_m2
-        )  # leaf area of these trees over the area considered
+        row["leaf_area_index"] = trees["leaf_m2"].sum() / ground_m2  # of these trees, over the whole area
         rows.append(
             {"species": name, "stems": len(trees)} | {key: float(value) for key, value in row.items()}
         )
@@ -216,11 +221,10 @@ def stand_rows(inventory: NDArray[np.void], species: Mapping[int, str], ground_m
 
 
 def clark_evans(xy_m: F8, all_xy_m: F8, ground_m2: float) -> float:
-    """Return the index of Clark and Evans (1954).
+    """Return the index of Clark and Evans (1954): 1 for a random pattern, less for clumps.
 
-    It is the mean distance to the nearest neighbour over its expectation at random.
-
-    It is 1 for a random pattern, less for clumps, and up to 2.149 for a regular pattern.
+    It is the mean distance to the nearest neighbour over its expectation at random, and at most 2.149, for a
+    regular pattern.
 
     Parameters
     ----------
@@ -232,16 +236,16 @@ def clark_evans(xy_m: F8, all_xy_m: F8, ground_m2: float) -> float:
     return float(nearest_m.mean() * 2 * np.sqrt(len(xy_m) / ground_m2))
 
 
-def cells_near(way_xy_m: F8, radius_m: float) -> F8:
+def cells_near(path_xy_m: F8, radius_m: float) -> F8:
     """Return the centres (n, 2) of the cells of `CELL_M` within a radius of a line of points (m, 2).
 
     Their number times `CELL_M` squared is the area around the path.
     """
-    low = np.floor((way_xy_m.min(axis=0) - radius_m) / CELL_M)
-    high = np.ceil((way_xy_m.max(axis=0) + radius_m) / CELL_M)
+    low = np.floor((path_xy_m.min(axis=0) - radius_m) / CELL_M)
+    high = np.ceil((path_xy_m.max(axis=0) + radius_m) / CELL_M)
     x_m, y_m = (CELL_M * (np.arange(a, b) + 0.5) for a, b in zip(low, high, strict=True))
     cells = np.stack(np.meshgrid(x_m, y_m, indexing="ij"), axis=-1).reshape(-1, 2)
-    return np.asarray(cells[Polyline(way_xy_m).distance_m(cells) <= radius_m])
+    return np.asarray(cells[Polyline(path_xy_m).distance_m(cells) <= radius_m])
 
 
 def relief(cells_xy_m: F8, height_m: HeightField) -> dict[str, float]:
@@ -266,13 +270,12 @@ def relief(cells_xy_m: F8, height_m: HeightField) -> dict[str, float]:
 def summary_of(scene: str, scenario: Scenario, seen: Survey, rows: NDArray[np.void]) -> Tree:
     """Summarise the survey of the scene named `scene`.
 
-    Any world has path and named objects, a forest also figures within the radius.
-
-    The inventory `rows` has the trees within the radius, and perhaps others.
+    The summary of any world has path and named objects, that of a forest also figures within the radius. The
+    inventory `rows` has the trees within the radius, and perhaps others.
     """
     path_xy_m = seen.path_m[:, :2]
     length_m = float(np.hypot(*np.diff(path_xy_m, axis=0).T).sum())
-    named = [(seen.names[one.instance], one) for one in seen.things if one.instance in seen.names]
+    names = seen.names
     summary: Tree = {
         "scene": scene,
         "title": scenario.title,
@@ -282,16 +285,23 @@ def summary_of(scene: str, scenario: Scenario, seen: Survey, rows: NDArray[np.vo
         "path": {"length_m": length_m, "start_m": seen.path_m[0].tolist(), "end_m": seen.path_m[-1].tolist()},
         "radius_m": seen.radius_m,  # distance from the path within which objects are reported
         "named": [
-            {"name": name, "kind": one.kind, "instance": one.instance}
-            | {"place_m": one.place_m.tolist(), "size_m": one.size_m}
-            for name, one in named
+            {
+                "name": names[thing.instance],
+                "kind": thing.kind,
+                "instance": thing.instance,
+                "place_m": thing.place_m.tolist(),
+                "size_m": thing.size_m,
+            }
+            for thing in seen.things
+            if thing.instance in names
         ],
     }
     if seen.hall is not None:
         return summary | {"hall_m": list(seen.hall.size_m)}
     cells = cells_near(path_xy_m, seen.radius_m)
     ground_m2 = len(cells) * CELL_M**2
-    xy_m, all_xy_m = (places_m(trees, "xy") for trees in (seen.near, seen.trees))
+    xy_m = places_m(seen.near, "xy")
+    all_xy_m = places_m(seen.trees, "xy")
     near = rows[np.isin(rows["id"], seen.near["id"])]
     return summary | {
         "area_ha": ground_m2 / 10_000,
@@ -310,12 +320,17 @@ def _things(seen: Survey, ground_m2: float) -> dict[str, Tree]:
     nameless = [thing for thing in seen.things if thing.instance not in seen.names]
     for kind in sorted({thing.kind for thing in nameless}):
         things = [thing for thing in nameless if thing.kind == kind]
-        (measure, axis) = _MEASURES[kind]
+        measure, axis = _MEASURES[kind]
         sizes_m = [thing.size_m[axis] for thing in things]
-        species = dict(Counter(seen.species[one.species] for one in things if one.species).most_common())
-        per_ha = len(things) / ground_m2 * 10_000
-        kinds[kind] = {"count": len(things), "per_ha": per_ha, "measure": measure}
-        kinds[kind] |= {"least_m": min(sizes_m), "greatest_m": max(sizes_m), "species": species}
+        species = Counter(seen.species[thing.species] for thing in things if thing.species)
+        kinds[kind] = {
+            "count": len(things),
+            "per_ha": len(things) / ground_m2 * 10_000,
+            "measure": measure,
+            "least_m": min(sizes_m),
+            "greatest_m": max(sizes_m),
+            "species": dict(species.most_common()),
+        }
     return kinds
 
 
@@ -324,10 +339,9 @@ def write_survey(
 ) -> Tree:
     """Survey a scene, write the files of the options in `wanted`, and return the summary.
 
-    With `bark` its stems have the share of their bark that is seen from the path.
-
-    The files are opened before any long computation, and get their names together at the end. Raises
-    InputError as `survey`; OutputError if a file cannot be created.
+    With `bark` the stems of the summary have the share of their bark that is seen from the path. The files
+    are opened before any long computation, and get their names together at the end. Raises InputError as
+    `survey`; OutputError if a file cannot be created.
     """
     with ExitStack() as stack:
         outputs = {
@@ -361,10 +375,11 @@ def _bark_seen(seen: Survey, rows: NDArray[np.void], scenario: Scenario) -> list
         reach_m=scenario.sensor.max_range_m,
         field_deg=seen.field_deg,
     )
-    return [round(float(one), 3) for one in share]
+    return [round(float(value), 3) for value in share]
 
 
 def _write(name: str, file: BinaryIO, seen: Survey, rows: NDArray[np.void]) -> None:
+    """Write the file of an option; `rows` is the inventory of the trees that `--inventory` lists."""
     if name == "--inventory":  # all trees within the sensor's range
         write_csv(file, rows, table=seen.plants.trees)
     elif name == "--stems":  # skeletons with radii, as in a QSM

@@ -81,10 +81,26 @@ def boards(**changes):
 def test_a_healthy_sensor_reads_as_real_units_do():
     """Rails, input, high voltage and temperatures of a warm unit stay within 1 % of those on record, and
     move slightly."""
-    real_bottom = {"i_out": 2087, "pwr_1_2v": 986, "lm20_temp": 1037, "pwr_5v": 2056, "pwr_2_5v": 2047,
-                   "pwr_3_3v": 2706, "pwr_v_in": 891, "pwr_1_25v": 0}  # fmt: skip
-    real_top = {"hv": 2628, "ad_temp": 602, "lm20_temp": 1018, "pwr_5v": 2078, "pwr_2_5v": 2047, "pwr_3_3v": 2687,
-                "pwr_5v_raw": 2190, "pwr_vccint": 976}  # fmt: skip
+    real_bottom = {
+        "i_out": 2087,
+        "pwr_1_2v": 986,
+        "lm20_temp": 1037,
+        "pwr_5v": 2056,
+        "pwr_2_5v": 2047,
+        "pwr_3_3v": 2706,
+        "pwr_v_in": 891,
+        "pwr_1_25v": 0,
+    }
+    real_top = {
+        "hv": 2628,
+        "ad_temp": 602,
+        "lm20_temp": 1018,
+        "pwr_5v": 2078,
+        "pwr_2_5v": 2047,
+        "pwr_3_3v": 2687,
+        "pwr_5v_raw": 2190,
+        "pwr_vccint": 976,
+    }
     seen = [boards(t_ns=WARM.t_ns + s * S_NS) for s in range(62)]
     for side, real in enumerate((real_bottom, real_top)):
         assert all(

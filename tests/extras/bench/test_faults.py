@@ -101,8 +101,8 @@ def test_faults_depend_on_the_seed_and_on_their_place():
 
 @pytest.mark.parametrize("packets", ["data", "position", "both"])
 def test_a_share_of_packets_is_lost(clean, packets):
-    """The share of missing packets of each chosen kind is that of the event, within 4 sigma; the others are the same
-    to the bit."""
+    """The share of missing packets of each chosen kind is that of the event, within 4 sigma; the others are
+    the same to the bit."""
     kept = sent({"kind": "drop", "at_s": 0.5, "share": 0.3, "packets": packets})
     assert all(packet in clean for packet in kept)
     for kind in (DATA, POSITION):

@@ -44,7 +44,8 @@ OFF = make_event("power_cycle", 3.0, off_s=2.5)
 @pytest.mark.parametrize(
     ("happening", "settings", "expected"),
     [
-        # From the first edge that is missed the pulse is absent, and locked again when it was steady for the window.
+        # From the first edge that is missed the pulse is absent, and locked again when it was steady for the
+        # window.
         (make_event("pps_loss", 1.3, duration_s=3.0), {}, [(2.0, ABSENT), (5.0, SYNC), (10.0, LOCKED)]),
         (make_event("pps_loss", 1.3, duration_s=0.5), {}, []),
         (GARBLED, {}, [(3.35, ERROR), (5.35, LOCKED)]),

@@ -93,7 +93,10 @@ def test_the_info_is_the_units_own(make):
     ("form", "words"),
     [
         ("setting rpm=310", "rpm: found 310, expected a whole number from 300 to 1200 in steps of 60"),
-        *(("setting rpm=" + text, f"rpm: found {shown}") for text, shown in (("0", 0), ("-600", "'-600'"), ("", "''"))),
+        *(
+            ("setting rpm=" + text, f"rpm: found {shown}")
+            for text, shown in (("0", 0), ("-600", "'-600'"), ("", "''"))
+        ),
         ("setting rpm=600.0", "rpm: found '600.0', expected a whole number"),
         ("setting rpm=%D9%A6%D9%A0%D9%A0", "expected a whole number"),
         ("setting returns=Strongets", "expected Strongest or Last or Dual"),
@@ -102,8 +105,10 @@ def test_the_info_is_the_units_own(make):
         ("setting start=3", "'start': unknown key, expected rpm or returns or laser"),
         *((f"setting {body}", "expected key=value") for body in ("rpm", "", "&".join(["rpm=300"] * 17))),
         ("setting/fov start=360", "start: found 360, expected a whole number from 0 to 359"),
-        *((f"setting/host addr={host}", ("the IPv4 address of a host, or "
-                                        "255.255.255.255")) for host in ("0.0.0.0", "a.org")),
+        *(
+            (f"setting/host addr={host}", ("the IPv4 address of a host, or 255.255.255.255"))
+            for host in ("0.0.0.0", "a.org")
+        ),
         ("setting/host dport=0", "dport: found 0"),
         ("setting/host tport=65536", "tport: found 65536"),
         ("setting/net mask=255.0.255.0", "a network mask"),
@@ -113,7 +118,7 @@ def test_the_info_is_the_units_own(make):
         ("save save", "expected submit"),
         ("reset submit", "expected reset_system"),
     ],
-)  # fmt: skip
+)
 def test_a_bad_value_is_ignored(web, form, words):
     """As real units do: 200, and nothing changes, also of the good keys beside it; the answer says why."""
     path, _, body = form.partition(" ")

@@ -202,7 +202,10 @@ def test_names_are_taken_where_others_may_come(web, speak):
     """On an interface that is not this machine's alone the sensor may have a name; forms of other origins
     are refused there too."""
     web.server.is_private = False
-    form = b"POST /cgi/setting HTTP/1.1\r\nHost: sensor\r\n%sContent-Length: 7\r\nConnection: close\r\n\r\nrpm=300"
+    form = (
+        b"POST /cgi/setting HTTP/1.1\r\nHost: sensor\r\n%sContent-Length: 7\r\n"
+        b"Connection: close\r\n\r\nrpm=300"
+    )
     assert status_of(speak(form % b"Origin: http://site.example\r\n")) == 403
     assert status_of(speak(form % b"")) == 204
 
@@ -230,11 +233,15 @@ MANY = settings(
 
 
 TOKENS = st.sampled_from(
-    [b"GET ", b"POST ", b"/cgi/setting", b"/cgi/settings.json", b" HTTP/1.1", b" HTTP/1.0", b" HTTP/9", b"\r\n", b"\n",
-     b"Host: 127.0.0.1\r\n", b"Host: evil\r\n", b"Content-Length: 7\r\n", b"Content-Length: 99999999999\r\n",
-     b"Transfer-Encoding: chunked\r\n", b"Connection: close\r\n", b"Expect: 100-continue\r\n", b"\r\n\r\n", b"rpm=300",
-     b"5\r\n", b"0\r\n\r\n", b"\x00", b"\xff\xfe", b": ", b"Upgrade: websocket\r\n", b"a" * 9000]
-)  # fmt: skip
+    [
+        *(b"GET ", b"POST ", b"/cgi/setting", b"/cgi/settings.json"),
+        *(b" HTTP/1.1", b" HTTP/1.0", b" HTTP/9", b"\r\n", b"\n"),
+        *(b"Host: 127.0.0.1\r\n", b"Host: evil\r\n"),
+        *(b"Content-Length: 7\r\n", b"Content-Length: 99999999999\r\n", b"Transfer-Encoding: chunked\r\n"),
+        *(b"Connection: close\r\n", b"Expect: 100-continue\r\n", b"Upgrade: websocket\r\n"),
+        *(b"\r\n\r\n", b"rpm=300", b"5\r\n", b"0\r\n\r\n", b"\x00", b"\xff\xfe", b": ", b"a" * 9000),
+    ]
+)
 
 
 @MANY

@@ -30,7 +30,10 @@ class Page:
         self.run, self.click, self.close = self._page.evaluate, self._page.click, self._page.close
 
     def type(self, selector, value):
-        put = "(field, value) => { field.value = value; field.dispatchEvent(new Event('input', {bubbles: true})); }"
+        put = (
+            "(field, value) => { field.value = value; "
+            "field.dispatchEvent(new Event('input', {bubbles: true})); }"
+        )
         self._page.eval_on_selector(selector, put, value)
 
     def wait(self, condition):
@@ -84,10 +87,16 @@ def test_the_form_sends_what_was_changed(web, page):
     """All changed fields are set by one press, the phase in 0.01 degree; unchanged ones are not sent. The
     speed goes to its number by steps."""
     values = {
-        "[name=rpm]": "900", "[name=returns]": "Dual", "[name=laser]": "Off", "[name=start]": "350", "[name=end]": "10",
-        "[name=enabled]": "On", "[name=offset]": "123.45", "[name=dport]": "3000",
+        "[name=rpm]": "900",
+        "[name=returns]": "Dual",
+        "[name=laser]": "Off",
+        "[name=start]": "350",
+        "[name=end]": "10",
+        "[name=enabled]": "On",
+        "[name=offset]": "123.45",
+        "[name=dport]": "3000",
         "[data-path='/cgi/setting/net'] [name=addr]": "10.0.0.2",
-    }  # fmt: skip
+    }
     for selector, value in values.items():
         page.type(selector, value)
     page.click("[type=submit]")

@@ -218,7 +218,8 @@ def test_a_camera_changes_no_packet(tmp_path):
         emulator = Emulator("static_bench", settings)
         files.append(emulator.record(tmp_path / "x.pcap", duration_s=0.05).sha256)
     assert files[0] == files[1]
-    words = "import sys; from vlp16emu import Emulator; Emulator('static_bench'); import vlp16emu.extras.bag.write;"
+    words = "import sys; from vlp16emu import Emulator; Emulator('static_bench'); "
+    words += "import vlp16emu.extras.bag.write; "
     words += "sys.exit(any(name.startswith('vlp16emu.extras.camera') for name in sys.modules))"
     assert subprocess.run([sys.executable, "-c", words], check=False).returncode == 0
 

@@ -59,7 +59,8 @@ def test_beat_and_white_noise_are_told_apart():
     assert abs(sine) == pytest.approx(6.0, abs=0.15)
     assert np.angle(sine) == pytest.approx(1.0, abs=0.02)
     assert found["range.white_at_20_mm"] == pytest.approx(np.hypot(5.0, 2 / np.sqrt(12)), abs=0.05)
-    # Normal numbers on a sphere of 11 dimensions: 3 x 11 / 13 for each coordinate; in 15 coordinates a little more.
+    # Normal numbers on a sphere of 11 dimensions: 3 x 11 / 13 for each coordinate; in 15 coordinates a little
+    # more.
     assert -0.35 < found["range.kurtosis"] < -0.2
 
 

@@ -43,7 +43,8 @@ def progress(done_s):
         print(done_s, flush=True)
         sys.stdin.read()
 
-make_dataset(walks_in(Path(sys.argv[1]), PUCK_ALONE), Path(sys.argv[2]), scheduler=sys.argv[3], progress=progress)
+walks = walks_in(Path(sys.argv[1]), PUCK_ALONE)
+make_dataset(walks, Path(sys.argv[2]), scheduler=sys.argv[3], progress=progress)
 """
 """Client that waits after its first walk, for its end by a signal."""
 

@@ -191,7 +191,7 @@ def test_what_is_no_pose_is_refused_and_counted(position_m, quaternion, message)
 
 
 def test_a_pose_beyond_the_world_is_refused_and_the_body_stays():
-    """A place where the world has no windows is refused with a line, counted, and the pose before it holds."""
+    """A place without windows is refused with a line and counted, and the pose before it holds."""
     poses = PoseInput(is_in_world=lambda place_m: place_m[0] < 7e3)
     assert poses.put((1.0, 2.0, 3.0), LEVEL)
     with pytest.raises(TrajectoryError, match=r"place at \(35000, 0, 0\) m, beyond the world"):

@@ -143,7 +143,7 @@ def test_a_turning_course_is_an_arc_of_its_circle():
 
 
 def test_one_window_is_opened_ahead_at_a_time(windows_of, asked):
-    """While a window is being opened no further one is asked for, so the one in need waits for one at most."""
+    """While a window opens no other one is asked for, so the one in need waits for one at most."""
     of = windows_of(Knots(START_NS, FLIGHTS["8 m/s"]))
     expected = of.expected(200 * PARTS.parts, 10**6)
     asked.slow.add(expected[1])

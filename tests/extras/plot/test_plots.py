@@ -38,9 +38,20 @@ FOREST = {
     "radius_m": 10.0,
     "path": {"length_m": 10.0},
     "stems": STEMS,
-    "ground": {"west_m": -10.0, "south_m": -10.0, "cell_m": 10.0, "heights_m": [[0.0, 1.0, 2.0], [1.0, 2.0, 3.0]]},
-    "profile": {"distance_m": [0, 5, 10], "x_m": [0, 5, 10], "y_m": [0, 0, 0], "sensor_m": [2, 2.5, 3], "ground_m": [0, 0.5, 1]},
-}  # fmt: skip
+    "ground": {
+        "west_m": -10.0,
+        "south_m": -10.0,
+        "cell_m": 10.0,
+        "heights_m": [[0.0, 1.0, 2.0], [1.0, 2.0, 3.0]],
+    },
+    "profile": {
+        "distance_m": [0, 5, 10],
+        "x_m": [0, 5, 10],
+        "y_m": [0, 0, 0],
+        "sensor_m": [2, 2.5, 3],
+        "ground_m": [0, 0.5, 1],
+    },
+}
 PATH = {
     "time_s": [0.0, 1.0, 2.0],
     "distance_m": [0.0, 1.5, 3.0],

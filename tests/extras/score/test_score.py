@@ -50,9 +50,8 @@ def truth(tmp_path):
         for tree in (1, 2):
             for i in range(40):
                 leaf = i >= 20
-                file.write(
-                    f"{4 * tree + 0.01 * i},{3 + 0.01 * (i % 3)},{1.21 + 0.004 * i},2,{4 if leaf else 1},{1 + leaf},{tree}\n"
-                )
+                place = f"{4 * tree + 0.01 * i},{3 + 0.01 * (i % 3)},{1.21 + 0.004 * i}"
+                file.write(f"{place},2,{4 if leaf else 1},{1 + leaf},{tree}\n")
     (tmp_path / "trees.csv").write_text(
         "id,x_m,y_m,z_m,dbh_m,list_line\n1,4,3,0,0.30,17\n2,8,3,0,0.40,18\n3,80,3,0,0.40,19\n"
     )
@@ -271,8 +270,8 @@ def winding_walk(path):
     [(0.0, "UTC"), (-315_964_782.0, "GPS time"), (18.0, "GPS time since 1970"), (37.0, "TAI since 1970")],
 )
 def test_the_clock_of_an_estimate_is_found(truth, capsys, epoch_s, clock):
-    """Stamps in GPS time, 18 s ahead since 2017 and from 1980 on (IERS Bulletin C), and in TAI, are found with
-    the offset that they have on that clock."""
+    """Stamps in GPS time, 18 s ahead since 2017 and from 1980 on (IERS Bulletin C), and in TAI, are found
+    with the offset that they have on that clock."""
     rows = winding_walk(truth / "trajectory.tum")[::2]
     late_s = 0.064
     rows[:, 0] += epoch_s + late_s
@@ -559,7 +558,7 @@ def test_stems_without_a_reliable_dbh_are_scored_without_it(tmp_path):
 @pytest.mark.parametrize("header", ["x y dbh", "x, y, dbh", "x,y,dbh", "x\ty\tdbh"])
 @pytest.mark.parametrize("delimiter", [" ", ",", "\t", ";"])
 def test_stems_of_numpy_are_read_with_any_header(tmp_path, header, delimiter):
-    """`numpy.savetxt` writes its header behind `# `, with blanks or commas, whatever separates the columns."""
+    """`numpy.savetxt` writes its header behind `# `, with blanks or commas as its columns or not."""
     path = tmp_path / "stems.csv"
     np.savetxt(path, [[1.0, 2.0, 0.25], [3.0, 4.0, 0.5]], header=header, delimiter=delimiter)
     assert [(stem.x_m, stem.y_m, stem.dbh_m) for stem in read_stems(path)] == [(1, 2, 0.25), (3, 4, 0.5)]

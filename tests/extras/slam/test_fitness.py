@@ -151,35 +151,118 @@ def kept(topic, keep):
 
 
 DAMAGES = {
-    "us": (column("time", lambda t: t * 1e6), "time-unit", {"fast-lio2": "preprocess/timestamp_unit: 2", "rko-lio": "multiplier_to_seconds: 1e-06"}),
-    "ns": (column("time", lambda t: t * 1e9), "time-unit", {"point-lio": "preprocess/timestamp_unit: 3", "lio-sam": "seconds"}),
-    "stamp of the last point": (column("time", lambda t: t - 0.1), "time-zero", {"fast-lio2": "timestamp_first_packet", "dlio": "timestamp_first_packet"}),
-    "unsorted": (points(lambda made: made[::-1].copy()), "time-last", {"cartographer": "a CHECK aborts it", "a-loam": "azimuth"}),
+    "us": (
+        column("time", lambda t: t * 1e6),
+        "time-unit",
+        {"fast-lio2": "preprocess/timestamp_unit: 2", "rko-lio": "multiplier_to_seconds: 1e-06"},
+    ),
+    "ns": (
+        column("time", lambda t: t * 1e9),
+        "time-unit",
+        {"point-lio": "preprocess/timestamp_unit: 3", "lio-sam": "seconds"},
+    ),
+    "stamp of the last point": (
+        column("time", lambda t: t - 0.1),
+        "time-zero",
+        {"fast-lio2": "timestamp_first_packet", "dlio": "timestamp_first_packet"},
+    ),
+    "unsorted": (
+        points(lambda made: made[::-1].copy()),
+        "time-last",
+        {"cartographer": "a CHECK aborts it", "a-loam": "azimuth"},
+    ),
     "other name": (points(time={"name": "t"}), "time-name", {"dlio": "instead of `t`"}),
-    "no times": (points(time={"name": "age"}), "no-time", {"mola": "without a message", "kiss-icp": "nothing is deskewed"}),
-    "rings upside down": (column("ring", lambda ring: 15 - ring), "ring-order", {"lio-sam": "across beams", "lego-loam": "in the sky"}),
+    "no times": (
+        points(time={"name": "age"}),
+        "no-time",
+        {"mola": "without a message", "kiss-icp": "nothing is deskewed"},
+    ),
+    "rings upside down": (
+        column("ring", lambda ring: 15 - ring),
+        "ring-order",
+        {"lio-sam": "across beams", "lego-loam": "in the sky"},
+    ),
     "signed rings": (points(ring={"datatype": 3}), "ring", {"lio-sam": "uint16"}),
-    "holes": (column("x", lambda x: np.where(np.arange(len(x)) == 7, np.nan, x)), "density", {"lio-sam": "it stops", "kiss-icp": "not their times"}),
-    "clouds elsewhere": (renamed("/velodyne_points", "/points"), "cloud-topic", {"glim": "points_topic: /points", "kiss-icp": "--topic /points"}),
-    "unit elsewhere": (renamed("/imu/data", "/imu"), "imu-topic", {"fast-lio2": "common/imu_topic: /imu", "cartographer": "imu:=/imu"}),
-    "half the scans": (kept("/velodyne_points", lambda n: n % 2 == 0), "cloud-gaps", {"kiss-icp": "every scan"}),
+    "holes": (
+        column("x", lambda x: np.where(np.arange(len(x)) == 7, np.nan, x)),
+        "density",
+        {"lio-sam": "it stops", "kiss-icp": "not their times"},
+    ),
+    "clouds elsewhere": (
+        renamed("/velodyne_points", "/points"),
+        "cloud-topic",
+        {"glim": "points_topic: /points", "kiss-icp": "--topic /points"},
+    ),
+    "unit elsewhere": (
+        renamed("/imu/data", "/imu"),
+        "imu-topic",
+        {"fast-lio2": "common/imu_topic: /imu", "cartographer": "imu:=/imu"},
+    ),
+    "half the scans": (
+        kept("/velodyne_points", lambda n: n % 2 == 0),
+        "cloud-gaps",
+        {"kiss-icp": "every scan"},
+    ),
     "a gap": (kept("/velodyne_points", lambda n: n not in (3, 4)), "cloud-gaps", {"kiss-icp": "every scan"}),
     "no unit": (kept("/imu/data", lambda n: False), "no-imu", {"fast-lio2": "6 axes", "lio-sam": "9 axes"}),
-    "in g": (scaled(1 / 9.81), "gravity-unit", {"point-lio": "mapping/acc_norm: 1", "glim": "acc_scale: 9.8"}),
-    "upside down": (scaled(-1.0), "gravity-axis", {"fast-lio2": "mapping/extrinsic_R", "lio-sam": "extrinsicRot"}),
-    "100 Hz": (kept("/imu/data", lambda n: n % 2 == 0), "imu-rate", {"point-lio": "mapping/imu_time_inte: 0.01"}),
+    "in g": (
+        scaled(1 / 9.81),
+        "gravity-unit",
+        {"point-lio": "mapping/acc_norm: 1", "glim": "acc_scale: 9.8"},
+    ),
+    "upside down": (
+        scaled(-1.0),
+        "gravity-axis",
+        {"fast-lio2": "mapping/extrinsic_R", "lio-sam": "extrinsicRot"},
+    ),
+    "100 Hz": (
+        kept("/imu/data", lambda n: n % 2 == 0),
+        "imu-rate",
+        {"point-lio": "mapping/imu_time_inte: 0.01"},
+    ),
     "6 axes": (
-        samples(orientation=vector("orientation", **dict.fromkeys("xyzw", lambda _: 0.0)), orientation_covariance=NONE),
+        samples(
+            orientation=vector("orientation", **dict.fromkeys("xyzw", lambda _: 0.0)),
+            orientation_covariance=NONE,
+        ),
         "attitude",
         {"lio-sam": "Invalid quaternion"},
     ),
-    "no covariance": (samples(angular_velocity_covariance=NONE), "covariance", {"cartographer": "a CHECK aborts it"}),
-    "another clock": (lambda one: moved(one, 3600 * 10**9) if one[0] == "/imu/data" else one, "clock", {"fast-lio2": "common/time_offset_lidar_to_imu"}),
-    "lever arm": (on("/tf_static", apart), "extrinsics", {"fast-lio2": "[-0.05, 0.0, 0.0]", "lio-sam": "[0.05, 0.0, 0.0]", "glim": "[0.05, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]"}),
-    "two parents": (on("/tf_static", second_parent), "frames", {"cartographer": "one tree", "mola": "one tree"}),
-    "truth moves base_link": (on("/tf", moving_body), "tf-map", {"cartographer": "map -> base_link", "hdl-graph-slam": "map -> base_link"}),
-    "walks at once": (samples(angular_velocity=vector("angular_velocity", z=lambda _: 0.6)), "rest", {"dlio": "3 s of rest", "rko-lio": "initialization_phase: false"}),
-}  # fmt: skip
+    "no covariance": (
+        samples(angular_velocity_covariance=NONE),
+        "covariance",
+        {"cartographer": "a CHECK aborts it"},
+    ),
+    "another clock": (
+        lambda one: moved(one, 3600 * 10**9) if one[0] == "/imu/data" else one,
+        "clock",
+        {"fast-lio2": "common/time_offset_lidar_to_imu"},
+    ),
+    "lever arm": (
+        on("/tf_static", apart),
+        "extrinsics",
+        {
+            "fast-lio2": "[-0.05, 0.0, 0.0]",
+            "lio-sam": "[0.05, 0.0, 0.0]",
+            "glim": "[0.05, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]",
+        },
+    ),
+    "two parents": (
+        on("/tf_static", second_parent),
+        "frames",
+        {"cartographer": "one tree", "mola": "one tree"},
+    ),
+    "truth moves base_link": (
+        on("/tf", moving_body),
+        "tf-map",
+        {"cartographer": "map -> base_link", "hdl-graph-slam": "map -> base_link"},
+    ),
+    "walks at once": (
+        samples(angular_velocity=vector("angular_velocity", z=lambda _: 0.6)),
+        "rest",
+        {"dlio": "3 s of rest", "rko-lio": "initialization_phase: false"},
+    ),
+}
 """Damage, the rule that it breaks, and what is reported for each program."""
 
 
@@ -256,28 +339,72 @@ SICK = {
     "times of 0": (each(column("time", lambda t: 0 * t)), {"times": "all point times are 0"}),
     "times of the end": (each(column("time", lambda t: 0 * t + 0.1)), {"times": "one time"}),
     "times of NaN": (each(column("time", lambda t: t * np.nan)), {"times": "NaN or infinite in 6 clouds"}),
-    "a time of infinity": (each(column("time", lambda t: np.where(np.arange(len(t)) == 9, np.inf, t))), {"times": "infinite"}),
-    "times three times too long": (each(column("time", lambda t: 3 * t)), {"time-span": "point times span 0.298"}),
-    "one stamp": (of_topic(CLOUDS, lambda found: [(*one[:2], found[0][2]) for one in found]), {"stamps": "5 of 6 clouds"}),
+    "a time of infinity": (
+        each(column("time", lambda t: np.where(np.arange(len(t)) == 9, np.inf, t))),
+        {"times": "infinite"},
+    ),
+    "times three times too long": (
+        each(column("time", lambda t: 3 * t)),
+        {"time-span": "point times span 0.298"},
+    ),
+    "one stamp": (
+        of_topic(CLOUDS, lambda found: [(*one[:2], found[0][2]) for one in found]),
+        {"stamps": "5 of 6 clouds"},
+    ),
     "clouds twice": (of_topic(CLOUDS, TWICE), {"stamps": "6 of 12 clouds"}),
     "half turns": (parts(2), {"turn": "covers 179 deg"}),
     "thirds of turns": (parts(3), {"turn": "covers 119 deg"}),
-    "half turns without times": (lambda found: each(points(time={"name": "age"}))(parts(2)(found)), {"turn": "covers 1", "no-time": "only"}),
+    "half turns without times": (
+        lambda found: each(points(time={"name": "age"}))(parts(2)(found)),
+        {"turn": "covers 1", "no-time": "only"},
+    ),
     "packets": (parts(75), {"turn": "covers 5 deg"}),
     "two turns": (of_topic(CLOUDS, two_turns), {"turn": "covers 717 deg"}),
     "one ring": (each(column("ring", lambda ring: 0 * ring)), {"rings": "1 different values, up to 0"}),
-    "numbers of points as rings": (each(column("ring", lambda ring: np.arange(len(ring)) % 60_000)), {"rings": "up to"}),
+    "numbers of points as rings": (
+        each(column("ring", lambda ring: np.arange(len(ring)) % 60_000)),
+        {"rings": "up to"},
+    ),
     "no points": (each(points(lambda made: made[:0])), {"no-points": "no cloud"}),
-    "a cloud without points": (of_topic(CLOUDS, lambda found: [with_points(one, one[2].data.view(POINT)[: 10**6 * (n != 3)]) for n, one in enumerate(found)]), {"empty-clouds": "1 of 6"}),
+    "a cloud without points": (
+        of_topic(
+            CLOUDS,
+            lambda found: [
+                with_points(one, one[2].data.view(POINT)[: 10**6 * (n != 3)]) for n, one in enumerate(found)
+            ],
+        ),
+        {"empty-clouds": "1 of 6"},
+    ),
     "all at the origin": (coordinates(lambda x: 0 * x), {"no-points": "coordinates"}),
-    "all NaN": (coordinates(lambda x: x * np.nan), {"no-points": "coordinates", "density": "6 clouds hold NaN"}),
+    "all NaN": (
+        coordinates(lambda x: x * np.nan),
+        {"no-points": "coordinates", "density": "6 clouds hold NaN"},
+    ),
     "millimetres": (coordinates(lambda x: 1e3 * x), {"point-unit": "millimetres"}),
     "samples twice": (of_topic(IMU, TWICE), {"imu-stamps": "have the stamp of the message before"}),
-    "samples of one stamp": (of_topic(IMU, lambda found: [(*one[:2], found[0][2]) for one in found]), {"imu-stamps": "stamp"}),
-    "samples of NaN": (each(samples(linear_acceleration=vector("linear_acceleration", x=lambda _: np.nan))), {"imu-values": "NaN"}),
-    "attitude that stays": (each(turning(orientation=vector("orientation", x=lambda _: 0.0, y=lambda _: 0.0, z=lambda _: 0.0, w=lambda _: 1.0))), {"attitude-fixed": "turn by"}),
-    "frame that TF lacks": (each(on(IMU, elsewhere)), {"imu-frame": "velodyne and mti", "frames": "velodyne and mti"}),
-}  # fmt: skip
+    "samples of one stamp": (
+        of_topic(IMU, lambda found: [(*one[:2], found[0][2]) for one in found]),
+        {"imu-stamps": "stamp"},
+    ),
+    "samples of NaN": (
+        each(samples(linear_acceleration=vector("linear_acceleration", x=lambda _: np.nan))),
+        {"imu-values": "NaN"},
+    ),
+    "attitude that stays": (
+        each(
+            turning(
+                orientation=vector(
+                    "orientation", x=lambda _: 0.0, y=lambda _: 0.0, z=lambda _: 0.0, w=lambda _: 1.0
+                )
+            )
+        ),
+        {"attitude-fixed": "turn by"},
+    ),
+    "frame that TF lacks": (
+        each(on(IMU, elsewhere)),
+        {"imu-frame": "velodyne and mti", "frames": "velodyne and mti"},
+    ),
+}
 """Bags whose measurements cannot be taken: the change of a list of messages, and what is found, by rule."""
 
 
@@ -313,8 +440,8 @@ def test_cartographer_takes_times_before_the_stamp(rest, tmp_path):
     found = fitness(
         write(tmp_path / "bag", [column("time", lambda t: t - t.max())(one) for one in rest]), "all"
     )
-    assert found.of("cartographer") == []
-    assert [one.rule for one in found.of("lio-sam")] == ["time-zero"]
+    assert found.findings_of("cartographer") == []
+    assert [one.rule for one in found.findings_of("lio-sam")] == ["time-zero"]
 
 
 def faster(found):
@@ -387,7 +514,7 @@ def test_each_damage_is_found(rest, tmp_path, name):
         one.name for one in programs().values() if rule in one.needs
     }
     for program, words in reported.items():
-        (finding,) = found.of(program)
+        (finding,) = found.findings_of(program)
         assert words in str(finding)
         assert "\n" not in str(finding)
 

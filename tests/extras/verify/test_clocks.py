@@ -1,4 +1,4 @@
-"""The lint where clocks are set: that of the host, that of the sensor, and UTC itself; and what recorders leave."""
+"""`verify` where clocks are set: the host's, the sensor's and UTC itself; and what recorders leave."""
 
 import struct
 import zlib
@@ -26,7 +26,7 @@ def test_a_host_clock_that_is_set_is_one_note(traffic, by_s):
 
 @pytest.mark.parametrize("gone_s", [2, 1800, 9000])
 def test_a_gap_of_both_clocks_is_silence(traffic, gone_s):
-    """A computer that was suspended is silence by both clocks, also of hours, which time stamps do not name."""
+    """A suspended computer is silence by both clocks, also over hours, which time stamps do not name."""
     made = traffic(1.2)
     for i in range(600, len(made.frames)):
         made.stamps_us[i] += gone_s * 10**6

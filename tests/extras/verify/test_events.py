@@ -52,23 +52,53 @@ def event(kind, at_s=0.2, **fields):
 BOTH = {"packets": "both"}
 FAULTS = {
     "nothing": ([], {}),
-    "drop": ([event("drop", 0.5, count=12, **BOTH)], {Rule.LOST_PACKETS: (2, "12 position packets missing before it")}),
+    "drop": (
+        [event("drop", 0.5, count=12, **BOTH)],
+        {Rule.LOST_PACKETS: (2, "12 position packets missing before it")},
+    ),
     "duplicate": ([event("duplicate", share=0.1, after_s=0.0, **BOTH)], {Rule.DUPLICATE: (50, " again")}),
-    "late duplicate": ([event("duplicate", share=0.1, after_s=0.004, **BOTH)], {Rule.DUPLICATE: (50, " again")}),
-    "reorder": ([event("reorder", count=1, by=1, **BOTH)], {Rule.PACKET_ORDER: (2, "a data packet overtaken by 1")}),
-    "reorder by two": ([event("reorder", count=1, by=2, **BOTH)],
-     {Rule.PACKET_ORDER: (2, "a position packet overtaken by 2")}),
-    "delay of some": ([event("delay", duration_s=1.2, share=0.05, by_s=0.05)],
-     {Rule.PACKET_ORDER: (30, "overtaken by"), Rule.LATENESS: (30, "50.0 ms later than others")}),
-    "delay of all": ([event("delay", 0.5, **BOTH)],
-     {Rule.CLOCK_DRIFT: (2, "time stamps -50.0 ms off the capture stamps")}),
-    "jitter": ([event("jitter", duration_s=1.0)],
-     {Rule.LATENESS: (300, "ms later than others"), Rule.CLOCK_DRIFT: (1, "ms off the capture stamps")}),
-    "truncate": ([event("truncate", share=0.1, to_bytes=300, **BOTH)],  # a position packet that cannot be read is missing
-     {Rule.FRAMING: (50, "a data payload of 300 bytes"), Rule.LOST_PACKETS: (1, "position packets missing")}),
-    "freeze": ([event("freeze", 0.5, duration_s=0.3, **BOTH)],
-     {Rule.FROZEN: (250, "again and again"), Rule.DUPLICATE: (1, "again"), Rule.LOST_PACKETS: (1, "missing before it")}),
-}  # fmt: skip
+    "late duplicate": (
+        [event("duplicate", share=0.1, after_s=0.004, **BOTH)],
+        {Rule.DUPLICATE: (50, " again")},
+    ),
+    "reorder": (
+        [event("reorder", count=1, by=1, **BOTH)],
+        {Rule.PACKET_ORDER: (2, "a data packet overtaken by 1")},
+    ),
+    "reorder by two": (
+        [event("reorder", count=1, by=2, **BOTH)],
+        {Rule.PACKET_ORDER: (2, "a position packet overtaken by 2")},
+    ),
+    "delay of some": (
+        [event("delay", duration_s=1.2, share=0.05, by_s=0.05)],
+        {Rule.PACKET_ORDER: (30, "overtaken by"), Rule.LATENESS: (30, "50.0 ms later than others")},
+    ),
+    "delay of all": (
+        [event("delay", 0.5, **BOTH)],
+        {Rule.CLOCK_DRIFT: (2, "time stamps -50.0 ms off the capture stamps")},
+    ),
+    "jitter": (
+        [event("jitter", duration_s=1.0)],
+        {Rule.LATENESS: (300, "ms later than others"), Rule.CLOCK_DRIFT: (1, "ms off the capture stamps")},
+    ),
+    "truncate": (
+        [
+            event("truncate", share=0.1, to_bytes=300, **BOTH)
+        ],  # a position packet that cannot be read is missing
+        {
+            Rule.FRAMING: (50, "a data payload of 300 bytes"),
+            Rule.LOST_PACKETS: (1, "position packets missing"),
+        },
+    ),
+    "freeze": (
+        [event("freeze", 0.5, duration_s=0.3, **BOTH)],
+        {
+            Rule.FROZEN: (250, "again and again"),
+            Rule.DUPLICATE: (1, "again"),
+            Rule.LOST_PACKETS: (1, "missing before it"),
+        },
+    ),
+}
 
 
 @pytest.mark.parametrize("name", FAULTS)
@@ -107,24 +137,75 @@ def test_corrupt(verified):
 FREE = {"gps": {"connected": False}}
 LOST_LOCK = "state 1, synchronizing, from here on"
 RUNS = {
-    "pps_loss": ([DARK, event("pps_loss", 3.0, duration_s=3.0)], 12.0, {}, {Rule.PPS: "state 0, absent, from here on"}),
-    "late_sentence": ([DARK, event("late_sentence", 3.0, duration_s=3.0)], 12.0, {},
-     {Rule.NMEA_TIME: "0.85 s after its second"}),
-    "missing_sentence": ([DARK, event("missing_sentence", 3.0, duration_s=3.0)], 12.0, {},
-     {Rule.NMEA_SECOND: "no sentence after second "}),
-    "void sentence": ([DARK, event("void_sentence", 3.0, duration_s=3.0)], 8.0, {"gps": {"canopy_loss": False}}, {}),
-    "void sentence without lock": ([DARK, event("void_sentence", 3.0, duration_s=3.0)], 8.0,
-     {"gps": {"canopy_loss": False, "requires_valid": True}}, {Rule.PPS: LOST_LOCK}),
-    "power cycle": ([DARK, event("power_cycle", 2.0, off_s=3.0)], 7.0, {}, {Rule.SILENCE: "no packet for 3.0",
-     Rule.PPS: LOST_LOCK, Rule.CLOCK_DRIFT: "off the capture stamps", Rule.TIME_STEP: " us"}),
-    "each packet twice": ([DARK, event("duplicate", 0.0, packets="position")], 4.0, {}, {Rule.DUPLICATE: " again"}),
-    "step of the clock": ([event("oscillator", 0.5, offset_us=500.0)], 1.0, FREE,
-     {Rule.TIME_STEP: "time stamp +1827 us"}),
-    "drift of the clock": ([DARK, event("oscillator", 0.5, drift_ppm=1000.0)], 20.0, FREE,
-     {Rule.CLOCK_DRIFT: "ms off"}),
-    "optics": ([event("dead_laser", 0.8, laser=7), event("dirty_window", 0.9, sector_deg=[90, 150], transmission=0.2)],
-     3.2, {}, {Rule.LASER: "laser 7 without returns", Rule.WINDOW: "from 90 to 150 deg"}),
-}  # fmt: skip
+    "pps_loss": (
+        [DARK, event("pps_loss", 3.0, duration_s=3.0)],
+        12.0,
+        {},
+        {Rule.PPS: "state 0, absent, from here on"},
+    ),
+    "late_sentence": (
+        [DARK, event("late_sentence", 3.0, duration_s=3.0)],
+        12.0,
+        {},
+        {Rule.NMEA_TIME: "0.85 s after its second"},
+    ),
+    "missing_sentence": (
+        [DARK, event("missing_sentence", 3.0, duration_s=3.0)],
+        12.0,
+        {},
+        {Rule.NMEA_SECOND: "no sentence after second "},
+    ),
+    "void sentence": (
+        [DARK, event("void_sentence", 3.0, duration_s=3.0)],
+        8.0,
+        {"gps": {"canopy_loss": False}},
+        {},
+    ),
+    "void sentence without lock": (
+        [DARK, event("void_sentence", 3.0, duration_s=3.0)],
+        8.0,
+        {"gps": {"canopy_loss": False, "requires_valid": True}},
+        {Rule.PPS: LOST_LOCK},
+    ),
+    "power cycle": (
+        [DARK, event("power_cycle", 2.0, off_s=3.0)],
+        7.0,
+        {},
+        {
+            Rule.SILENCE: "no packet for 3.0",
+            Rule.PPS: LOST_LOCK,
+            Rule.CLOCK_DRIFT: "off the capture stamps",
+            Rule.TIME_STEP: " us",
+        },
+    ),
+    "each packet twice": (
+        [DARK, event("duplicate", 0.0, packets="position")],
+        4.0,
+        {},
+        {Rule.DUPLICATE: " again"},
+    ),
+    "step of the clock": (
+        [event("oscillator", 0.5, offset_us=500.0)],
+        1.0,
+        FREE,
+        {Rule.TIME_STEP: "time stamp +1827 us"},
+    ),
+    "drift of the clock": (
+        [DARK, event("oscillator", 0.5, drift_ppm=1000.0)],
+        20.0,
+        FREE,
+        {Rule.CLOCK_DRIFT: "ms off"},
+    ),
+    "optics": (
+        [
+            event("dead_laser", 0.8, laser=7),
+            event("dirty_window", 0.9, sector_deg=[90, 150], transmission=0.2),
+        ],
+        3.2,
+        {},
+        {Rule.LASER: "laser 7 without returns", Rule.WINDOW: "from 90 to 150 deg"},
+    ),
+}
 
 
 @pytest.mark.parametrize("name", RUNS)
@@ -141,7 +222,8 @@ def test_what_happens_to_a_sensor_is_named(verified, name):
     assert all(any(words in text for text in found[rule]) for rule, words in rules.items())
     assert result.void_sentences == 3 or not name.startswith("void")
     if name == "power cycle":
-        # Its clock begins at 0 whole seconds after the start; the next pulse resets its sub-seconds (63-9243, app. G).
+        # Its clock begins at 0 whole seconds after the start; the next pulse resets its sub-seconds (63-9243,
+        # app. G).
         step_us, since_second_us = (
             int(found[Rule.TIME_STEP][0].split()[2]),
             run.scenario.start_ns % S_NS / 1000,

@@ -98,11 +98,17 @@ DAMAGES = {
     "position time beyond the hour": (Rule.TIME_RANGE, position(198, an_hour_later)),
     "late time stamp": (Rule.TIME_STEP, field("timestamp_us", to=lambda us: us + 2)),
     "early time stamp": (Rule.TIME_STEP, field("timestamp_us", to=lambda us: us - 2)),
-    "azimuth a turn too far": (Rule.AZIMUTH_RANGE, field("blocks", "azimuth_cdeg", 7, to=lambda a: int(a) + 36_000)),
+    "azimuth a turn too far": (
+        Rule.AZIMUTH_RANGE,
+        field("blocks", "azimuth_cdeg", 7, to=lambda a: int(a) + 36_000),
+    ),
     "azimuth back": (Rule.AZIMUTH_STEP, azimuths(lambda a: [*a[:5], a[4] - 1, *a[6:]])),
     "azimuth repeated": (Rule.AZIMUTH_STEP, azimuths(lambda a: [*a[:5], a[4], *a[6:]])),
     # Time does not explain ten degrees.
-    "azimuth ahead": (Rule.AZIMUTH_STEP, azimuths(lambda a: [*a[:5], *((a[5:].astype(int) + 1000) % 36_000)])),
+    "azimuth ahead": (
+        Rule.AZIMUTH_STEP,
+        azimuths(lambda a: [*a[:5], *((a[5:].astype(int) + 1000) % 36_000)]),
+    ),
     "short distance": (Rule.DISTANCE_CODE, field("blocks", "records", "distance_lsb", (3, 1, 9), to=249)),
     "byte in the zeros": (Rule.POSITION_HEAD, position(13, b"\x01")),
     "state of the pulse": (Rule.PPS, position(202, b"\x04")),
@@ -112,9 +118,15 @@ DAMAGES = {
     "line end": (Rule.NMEA_END, position(lambda payload: payload.index(b"\r\n"), b"\n\0")),
     "remains behind the sentence": (Rule.NMEA_END, position(400, b"x")),
     "azimuth of a pair": (Rule.DUAL_AZIMUTH, azimuths(lambda a: [*a[:3], a[3] - 1, *a[4:]])),
-    "last return nearer": (Rule.DUAL_ORDER, field("blocks", "records", "distance_lsb", ([4, 5], 0, 0), to=[3000, 4000])),
-    "reflectivity of pairs": (Rule.DUAL_REFLECTIVITY, field("blocks", "records", "reflectivity", slice(1, None, 2), to=lambda old: old ^ 1)),
-}  # fmt: skip
+    "last return nearer": (
+        Rule.DUAL_ORDER,
+        field("blocks", "records", "distance_lsb", ([4, 5], 0, 0), to=[3000, 4000]),
+    ),
+    "reflectivity of pairs": (
+        Rule.DUAL_REFLECTIVITY,
+        field("blocks", "records", "reflectivity", slice(1, None, 2), to=lambda old: old ^ 1),
+    ),
+}
 
 
 @pytest.mark.parametrize("name", DAMAGES)

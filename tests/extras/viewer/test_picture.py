@@ -18,7 +18,10 @@ BOXES = ", ".join(
     f'{{ name = "{name}", centre_m = [{x_m}, {y_m}, 1.5], size_m = [1.0, 1.0, 3.0], reflectance = 0.9 }}'
     for name, x_m, y_m in (("ahead", 4.5, 0.0), ("left", 0.0, 6.5))
 )
-HALL = f'{{ kind = "hall", length_m = 24.0, width_m = 24.0, height_m = 6.0, wall_reflectance = 0.05, boxes = [{BOXES}] }}'
+HALL = (
+    '{ kind = "hall", length_m = 24.0, width_m = 24.0, height_m = 6.0, wall_reflectance = 0.05, '
+    f"boxes = [{BOXES}] }}"
+)
 BOX_M = np.array([[-10.0, -10.0, 0.0], [10.0, 10.0, 5.0]])
 
 

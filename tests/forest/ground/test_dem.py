@@ -137,7 +137,8 @@ def test_a_gap_within_reach_is_refused_and_one_beyond_is_not(tmp_path):
     path = np.array([[9.0, 14.0], [30.0, 14.0]])
     assert dem.height_m(np.array([9.0]), np.array([25.0])).tolist() == [3.0]
     dem.check(path, 8.0)
-    message = r"row 5, column 10: no height at \(9.0, 25.0\) m \(E 1009.0, N 2025.0\), 11.0 m from the path; expected"
+    message = r"row 5, column 10: no height at \(9.0, 25.0\) m \(E 1009.0, N 2025.0\), "
+    message += "11.0 m from the path; expected"
     with pytest.raises(GeometryError, match=message):
         dem.check(path, 8.5)
 
@@ -153,57 +154,113 @@ def test_a_cell_that_is_no_height_is_a_gap(tmp_path, none):
 @pytest.mark.parametrize(
     ("name", "content", "cell_m", "message"),
     [
-        *(("ground.asc", text, None, f"ground.asc[:,] {message}") for text, message in [
-            (HEADER + "1 2 3 4\n5 6 7\n9 10 11 12\n", ("line 9: found 11 heights; expected nrows = 3 times ncols "
-                                                      "= 4; line 8 has 3")),
-            (HEADER + "1 2 3 4\n5 6 7 8\n", "line 8: found 8 heights; expected nrows = 3 times ncols = 4$"),
-            (HEADER + ROWS + "1 2 3 4\n", "line 10: found more than 12 heights; expected nrows = 3 times"),
-            (HEADER + ROWS.replace("7", "seven"), "line 8: found '5 6 seven 8'; expected 4 heights"),
-            (HEADER.replace("cellsize 10\n", "") + ROWS, ("line 6: found '1 2 3 4'; expected cellsize or dx "
-                                                         "and a number")),
-            (HEADER.replace("cellsize 10", "dx 10") + ROWS, "line 7: found '1 2 3 4'; expected cellsize or dy"),
-            (HEADER.replace("cellsize 10", "dx 10\ndy 0") + ROWS, "line 6: found 'dy 0'; expected dy and a number above"),
-            (HEADER + ROWS.replace("7", "1_0"), "line 8: found '5 6 1_0 8'; expected 4 heights"),
-            (HEADER.replace("cellsize 10", "cellsize -1") + ROWS, ("line 5: found 'cellsize -1'; expected "
-                                                                  "cellsize and a number above 0")),
-            (HEADER.replace("corner 100", "corner nan") + ROWS, ("line 3: found 'xllcorner nan'; expected "
-                                                                "xllcorner and a number")),
-            (HEADER.replace("ncols 4", "ncols 3.5") + ROWS, ("found ncols = 3.5, nrows = 3; expected whole "
-                                                            "numbers")),
-            (HEADER.replace("cellsize 10", "cellsize ten") + ROWS, ("line 5: found 'cellsize ten'; "
-                                                                   "expected cellsize and a number")),
-            (HEADER.replace("cellsize", "cell") + ROWS, ("line 5: found 'cell 10'; expected cellsize or "
-                                                        "dx and a number")),
-            (HEADER.replace("yllcorner 200\n", "") + ROWS, ("line 6: found '1 2 3 4'; expected yllcorner "
-                                                           "or yllcenter and a number")),
-            ("ncols 4\n" + HEADER + ROWS, "line 2: found 'ncols 4'; expected nrows and a number"),
-            (HEADER + "-9999 -9999 -9999 -9999\n" * 3, "no cell has a height"),
-            (HEADER.replace("nrows 3", "nrows 1") + "1 2 3 4\n", ("found 1 rows of 4; expected at least 2 "
-                                                                 "rows of 2")),
-            (HEADER.replace("ncols 4", "ncols 1000000000") + ROWS, (r"found ncols = 1e\+09, nrows = 3; "
-                                                                   r"expected whole numbers, and 50000000")),
-            (HEADER, "line 6: found 'NODATA_value -9999'; expected 4 heights"),
-            ("\n", "line 0: no header; expected ncols and a number"),
-        ]),
-        *(("ground.npy", heights, 1.0, message) for heights, message in [
-            (np.zeros(5), r"found \(5,\) float64; expected numbers in rows and columns"),
-            (np.zeros((3, 3), "U2"), r"found \(3, 3\) <U2"),
-            (np.array([[1, -9999], [2, 3]]), ("ground.npy: row 1, column 2: found -9999; expected heights "
-                                             "from -500 to 9000 m, NaN or")),
-            (np.array([[1, 2], [1e308, -3.4e38]]), (r"row 2, column 1: found 1e\+308 and 1 more such; "
-                                                   r"expected heights")),
-        ]),
+        *(
+            ("ground.asc", text, None, f"ground.asc[:,] {message}")
+            for text, message in [
+                (
+                    HEADER + "1 2 3 4\n5 6 7\n9 10 11 12\n",
+                    ("line 9: found 11 heights; expected nrows = 3 times ncols = 4; line 8 has 3"),
+                ),
+                (
+                    HEADER + "1 2 3 4\n5 6 7 8\n",
+                    "line 8: found 8 heights; expected nrows = 3 times ncols = 4$",
+                ),
+                (
+                    HEADER + ROWS + "1 2 3 4\n",
+                    "line 10: found more than 12 heights; expected nrows = 3 times",
+                ),
+                (HEADER + ROWS.replace("7", "seven"), "line 8: found '5 6 seven 8'; expected 4 heights"),
+                (
+                    HEADER.replace("cellsize 10\n", "") + ROWS,
+                    ("line 6: found '1 2 3 4'; expected cellsize or dx and a number"),
+                ),
+                (
+                    HEADER.replace("cellsize 10", "dx 10") + ROWS,
+                    "line 7: found '1 2 3 4'; expected cellsize or dy",
+                ),
+                (
+                    HEADER.replace("cellsize 10", "dx 10\ndy 0") + ROWS,
+                    "line 6: found 'dy 0'; expected dy and a number above",
+                ),
+                (HEADER + ROWS.replace("7", "1_0"), "line 8: found '5 6 1_0 8'; expected 4 heights"),
+                (
+                    HEADER.replace("cellsize 10", "cellsize -1") + ROWS,
+                    ("line 5: found 'cellsize -1'; expected cellsize and a number above 0"),
+                ),
+                (
+                    HEADER.replace("corner 100", "corner nan") + ROWS,
+                    ("line 3: found 'xllcorner nan'; expected xllcorner and a number"),
+                ),
+                (
+                    HEADER.replace("ncols 4", "ncols 3.5") + ROWS,
+                    ("found ncols = 3.5, nrows = 3; expected whole numbers"),
+                ),
+                (
+                    HEADER.replace("cellsize 10", "cellsize ten") + ROWS,
+                    ("line 5: found 'cellsize ten'; expected cellsize and a number"),
+                ),
+                (
+                    HEADER.replace("cellsize", "cell") + ROWS,
+                    ("line 5: found 'cell 10'; expected cellsize or dx and a number"),
+                ),
+                (
+                    HEADER.replace("yllcorner 200\n", "") + ROWS,
+                    ("line 6: found '1 2 3 4'; expected yllcorner or yllcenter and a number"),
+                ),
+                ("ncols 4\n" + HEADER + ROWS, "line 2: found 'ncols 4'; expected nrows and a number"),
+                (HEADER + "-9999 -9999 -9999 -9999\n" * 3, "no cell has a height"),
+                (
+                    HEADER.replace("nrows 3", "nrows 1") + "1 2 3 4\n",
+                    ("found 1 rows of 4; expected at least 2 rows of 2"),
+                ),
+                (
+                    HEADER.replace("ncols 4", "ncols 1000000000") + ROWS,
+                    (
+                        r"found ncols = 1e\+09, nrows = 3; "
+                        r"expected whole numbers, and 50000000"
+                    ),
+                ),
+                (HEADER, "line 6: found 'NODATA_value -9999'; expected 4 heights"),
+                ("\n", "line 0: no header; expected ncols and a number"),
+            ]
+        ),
+        *(
+            ("ground.npy", heights, 1.0, message)
+            for heights, message in [
+                (np.zeros(5), r"found \(5,\) float64; expected numbers in rows and columns"),
+                (np.zeros((3, 3), "U2"), r"found \(3, 3\) <U2"),
+                (
+                    np.array([[1, -9999], [2, 3]]),
+                    (
+                        "ground.npy: row 1, column 2: found -9999; expected heights "
+                        "from -500 to 9000 m, NaN or"
+                    ),
+                ),
+                (
+                    np.array([[1, 2], [1e308, -3.4e38]]),
+                    (
+                        r"row 2, column 1: found 1e\+308 and 1 more such; "
+                        r"expected heights"
+                    ),
+                ),
+            ]
+        ),
         ("ground.npy", b"junk", 1.0, "ground.npy: cannot be read: .*numbers"),
         ("ground.npy", b"", 1.0, "ground.npy: an empty file"),
         ("ground.npy", b"PK\3\4" + bytes(40), 1.0, "ground.npy: cannot be read: the magic string .*numbers"),
-        ("ground.npy", b"\x93NUMPY\1\0\x10\0{'descr': '<f8',  ", 1.0, "ground.npy: cannot be read: .*numbers"),
+        (
+            "ground.npy",
+            b"\x93NUMPY\1\0\x10\0{'descr': '<f8',  ",
+            1.0,
+            "ground.npy: cannot be read: .*numbers",
+        ),
         ("ground.npy", b"", None, "an array alone does not say where it lies; expected cell_m and corner_m"),
         ("ground.asc", b"", 1.0, "ground.asc: found cell_m or corner_m; expected neither"),
         ("ground.asc", b"ncols \xff", None, "no UTF-8 text at byte 6; expected an ESRI ASCII grid"),
         ("ground.xyz", b"", None, "found the ending '.xyz'; expected .asc, .npy, .tif or .tiff"),
         ("absent.asc", None, None, "absent.asc: no such file or directory; expected an ESRI ASCII grid"),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_grid_of_heights_is_refused(tmp_path, name, content, cell_m, message):
     """Broken, missing and unknown files, arrays of something else, and grids placed twice or not at all, are
     refused in one line.

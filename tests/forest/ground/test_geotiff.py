@@ -64,16 +64,26 @@ def test_the_number_for_no_height_is_a_gap(tmp_path, none):
         ({"crs": "EPSG:2225"}, "found a map in US survey foot; expected one in metres"),
         ({"units": ["ft"]}, "found heights in ft; expected metres"),
         ({"place": None}, "found no place on a map; expected a grid that says where it lies"),
-        ({"place": (9.0, 1.0, 100.0, 1.0, -9.0, 230.0)}, "found cells of 9 x 9, turned; expected cells that run"),
+        (
+            {"place": (9.0, 1.0, 100.0, 1.0, -9.0, 230.0)},
+            "found cells of 9 x 9, turned; expected cells that run",
+        ),
         ({"place": (10.0, 0.0, 100.0, 0.0, 10.0, 230.0)}, "found cells of 10 x -10 from"),
-        ({"place": (10.0, 0.0, np.nan, 0.0, -10.0, 230.0)}, (r"found cells of 10 x 10 from \(nan, 230\); "
-                                                            r"expected")),
+        (
+            {"place": (10.0, 0.0, np.nan, 0.0, -10.0, 230.0)},
+            (
+                r"found cells of 10 x 10 from \(nan, 230\); "
+                r"expected"
+            ),
+        ),
         ({"place": (np.inf, 0.0, 100.0, 0.0, -np.inf, 230.0)}, "found cells of inf x inf"),
-        ({"heights": HEIGHTS - 32768}, ("row 1, column 1: found -32768 and 11 more such; expected heights "
-                                       "from -500")),
+        (
+            {"heights": HEIGHTS - 32768},
+            ("row 1, column 1: found -32768 and 11 more such; expected heights from -500"),
+        ),
         ({"heights": np.zeros((3, 3, 4), np.uint8)}, "found 3 bands of uint8; expected one height to a cell"),
     ],
-)  # fmt: skip
+)
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 def test_what_is_no_map_of_heights_in_metres_is_refused(tmp_path, changes, message):
     """Degrees, feet, turned cells, places that are none, and colours are named, with what was

@@ -52,7 +52,8 @@ def test_a_list_is_read_as_it_stands(tmp_path):
 def test_diameters_in_millimetres_are_refused(tmp_path):
     """A list whose middle tree is less than 12 times as high as thick is one of millimetres; a single such
     tree is not."""
-    rows = "x,y,species,dbh_cm,height_m\n1,2,silver_birch,{},21\n5,2,silver_birch,{},22\n9,2,silver_birch,{},20\n"
+    rows = "x,y,species,dbh_cm,height_m\n"
+    rows += "1,2,silver_birch,{},21\n5,2,silver_birch,{},22\n9,2,silver_birch,{},20\n"
     message = (
         "line 4, column dbh_cm: found 222 cm at a height of 20 m; half of all trees are less than 10 times"
     )
@@ -198,27 +199,46 @@ GOOD = "1,2,silver_birch,20,18,9\n"
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("x,y,species,height_m\n", ("line 1: no column dbh_cm or dbh_m; expected it among x, y, species, "
-                                   "height_m")),
+        (
+            "x,y,species,height_m\n",
+            ("line 1: no column dbh_cm or dbh_m; expected it among x, y, species, height_m"),
+        ),
         ("x,y,dbh_cm,height_m\n", "line 1: no column species"),
         (HEADER, "no tree below line 1"),
-        ("x,y,species,dbh_cm,height_m,lean_azimuth_deg,lean_towards_deg\n", "line 1: found lean_azimuth_deg and lean_towards_deg; expected one of them"),
-        (HEADER + GOOD + "\n1,9,silver_brich,20,18,9\n", ("line 4, column species: unknown species "
-                                                         "'silver_brich'; expected silver_birch, the "
-                                                         "nearest")),
-        (HEADER + GOOD + "1,9,palm,20,18,9\n", ("line 3, column species: unknown species 'palm'; expected "
-                                               "one of silver_birch")),
-        (HEADER + "1,2,silver_birch,-20,18,9\n", ("line 2, column dbh_cm: found -20; expected a number "
-                                                 "from 1 to 500")),
-        (HEADER + "1,2,silver_birch,20,180,9\n", ("line 2, column height_m: found 180; expected a number "
-                                                 "from 2 to 130")),
-        (HEADER + "1,2,silver_birch,20,18,18\n", ("line 2, column crown_base_m: found 18; expected less "
-                                                 "than the height, 18")),
-        (HEADER + GOOD + "5,5,silver_birch,20,18,9\n1.01,2,silver_birch,30,20,9\n", r"line 4: the place of line 2, \(1.01, 2\) m"),
-        (HEADER + "1,2,silver_birch,20,,9\n", ("height_m: no tree of silver_birch has a height; expected "
-                                              "one at least")),
+        (
+            "x,y,species,dbh_cm,height_m,lean_azimuth_deg,lean_towards_deg\n",
+            "line 1: found lean_azimuth_deg and lean_towards_deg; expected one of them",
+        ),
+        (
+            HEADER + GOOD + "\n1,9,silver_brich,20,18,9\n",
+            ("line 4, column species: unknown species 'silver_brich'; expected silver_birch, the nearest"),
+        ),
+        (
+            HEADER + GOOD + "1,9,palm,20,18,9\n",
+            ("line 3, column species: unknown species 'palm'; expected one of silver_birch"),
+        ),
+        (
+            HEADER + "1,2,silver_birch,-20,18,9\n",
+            ("line 2, column dbh_cm: found -20; expected a number from 1 to 500"),
+        ),
+        (
+            HEADER + "1,2,silver_birch,20,180,9\n",
+            ("line 2, column height_m: found 180; expected a number from 2 to 130"),
+        ),
+        (
+            HEADER + "1,2,silver_birch,20,18,18\n",
+            ("line 2, column crown_base_m: found 18; expected less than the height, 18"),
+        ),
+        (
+            HEADER + GOOD + "5,5,silver_birch,20,18,9\n1.01,2,silver_birch,30,20,9\n",
+            r"line 4: the place of line 2, \(1.01, 2\) m",
+        ),
+        (
+            HEADER + "1,2,silver_birch,20,,9\n",
+            ("height_m: no tree of silver_birch has a height; expected one at least"),
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_bad_list_is_refused_in_one_line(tmp_path, text, message):
     """An error in a stem list names file, line and column, what was found and what was expected."""
     with pytest.raises(GeometryError, match=f"stems.csv[:,] {message}"):
@@ -293,7 +313,8 @@ def test_trees_in_the_way_are_refused_all_at_once_or_dropped(make, caplog):
     """
     path = np.array([[0.0, 4.7], [10.0, 4.7]])
     rows = ROWS + "8,5,silver_birch,20,20,9,4,0,0\n"
-    message = r"2 of 6 trees nearer to the path than path_clearance_m = 0.3: line 6 at \(4, 5\) m, 0.1\d m away; line 7 at \(8, 5\) m, 0.1"
+    message = "2 of 6 trees nearer to the path than path_clearance_m = 0.3: "
+    message += r"line 6 at \(4, 5\) m, 0.1\d m away; line 7 at \(8, 5\) m, 0.1"
     with pytest.raises(GeometryError, match=message):
         make(rows, path_xy_m=path, path_clearance_m=0.3)
     make(rows, path_xy_m=path, path_clearance_m=0.1)

@@ -41,9 +41,11 @@ def trees():
 def crowns(trees):
     """Prototypes of other sizes than the trees."""
     return [
-        CrownKey(name, 1, 0.9 * t["dbh_m"], 1.1 * t["height_m"], t["crown_base_m"], 0.9 * t["crown_width_m"], area)
+        CrownKey(
+            name, 1, 0.9 * t["dbh_m"], 1.1 * t["height_m"], t["crown_base_m"], 0.9 * t["crown_width_m"], area
+        )
         for name, t, area in zip(NAMES, trees, (30.0, 90.0, 200.0, 100.0, 0.0), strict=True)
-    ]  # fmt: skip
+    ]
 
 
 @pytest.fixture(scope="module")

@@ -276,13 +276,20 @@ ROWS = Plantation(kind="plantation", row_spacing_m=2.5, tree_spacing_m=2.0)
 @pytest.mark.parametrize(
     ("section", "message"),
     [
-        ({"species": (BIRCH.model_copy(update={"species": "larch"}),)}, "unknown species 'larch'; expected one of silver_birch, norway_spruce"),
-        ({"stems_per_ha": 5000.0, "species": [GIANTS]}, ("found a basal area of 5655 m2 per ha; expected "
-                                                        "at most 350")),
-        ({"stems_per_ha": 1800.0, "pattern": ROWS}, ("found 1800; expected at most 1600, which rows of .* "
-                                                    "off the trails")),
+        (
+            {"species": (BIRCH.model_copy(update={"species": "larch"}),)},
+            "unknown species 'larch'; expected one of silver_birch, norway_spruce",
+        ),
+        (
+            {"stems_per_ha": 5000.0, "species": [GIANTS]},
+            ("found a basal area of 5655 m2 per ha; expected at most 350"),
+        ),
+        (
+            {"stems_per_ha": 1800.0, "pattern": ROWS},
+            ("found 1800; expected at most 1600, which rows of .* off the trails"),
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_stand_that_cannot_be_is_refused(section, message):
     """Unknown species, more wood than the densest coast redwoods have, and more stems than rows hold off
     trails, which take four of twenty metres."""

@@ -267,10 +267,10 @@ parts = [{ name = "crown", part = "leaf" }, { name = "bough", part = "branch_fir
 def scene(path):
     """Birches and spruces all around, from 4 m to 28 m away."""
     away_m, towards = np.linspace(4.0, 28.0, 40), 2.4 * np.arange(40)
-    rows = [
-        f"{r * np.cos(a):.3f},{r * np.sin(a):.3f},{'norway_spruce' if i % 3 else 'silver_birch'},{18 + i % 7},{14 + i % 5}"
-        for i, (r, a) in enumerate(zip(away_m, towards, strict=True))
-    ]
+    rows = []
+    for i, (r, a) in enumerate(zip(away_m, towards, strict=True)):
+        species = "norway_spruce" if i % 3 else "silver_birch"
+        rows.append(f"{r * np.cos(a):.3f},{r * np.sin(a):.3f},{species},{18 + i % 7},{14 + i % 5}")
     text = "\n".join(["x,y,species,dbh_cm,height_m", *rows])
     path.with_name("stems.csv").write_text(text, encoding="utf-8")
     path.with_name("plot.toml").write_text(SCENE, encoding="utf-8")

@@ -59,9 +59,8 @@ class Errors:
 
     pulses: int
     returns: int  # pulses with a return in the answer
-    range_rmse_m: (
-        float  # RMSE of strongest returns that match the answer's, like the next fields up to `range_p95_m`
-    )
+    range_rmse_m: float
+    """RMSE of strongest returns that match the answer's, like the next fields up to `range_p95_m`."""
     range_bias_m: float
     range_p95_m: float  # 95th percentile of absolute errors
     mean_error_m: float
@@ -75,10 +74,7 @@ class Errors:
 
 
 def apart_m(detector: Detector) -> float:
-    """Return the least range between two separate echoes.
-
-    It is the resolution, or a pulse's full width if that is more.
-    """
+    """Return the least range between two separate echoes: the resolution, or a pulse's width if greater."""
     return max(detector.resolution_m, _HALF_LIGHT_M_PER_NS * detector.pulse_ns)
 
 
@@ -87,8 +83,8 @@ def answer_beam(beam: Footprint, rays: int, seed: int, number: int = 0) -> Footp
 
     Its sub-rays must differ from the judged ones, so each number has a seed of its own.
     """
-    own = int(generator(seed, Purpose.AUDIT, number).integers(2**63))
-    return replace(beam.with_settings(model="fixed", rays=rays), seed=own)
+    answer_seed = int(generator(seed, Purpose.AUDIT, number).integers(2**63))
+    return replace(beam.with_settings(model="fixed", rays=rays), seed=answer_seed)
 
 
 def detections_of(
@@ -104,19 +100,19 @@ def compare(answer: Detections, detected: Detections, resolution_m: float) -> Co
 
     Ranges more than half a resolution apart belong to different echoes.
     """
-    seen = answer.distance_m[:, _STRONGEST] > 0
-    got = detected.distance_m[:, _STRONGEST] > 0
+    is_true = answer.distance_m[:, _STRONGEST] > 0
+    is_detected = detected.distance_m[:, _STRONGEST] > 0
     off_m = detected.distance_m.astype(np.float64) - answer.distance_m
-    other = (seen & got)[:, None] & (np.abs(off_m) > resolution_m / 2)
-    matched = seen & got & ~other[:, _STRONGEST]
+    is_other = (is_true & is_detected)[:, None] & (np.abs(off_m) > resolution_m / 2)
+    matched = is_true & is_detected & ~is_other[:, _STRONGEST]
     counts = detected.reflectivity[:, _STRONGEST].astype(np.float64) - answer.reflectivity[:, _STRONGEST]
     return Comparison(
-        pulses=len(seen),
-        returns=int(seen.sum()),
-        lost=int((seen & ~got).sum()),
-        invented=int((got & ~seen).sum()),
-        wrong_strongest=int(other[:, _STRONGEST].sum()),
-        wrong_last=int(other[:, _LAST].sum()),
+        pulses=len(is_true),
+        returns=int(is_true.sum()),
+        lost=int((is_true & ~is_detected).sum()),
+        invented=int((is_detected & ~is_true).sum()),
+        wrong_strongest=int(is_other[:, _STRONGEST].sum()),
+        wrong_last=int(is_other[:, _LAST].sum()),
         error_m=off_m[matched, _STRONGEST],
         reflectivity_error=counts[matched],
     )
@@ -128,6 +124,7 @@ def errors_of(compared: Comparison, resolution_m: float) -> Errors:
     returns = compared.returns
 
     def share(count: float) -> float:
+        """Return a count relative to the returns; NaN without returns."""
         return float(count / returns) if returns else np.nan
 
     return Errors(
@@ -185,6 +182,10 @@ class Tally:
         self.squares_2_um4 += squares_um2**2
         self.squares_matched_um2 += squares_um2 * matched
 
+    def share(self, count: int) -> float | None:
+        """Return a count as a share of the answer's returns; None without returns."""
+        return count / self.returns if self.returns else None
+
     @property
     def range_rmse_m(self) -> float | None:
         """RMSE of strongest returns that match the answer's; None if there are none."""
@@ -192,16 +193,14 @@ class Tally:
 
     @property
     def range_rmse_interval_m(self) -> tuple[float, float] | None:
-        """95 % confidence interval of this RMSE over all pulses, with the clusters as a sample.
+        """95 % confidence interval of this RMSE over all pulses; None from too few clusters.
 
-        It is None if there are too few.
-
-        The mean square is a ratio of sums over clusters; its variance is the variance of the clusters about
-        the ratio (Cochran, Sampling Techniques, 3rd ed. 1977, section 6.3). Squares have a skewed
-        distribution, so Student's interval is on their logarithm, with a quarter of the degrees of freedom of
-        the effective number of clusters. With 40 to 600 clusters and lognormal errors, 91 to 96 % of
-        intervals then contain the truth at sigma 0.5 and 0.8, and 87 to 90 % at 1.1, where few clusters
-        dominate; intervals that miss it are too low.
+        The clusters are a sample. The mean square is a ratio of sums over clusters; its variance is the
+        variance of the clusters about the ratio (Cochran, Sampling Techniques, 3rd ed. 1977, section 6.3).
+        Squares have a skewed distribution, so Student's interval is on their logarithm, with a quarter of the
+        degrees of freedom of the effective number of clusters. With 40 to 600 clusters and lognormal errors,
+        91 to 96 % of intervals then contain the truth at sigma 0.5 and 0.8, and 87 to 90 % at 1.1, where few
+        clusters dominate; intervals that miss it are too low.
         """
         if self.with_errors < FEWEST_CLUSTERS or self.range_rmse_m is None:
             return None
@@ -259,11 +258,16 @@ class Audit:
     def finding(self) -> AuditFinding:
         """Result so far."""
         tally = self.tally
-        counts = tally.lost, tally.invented, tally.wrong_strongest
-        lost, invented, other = (count / tally.returns if tally.returns else None for count in counts)
         low_m, high_m = tally.range_rmse_interval_m or (None, None)
         return AuditFinding(
-            self.exact, tally.pulses, tally.range_rmse_m, low_m, high_m, lost, invented, other
+            exact=self.exact,
+            pulses=tally.pulses,
+            range_rmse_m=tally.range_rmse_m,
+            range_rmse_low_m=low_m,
+            range_rmse_high_m=high_m,
+            lost=tally.share(tally.lost),
+            invented=tally.share(tally.invented),
+            other_echo=tally.share(tally.wrong_strongest),
         )
 
     def __call__(self, job: Job, firings: Firings, hits: Hits, geometry: Geometry) -> None:
@@ -295,25 +299,28 @@ class Audit:
         beam = answer_beam(unit.beam, max(_RAYS, _TIMES * unit.beam.rays), unit.seed)
         answer = geometry.cast(part, unit.head.beams.near_m[chosen], unit.section.max_range_m, beam)
         found = _some_hits(hits, rows, chosen)
-        detected, judged = (detections_of(part, of, geometry.surfaces, exact) for of in (answer, found))
-        compared = compare(detected, judged, self._apart_m)
+        true = detections_of(part, answer, geometry.surfaces, exact)
+        detected = detections_of(part, found, geometry.surfaces, exact)
+        compared = compare(true, detected, self._apart_m)
         with self._lock:
             self.tally.add(compared)
 
 
 def _some_firings(firings: Firings, rows: slice, lasers: I8) -> Firings:
+    """Return the firings of some lasers in some firing sequences."""
     arrays = {name: getattr(firings, name)[rows] for name in ("clock_ns", "reading_deg")}
     for name in ("t_ns", "azimuth_deg", "origin_m", "direction", "beam_axis"):
-        of = getattr(firings, name)
-        arrays[name] = None if of is None else np.ascontiguousarray(of[rows][:, lasers])
+        array = getattr(firings, name)
+        arrays[name] = None if array is None else np.ascontiguousarray(array[rows][:, lasers])
     return Firings(index=firings.index + rows.start, **arrays)
 
 
 def _some_hits(hits: Hits, rows: slice, lasers: I8) -> Hits:
-    own = hits.count[rows]
+    """Return the hits of the pulses that `_some_firings` returns."""
+    counts = hits.count[rows]
     before = int(hits.count[: rows.start].sum())
-    stop = before + np.cumsum(own, dtype=np.int64).reshape(own.shape)
-    count = np.ascontiguousarray(own[:, lasers])
+    stop = before + np.cumsum(counts, dtype=np.int64).reshape(counts.shape)
+    count = np.ascontiguousarray(counts[:, lasers])
     last = stop[:, lasers].reshape(-1)
     first = last - count.reshape(-1)
     rays = np.concatenate([np.arange(a, b) for a, b in zip(first.tolist(), last.tolist(), strict=True)])

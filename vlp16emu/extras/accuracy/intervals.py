@@ -36,6 +36,7 @@ def intervals_of(groups: Sequence[Comparison], resolution_m: float) -> dict[str,
     returns = np.array([group.returns for group in groups], np.float64)
 
     def sums(values: Sequence[F8]) -> F8:
+        """Return the sum over each group (g,)."""
         return np.array([value.sum() for value in values])
 
     unmatched_m = (returns - matched) * resolution_m
@@ -55,24 +56,24 @@ def intervals_of(groups: Sequence[Comparison], resolution_m: float) -> dict[str,
     return found
 
 
-def _spread(parts: F8, wholes: F8) -> float:
-    """Return the standard error of the ratio of the sums of parts (g,) and wholes (g,)."""
+def _spread(parts: F8, totals: F8) -> float:
+    """Return the standard error of the ratio of the sums of parts (g,) and totals (g,)."""
     groups = len(parts)
-    rest = parts - parts.sum() / wholes.sum() * wholes
-    return math.sqrt((rest**2).sum() * groups / (groups - 1)) / float(wholes.sum())
+    rest = parts - parts.sum() / totals.sum() * totals
+    return math.sqrt((rest**2).sum() * groups / (groups - 1)) / float(totals.sum())
 
 
-def _is_enough(wholes: F8) -> bool:
-    return len(wholes) >= FEWEST_CLUSTERS and wholes.sum() > 0
+def _is_enough(totals: F8) -> bool:
+    return len(totals) >= FEWEST_CLUSTERS and totals.sum() > 0
 
 
-def _positive(parts: F8, wholes: F8) -> Interval:
+def _positive(parts: F8, totals: F8) -> Interval:
     """Return the interval of the ratio of sums of non-negative values (g,), on their logarithm."""
-    if not _is_enough(wholes) or parts.sum() == 0:
+    if not _is_enough(totals) or parts.sum() == 0:
         return None
-    ratio = float(parts.sum() / wholes.sum())
+    ratio = float(parts.sum() / totals.sum())
     effective = float(parts.sum() ** 2 / (parts**2).sum())
-    reach = _spread(parts, wholes) / ratio * float(stdtrit(max(effective / 2, 1.0), _UPPER))
+    reach = _spread(parts, totals) / ratio * float(stdtrit(max(effective / 2, 1.0), _UPPER))
     return (ratio * math.exp(-reach), ratio * math.exp(reach)) if 2 * reach < math.log(_WIDEST) else None
 
 
@@ -80,24 +81,24 @@ def _root(interval: Interval) -> Interval:
     return interval and (math.sqrt(interval[0]), math.sqrt(interval[1]))
 
 
-def _mean(parts: F8, wholes: F8) -> Interval:
-    if not _is_enough(wholes):
+def _mean(parts: F8, totals: F8) -> Interval:
+    if not _is_enough(totals):
         return None
-    ratio = float(parts.sum() / wholes.sum())
-    reach = _spread(parts, wholes) * float(stdtrit(len(parts) - 1, _UPPER))
+    ratio = float(parts.sum() / totals.sum())
+    reach = _spread(parts, totals) * float(stdtrit(len(parts) - 1, _UPPER))
     return ratio - reach, ratio + reach
 
 
-def _share(counts: F8, wholes: F8) -> Interval:
+def _share(counts: F8, totals: F8) -> Interval:
     """Return the exact binomial interval with the number of independent pulses that the groups are worth.
 
     Source: Korn and Graubard, Survey Methodology 24 (1998). It holds for rare events, and if none is seen.
     """
-    if not _is_enough(wholes):
+    if not _is_enough(totals):
         return None
-    pulses = float(wholes.sum())
+    pulses = float(totals.sum())
     share = min(float(counts.sum()) / pulses, 1.0)
-    variance = _spread(counts, wholes) ** 2
+    variance = _spread(counts, totals) ** 2
     worth = min(share * (1.0 - share) / variance, pulses) if variance > 0 else pulses
     worth *= float(stdtrit(pulses - 1, _UPPER) / stdtrit(len(counts) - 1, _UPPER)) ** 2
     seen = share * worth
@@ -112,9 +113,9 @@ def _quantile(errors_m: Sequence[F8]) -> Interval:
     counts = np.array([len(error_m) for error_m in errors_m], np.float64)
     if not _is_enough(counts):
         return None
-    every = np.concatenate(errors_m)
-    quantile = np.quantile(every, _TAIL)
+    all_errors_m = np.concatenate(errors_m)
+    quantile = np.quantile(all_errors_m, _TAIL)
     below = np.array([(error_m <= quantile).sum() for error_m in errors_m], np.float64)
     reach = _spread(below, counts) * float(stdtrit(len(counts) - 1, _UPPER))
-    low, high = np.quantile(every, [max(_TAIL - reach, 0.0), min(_TAIL + reach, 1.0)])
+    low, high = np.quantile(all_errors_m, [max(_TAIL - reach, 0.0), min(_TAIL + reach, 1.0)])
     return float(low), float(high)

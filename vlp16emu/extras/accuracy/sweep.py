@@ -95,13 +95,11 @@ class Accuracy:
 
 
 def choices(rows: Sequence[Row]) -> dict[str, float]:
-    """Return the fastest settings for some mean errors.
-
-    By name, the result has the least error in metres for which each is the fastest.
-    """
+    """Return the settings that are the fastest for a mean error: the least such error, in metres, by name."""
     found = dict[str, float]()
     for wanted_m in _WANTED_M:
-        if good := [row for row in rows if row.errors.mean_error_m <= wanted_m and row.model not in _ERRANT]:
+        good = [row for row in rows if row.errors.mean_error_m <= wanted_m and row.model not in _ERRANT]
+        if good:
             found[min(good, key=lambda row: row.us_per_pulse).name] = wanted_m
     return found
 
@@ -124,19 +122,18 @@ def draw_groups(
 ) -> Iterator[tuple[int, list[range]]]:
     """Draw groups of firing sequences from the first blocks of a run, with at least `pulses` pulses.
 
-    A group belongs to a segment that shares a window.
-
-    Yields the number of a segment, only 0 if nothing moves, and its groups in order of time.
+    Yields the number of a segment, whose groups share a window, and these groups in order of time. If nothing
+    moves, there is segment 0 alone.
     """
     draw = generator(seed, Purpose.AUDIT, -1)
     per_block = batching.block // GROUP
     segment = batching.segment if moves else blocks
     segments = -(-blocks // segment)
     chosen = _one_of_each(draw, segments, min(_MOST_SEGMENTS, segments))
-    most = -(-pulses // (GROUP * batching.lasers * len(chosen)))
+    groups = -(-pulses // (GROUP * batching.lasers * len(chosen)))
     for number in chosen.tolist():
         first, stop = number * segment * per_block, min((number + 1) * segment, blocks) * per_block
-        places = first + _one_of_each(draw, stop - first, min(most, stop - first))
+        places = first + _one_of_each(draw, stop - first, min(groups, stop - first))
         yield number, [range(place, place + GROUP) for place in (GROUP * places).tolist()]
 
 
@@ -201,9 +198,8 @@ _TIMES_TARGET = (0.25, 0.5, 1.0, 2.0, 4.0)  # targets of adaptive beams, relativ
 _RAYS = 4096
 _TIMES = 4
 _REPEATS = 5
-_ANSWERED_TWICE = (
-    4  # every fourth group also gives the error of the answer itself, because answers are expensive
-)
+_ANSWERED_TWICE = 4
+"""Every fourth group also gives the error of the answer itself, because answers are expensive."""
 
 
 class BeamSetting(NamedTuple):
@@ -229,12 +225,12 @@ def beam_settings(scenario: Scenario, seed: int) -> list[BeamSetting]:
         *({"model": "adaptive", "target_m": target_m} for target_m in targets_m),
     ]
     settings = list[BeamSetting]()
-    for own in ladder:
-        changed = section.model_copy(update=own)
+    for keys in ladder:
+        changed = section.model_copy(update=keys)
         beam = beam_of(scenario.model_copy(update={"beam": changed}), seed)
-        words = {key: value if isinstance(value, str) else f"{value:.4g}" for key, value in own.items()}
+        words = {key: value if isinstance(value, str) else f"{value:.4g}" for key, value in keys.items()}
         name = " ".join(f"beam.{key}={word}" for key, word in words.items())
-        settings.append(BeamSetting(own["model"], name, changed == section, beam))
+        settings.append(BeamSetting(keys["model"], name, changed == section, beam))
     return settings
 
 
@@ -256,6 +252,7 @@ class _SettingsBench:
         pulses = [self._bench.aim(group) for group in groups]
 
         def answers(pulses: Sequence[Firings], number: int) -> list[Detections]:
+            """Return the answers for groups of pulses, with the sub-rays of answer `number`."""
             return list(pool.map(lambda firings: bench.answer(geometry, firings, self._wide, number), pulses))
 
         self._detections["answer"] += (found := answers(pulses, 0))
@@ -263,7 +260,7 @@ class _SettingsBench:
         self._detections["another answer"] += answers(pulses[::_ANSWERED_TWICE], 1)
         for setting in self._beams:
             self._detections[setting.name] += [
-                bench.detections(geometry, one, setting.beam) for one in pulses
+                bench.detections(geometry, firings, setting.beam) for firings in pulses
             ]
 
     def time(self, geometry: Geometry, block: range) -> None:
@@ -355,9 +352,8 @@ def measure_foliage(
 ) -> tuple[LevelOfDetail, ...]:
     """Measure means and run time of a scene's world with single leaves up to several distances.
 
-    The explicit world is last. A hall has no rows.
-
-    Parameters as in `measure_accuracy`; each world gets `pulses` pulses.
+    The explicit world is last. A hall has no rows. Parameters as in `measure_accuracy`; each world gets
+    `pulses` pulses.
     """
     if not isinstance(world := scenario.world, Woods):
         return ()
@@ -384,10 +380,8 @@ def measure_foliage(
 def returns_of(scenario: Scenario, near_m: float, pulses: int) -> Iterator[tuple[Returns, float, float]]:
     """Cast pulses of the first unit against a scene's world, and detect them without noise.
 
-    The world has single leaves up to `near_m`.
-
-    Yields returns of a group, microseconds per pulse in its window on one core, and the completed share of
-    the run.
+    The world has single leaves up to `near_m`. Yields returns of a group, microseconds per pulse in its
+    window on one core, and the completed share of the run.
     """
     world = scenario.world.model_copy(update={"near_m": near_m})
     parts = assemble(scenario.model_copy(update={"world": world}))
@@ -396,6 +390,7 @@ def returns_of(scenario: Scenario, near_m: float, pulses: int) -> Iterator[tuple
     detector = unit.detector.without_chance()
 
     def returns(geometry: Geometry, group: range) -> Returns:
+        """Return the returns of a group."""
         firings = bench.aim(group)
         hits = bench.cast(geometry, firings, unit.beam)
         return detect(firings, hits, geometry.surfaces, detector, truth=True)
@@ -405,7 +400,7 @@ def returns_of(scenario: Scenario, near_m: float, pulses: int) -> Iterator[tuple
             found = list(pool.map(partial(returns, geometry), groups))
             firings = bench.aim(range(start := groups[0].start, start + TIMED_SEQUENCES))
             us = min(bench.time_casting(geometry, firings, unit.beam)[0] for _ in range(_REPEATS))
-            yield from ((one, us, share) for one in found)
+            yield from ((group_returns, us, share) for group_returns in found)
 
 
 def is_two(distance_m: F4) -> NDArray[np.bool_]:
@@ -415,6 +410,7 @@ def is_two(distance_m: F4) -> NDArray[np.bool_]:
 
 
 def _means(returns: Returns, reach_m: float) -> dict[str, float]:
+    """Return means over the pulses of a group; a pulse without a return has the range `reach_m`."""
     assert returns.surface is not None
     assert returns.surfaces is not None
     distance_m = returns.distance_m[..., _STRONGEST]
@@ -434,8 +430,10 @@ def departures(groups: list[dict[str, float]], explicit: list[dict[str, float]])
     """Compare means of groups of equal size with means of the explicit world."""
     compared = dict[str, Mean]()
     for name in explicit[0]:
-        own, other = (np.array([means[name] for means in of]) for of in (groups, explicit))
-        off = own - other  # pulses of a group see the same trees: only groups are independent
-        half = _NORMAL_95 * float(off.std(ddof=1)) / math.sqrt(len(off)) if len(off) > 1 else math.nan
-        compared[name] = Mean(float(own.mean()), float(off.mean()), half)
+        values = np.array([means[name] for means in groups])
+        off = values - np.array([means[name] for means in explicit])
+        half = math.nan
+        if len(off) > 1:  # pulses of a group see the same trees: only groups are independent
+            half = _NORMAL_95 * float(off.std(ddof=1)) / math.sqrt(len(off))
+        compared[name] = Mean(float(values.mean()), float(off.mean()), half)
     return compared

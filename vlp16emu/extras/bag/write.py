@@ -191,7 +191,7 @@ def bag_of_run(
         return PacketClock(Clock.SENSOR if is_locked else Clock.HOST)
 
     with (
-        written_beside(path, options.slam, lambda: Rig.of(truth.rig, truth.scenario, frames[0])),
+        written_beside(path, options.slam, lambda: Rig.from_truth(truth.rig, truth.scenario, frames[0])),
         BagSink(path, frames, clock_of, options, truth) as sink,
     ):
         yield [sink]
@@ -312,7 +312,7 @@ def _rig(true: TruthSource | None, capture: Path, unit: CapturedUnit, frame: str
     Without it the unit of the capture is returned, at the rotor speed of its first packets.
     """
     if true:
-        return Rig.of(true.rig, true.scenario, frame)
+        return Rig.from_truth(true.rig, true.scenario, frame)
     reader = CaptureReader(capture, unit, is_quiet=True)
     next(reader.tables(), None)
     return Rig(float(max(round(reader.summary.rpm / RPM_STEP), 1) * RPM_STEP), lidar_frame=frame)

@@ -23,6 +23,8 @@ from vlp16emu.sensor.settings import LEAST_RPM, MOST_RPM, RPM_STEP, Sensor
 
 _EVEN_CDEG2 = 0.111
 _PER_RATE_CDEG2 = 3.55
+"""Local variance of encoder readings without rate error, and the variance that the error adds: from our own
+packets at 540 to 660 rpm."""
 _LEVEL = 80.0  # middle of the reflectivities whose neighbours are compared
 _EQUAL_STEPS = 2.9
 _COARSEST = 5.0
@@ -30,9 +32,8 @@ _FROM = 30.0
 _TOP = 90.0
 """Step of bright codes over the product of their scatter and the share of equal neighbours, from our own
 packets; greatest step; reflectivities at which the step is 1 and at which the key gives it."""
-_ELSE_MM = (
-    2.6  # white error from the detector and the 2 mm of a code, beside the setting; from our own packets
-)
+_OTHER_MM = 2.6
+"""White error from the detector and the 2 mm of a code, beside the setting; from our own packets."""
 _LEAST_SILENT = 50
 _MOST_LOST = 2.0
 _HALF_DEG_PER_US = 0.0018  # half of the turn of a rotor at 600 rpm in a microsecond
@@ -60,11 +61,12 @@ def fit_settings(sequences: Sequences) -> dict[str, dict[str, object]]:
 
 
 def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
+    """Return the `[noise]` keys."""
     out: dict[str, object] = {"preset": "unit", "unit_spread": 0.0}
     if (stretches := stretches_of(sequences)) is not None:
         sine, _ = beat_of(stretches)
-        own_mm = math.sqrt(max(found["range.white_at_20_mm"] ** 2 - _ELSE_MM**2, 0.0))
-        out["range_noise_m"] = round(own_mm * 1e-3, 5)
+        set_mm = math.sqrt(max(found["range.white_at_20_mm"] ** 2 - _OTHER_MM**2, 0.0))
+        out["range_noise_m"] = round(set_mm * 1e-3, 5)
         out["range_beat_m"] = round(float(abs(sine)) * 1e-3, 5)
         out["range_beat_phase_deg"] = round(float(np.degrees(np.angle(sine))) % 360.0, 1) % 360.0
     if scatter := found.get("reflectivity.scatter_60_99"):
@@ -77,12 +79,14 @@ def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
         out["odd_codes_spread"] = round(found["residue.odd_spread"], 3)
     if "reflectivity.gain_spread" in found:
         out["gain_spread"] = round(min(found["reflectivity.gain_spread"], 0.3), 3)
-    middles = {
-        name: math.sqrt(REAL[name].low * REAL[name].high) for name in found if name.startswith("lost.")
-    }
-    if middles:
-        shares = [found[name] / of for name, of in middles.items()]
-        out["records_lost"] = round(min(float(np.median(shares)), _MOST_LOST), 2)
+    # Rates of lost records relative to the geometric mean of those of real units.
+    rates = [
+        found[name] / math.sqrt(REAL[name].low * REAL[name].high)
+        for name in found
+        if name.startswith("lost.")
+    ]
+    if rates:
+        out["records_lost"] = round(min(float(np.median(rates)), _MOST_LOST), 2)
     if "no_return.above_0" in found:
         out["no_return_reflectivity"] = found["no_return.above_0"] > 0.5
         silent = sequences.distance_lsb == 0
@@ -94,19 +98,16 @@ def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
 
 
 def _rotor(sequences: Sequences, found: Statistics) -> dict[str, object]:
+    """Return the `[sensor]` keys; InputError if the speed is not that of a unit."""
     turning = turning_of(sequences)
     set_rpm = min(max(RPM_STEP * round(sequences.rpm / RPM_STEP), LEAST_RPM), MOST_RPM)
-    # Local variance of encoder readings without rate error, and the variance that the error adds: from our
-    # own packets at 540 to 660 rpm.
-    excess = max(local(turning.rest_cdeg).var() - _EVEN_CDEG2, 0.0)
-    near_600 = abs(set_rpm - 600) <= RPM_STEP
     once = turning.once_cdeg
     twice = turning.twice_cdeg
     off_rpm = (sequences.rpm - set_rpm) * 600.0 / set_rpm
     if abs(off_rpm) > _MOST_OFF_RPM:
         expected = f"a multiple of {RPM_STEP} rpm within {_MOST_OFF_RPM:g} rpm at 600"
         raise InputError("speed_error_rpm", f"a mean speed of {sequences.rpm:.1f} rpm", expected)
-    return {
+    out: dict[str, object] = {
         "preset": "unit",
         "rotation_spread": 0.0,
         "rpm": set_rpm,
@@ -115,11 +116,11 @@ def _rotor(sequences: Sequences, found: Statistics) -> dict[str, object]:
         "eccentricity_phase_deg": round(math.degrees(math.atan2(-once.real, once.imag)) % 360.0, 1) % 360.0,
         "twice_per_turn_deg": round(abs(twice) / 100, 4),
         "hum_deg": round(max(found["rotation.tick_us"], 0.0) * _HALF_DEG_PER_US, 5),
-        **(
-            {"encoder_rate_error": round(min(math.sqrt(excess / _PER_RATE_CDEG2), 0.5), 3)}
-            if near_600
-            else {}
-        ),
-        "speed_error_rpm": round(off_rpm, 3),
-        **({"clock_error_ppm": round(found["clock.error_ppm"], 2)} if "clock.error_ppm" in found else {}),
     }
+    if abs(set_rpm - 600) <= RPM_STEP:
+        excess_cdeg2 = max(local(turning.rest_cdeg).var() - _EVEN_CDEG2, 0.0)
+        out["encoder_rate_error"] = round(min(math.sqrt(excess_cdeg2 / _PER_RATE_CDEG2), 0.5), 3)
+    out["speed_error_rpm"] = round(off_rpm, 3)
+    if "clock.error_ppm" in found:
+        out["clock_error_ppm"] = round(found["clock.error_ppm"], 2)
+    return out

@@ -15,7 +15,7 @@ from vlp16emu.units import US_NS
 
 @dataclass(frozen=True, slots=True)
 class Histogram:
-    """Shares of a quantity of two captures in the same bins; values outside count in the whole only."""
+    """Shares of a quantity of two captures in the same bins, relative to all values, also those outside."""
 
     name: str
     unit: str  # of the bins, and what is counted
@@ -48,7 +48,7 @@ def _ranges_m(sequences: Sequences) -> F8:
 
 
 def _arrivals_us(sequences: Sequences) -> F8:
-    """Return how much later each packet arrives after the one before than it is filled, in microseconds."""
+    """Return the delay between packets (p - 1,) by the host's clock minus that by the sensor's."""
     return np.asarray((np.diff(sequences.stamp_ns) - np.diff(sequences.clock_ns)) / US_NS)
 
 
@@ -75,12 +75,21 @@ def histograms_of(first: Sequences, second: Sequences) -> list[Histogram]:
     """Return the histograms of two captures; bins of azimuth steps lie around the median step."""
     found = list[Histogram]()
     for name, (unit, values_of, (low, high, width)) in _QUANTITIES.items():
-        one, other = values_of(first), values_of(second)
+        first_values = values_of(first)
+        second_values = values_of(second)
         edges = np.linspace(low, high, round((high - low) / width) + 1)
         if values_of is _steps_cdeg:
-            edges += round(float(np.median(np.concatenate([one, other]))))
-        shares = _shares(one, edges), _shares(other, edges)
-        found.append(Histogram(name, unit, edges.tolist(), *shares, len(one), len(other)))
+            edges += round(float(np.median(np.concatenate([first_values, second_values]))))
+        histogram = Histogram(
+            name,
+            unit,
+            edges=edges.tolist(),
+            first=_shares(first_values, edges),
+            second=_shares(second_values, edges),
+            first_values=len(first_values),
+            second_values=len(second_values),
+        )
+        found.append(histogram)
     return found
 
 

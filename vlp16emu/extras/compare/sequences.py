@@ -87,11 +87,10 @@ def _sequences_of(path: Path, table: PacketTable) -> Sequences:
     azimuth_cdeg = blocks["azimuth_cdeg"].ravel().astype(np.int64)
     apart = np.diff(block)
     step_cdeg = np.diff(azimuth_cdeg) % layout.AZIMUTH_CODES
-    off_cdeg = (
-        np.median(step_cdeg[apart == 1]) * apart - step_cdeg
-    )  # in a gap the rotor turns at its usual speed
+    # In a gap the rotor turns at its usual speed.
+    off_cdeg = np.median(step_cdeg[apart == 1]) * apart - step_cdeg
     step_cdeg += np.rint(off_cdeg / layout.AZIMUTH_CODES).astype(np.int64) * layout.AZIMUTH_CODES
-    distance_lsb, reflectivity = _of_lasers(blocks)
+    distance_lsb, reflectivity = _by_laser(blocks)
     return Sequences(
         number=number,
         distance_lsb=distance_lsb,
@@ -101,11 +100,12 @@ def _sequences_of(path: Path, table: PacketTable) -> Sequences:
         clock_ns=table["sensor_ns"][0] % HOUR_NS + since_ns,
         stamp_ns=table["arrival_ns"],
         packet=packet,
-        last=_of_lasers(table["blocks"][:, ::2]) if dual else None,
+        last=_by_laser(table["blocks"][:, ::2]) if dual else None,
     )
 
 
-def _of_lasers(blocks: NDArray[np.void]) -> tuple[I8, I8]:
+def _by_laser(blocks: NDArray[np.void]) -> tuple[I8, I8]:
+    """Return distances and reflectivities (n, 16) of the firing sequences of blocks."""
     names = ("distance_lsb", "reflectivity")
     records = blocks["records"]
     distance, code = (records[name].reshape(-1, layout.LASERS).astype(np.int64) for name in names)

@@ -48,9 +48,8 @@ class Stretches:
     """s stretches of 15 pulses of one laser on a smooth surface."""
 
     residual_mm: F8  # (s, 15) ranges minus the cubic
-    first_slot: (
-        I8  # (s,) slot of the beat, 0 to 4, of the first pulse; it falls by one from each pulse to the next
-    )
+    first_slot: I8
+    """(s,) slot of the beat, 0 to 4, of the first pulse; it falls by one from each pulse to the next."""
     codes: I8  # (s, 15) reflectivities
 
     @property
@@ -69,16 +68,16 @@ class Stretches:
         square = np.zeros((_SLOTS, _SLOTS))
         product = np.zeros(_SLOTS)
         for first in range(_SLOTS):
-            own = self.residual_mm[self.first_slot == first]
-            square += len(own) * _slot_residuals(first).T @ _slot_residuals(first)
-            product += _slot_residuals(first).T @ own.sum(axis=0)
+            residual_mm = self.residual_mm[self.first_slot == first]
+            square += len(residual_mm) * _slot_residuals(first).T @ _slot_residuals(first)
+            product += _slot_residuals(first).T @ residual_mm.sum(axis=0)
         return np.asarray(np.linalg.lstsq(square, product, rcond=1e-9)[0])
 
     @property
     def white_mm(self) -> F8:
         """Residuals (s, 15) without the beat."""
-        of_first = np.stack([_slot_residuals(first) @ self.beat_mm for first in range(_SLOTS)])
-        return np.asarray(self.residual_mm - of_first[self.first_slot])
+        beats_mm = np.stack([_slot_residuals(first) @ self.beat_mm for first in range(_SLOTS)])
+        return np.asarray(self.residual_mm - beats_mm[self.first_slot])
 
 
 def _slot_residuals(first: int) -> F8:
@@ -91,15 +90,13 @@ def stretches_of(sequences: Sequences) -> Stretches | None:
     count = len(sequences.number) // _PULSES
     number = sequences.number[: count * _PULSES].reshape(count, _PULSES)
     lasers = sequences.distance_lsb.shape[1]
-    distance, codes = (
-        of[: count * _PULSES].reshape(count, _PULSES, lasers).transpose(0, 2, 1)
-        for of in (sequences.distance_lsb, sequences.reflectivity)
-    )
+    shape = (count, _PULSES, lasers)
+    distance = sequences.distance_lsb[: count * _PULSES].reshape(shape).transpose(0, 2, 1)
+    codes = sequences.reflectivity[: count * _PULSES].reshape(shape).transpose(0, 2, 1)
     residual_mm = 2.0 * distance @ _Q
     is_gapless = number[:, -1] - number[:, 0] == _PULSES - 1
-    is_smooth = (
-        (distance > 0).all(axis=2) & ((residual_mm**2).mean(axis=2) < _SMOOTHEST_MM**2) & is_gapless[:, None]
-    )
+    is_smooth = (residual_mm**2).mean(axis=2) < _SMOOTHEST_MM**2
+    is_smooth &= (distance > 0).all(axis=2) & is_gapless[:, None]
     slot = (24 * number[:, :1] + np.arange(lasers)) % _SLOTS
     found = Stretches(residual_mm[is_smooth], slot[is_smooth], codes[is_smooth])
     return found if len(found.first_slot) >= _LEAST_STRETCHES else None
@@ -111,65 +108,62 @@ def beat_of(stretches: Stretches) -> NDArray[np.complex128]:
 
 
 def range_noise(stretches: Stretches) -> Statistics:
-    """Beat, and white noise at a reflectivity of 20 (`range_sigma_m`).
+    """Return the beat of ranges, and their white noise at a reflectivity of 20 (`range_sigma_m`).
 
-    Kurtosis and correlation with reflectivity belong to it.
+    The white noise also has its kurtosis and its correlation with reflectivity.
     """
     white_mm = stretches.white_mm
     level = stretches.level
     codes = stretches.code_residual
     at_middle_mm = white_mm * (level.clip(1, 100) / _MIDDLE_LEVEL)[:, None] ** 0.25
     scattered = ((codes**2).sum(axis=1) > _FREE * _SCATTERED**2) & (level < _NOT_CUT)
+    correlation = math.nan
+    if scattered.sum() >= _LEAST_STRETCHES:
+        correlation = float(np.corrcoef(white_mm[scattered].ravel(), codes[scattered].ravel())[0, 1])
     return {
         "range.beat_mm": float(abs(beat_of(stretches)[0])),
         "range.white_at_20_mm": math.sqrt((at_middle_mm**2).sum() / (_FREE * len(level))),
         "range.kurtosis": float((white_mm**4 / (white_mm**2).mean(axis=1, keepdims=True) ** 2).mean()) - 3.0,
-        "range.with_reflectivity": float(
-            np.corrcoef(white_mm[scattered].ravel(), codes[scattered].ravel())[0, 1]
-        )
-        if scattered.sum() >= _LEAST_STRETCHES
-        else math.nan,
+        "range.with_reflectivity": correlation,
     }
 
 
 def reflectivity_noise(stretches: Stretches) -> Statistics:
-    """Noise of neighbours, and the scatter within stretches as a share of their level: texture and noise."""
+    """Return the noise between neighbours, and the scatter within stretches as a share of their level."""
     out = {}
     level = stretches.level
     for name, low, high in (("1_4", 1, 4), ("60_99", 60, 99)):
-        change = np.diff(stretches.codes, axis=1)[
-            (stretches.codes >= low)[:, :-1] & (stretches.codes <= high)[:, :-1]
-        ]
+        first_code = stretches.codes[:, :-1]
+        change = np.diff(stretches.codes, axis=1)[(first_code >= low) & (first_code <= high)]
         if len(change) >= _LEAST:
+            scatter = float(change[np.abs(change) <= _MOST_COUNTS].std())
             out[f"reflectivity.equal_{name}"] = float((change == 0).mean())
-            out[f"reflectivity.scatter_{name}"] = float(
-                change[np.abs(change) <= _MOST_COUNTS].std()
-            ) / math.sqrt(2.0)
+            out[f"reflectivity.scatter_{name}"] = scatter / math.sqrt(2.0)
     share = np.sqrt((stretches.code_residual**2).sum(axis=1) / _FREE) / level.clip(1)
-    if ((dark := (level >= 4) & (level <= 15)).sum()) >= _LEAST_STRETCHES:
+    dark = (level >= 4) & (level <= 15)
+    if dark.sum() >= _LEAST_STRETCHES:
         out["reflectivity.texture_4_15"] = float(np.median(share[dark]))
-    if ((middle := (level >= 30) & (level <= 60)).sum()) >= _LEAST_STRETCHES:
+    middle = (level >= 30) & (level <= 60)
+    if middle.sum() >= _LEAST_STRETCHES:
         low, high = np.quantile(share[middle], (0.25, 0.9))
         out["reflectivity.texture_spread"] = float(high / low)
     return out
 
 
 def codes(sequences: Sequences) -> Statistics:
-    """Return the share of codes at the top of the diffuse scale.
+    """Return the share of codes at the top of the diffuse scale, and the ruggedness of bright codes.
 
-    The ruggedness of the histograms of bright codes is returned too.
-
-    Ruggedness is the second difference over counts, for each laser in each class of range. A class spans 40 %
-    of range, in which steps of codes change little.
+    Ruggedness is the second difference of a histogram over its counts, for each laser in each class of range.
+    A class spans 40 % of range, in which steps of codes change little.
     """
     seen = sequences.distance_lsb > 0
     r = sequences.reflectivity
     far = np.searchsorted(_COMB_RANGES_LSB, sequences.distance_lsb)
-    of = far * far.shape[1] + np.arange(far.shape[1])
+    histogram = far * far.shape[1] + np.arange(far.shape[1])
     low, high = _COMB_CODES
     bright = seen & (r >= low) & (r < high)
-    counts = np.zeros((of.max() + 1, high - low))
-    np.add.at(counts, (of[bright], r[bright] - low), 1)
+    counts = np.zeros((histogram.max() + 1, high - low))
+    np.add.at(counts, (histogram[bright], r[bright] - low), 1)
     counts = counts[counts.sum(axis=1) >= _LEAST_COMB]
     out = {"reflectivity.top_codes": float(((r >= 90) & (r <= 100))[seen].mean())} if seen.any() else {}
     if counts.sum() >= 10 * _LEAST:
@@ -180,9 +174,8 @@ def codes(sequences: Sequences) -> Statistics:
 def gains(sequences: Sequences) -> Statistics:
     """Return the spread of the gain over lasers.
 
-    Each laser is compared with its neighbours above and below on the same surface.
-
-    Only gains that both halves of the alternate sectors of 45 deg show count, so the scene does not.
+    Each laser is compared with its neighbours above and below on the same surface. Gains count as far as both
+    of two sets of alternate sectors of 45 deg show them, so the scene does not.
     """
     d = sequences.distance_lsb[:, _UPWARDS]
     r = sequences.reflectivity[:, _UPWARDS]
@@ -198,10 +191,10 @@ def gains(sequences: Sequences) -> Statistics:
     half = np.repeat(sequences.azimuth_cdeg // _SECTOR_CDEG % 2, per_block)[:, None]
     counts = []
     means = []
-    for which in (0, 1):
-        own = same & (half == which)
-        counts.append(own.sum(axis=0))
-        means.append(np.where(own, ratio, 0.0).sum(axis=0) / own.sum(axis=0).clip(1))
+    for number in (0, 1):
+        in_half = same & (half == number)
+        counts.append(in_half.sum(axis=0))
+        means.append(np.where(in_half, ratio, 0.0).sum(axis=0) / in_half.sum(axis=0).clip(1))
     enough = np.min(counts, axis=0) >= _LEAST_GAIN
     if enough.sum() < _SLOTS:
         return {}
@@ -232,19 +225,17 @@ _AT_RPM = (590.0, 610.0)
 def statistics_of(sequences: Sequences) -> Statistics:
     """Return all statistics of a capture by name; statistics with too few data are left out."""
     stretches = stretches_of(sequences)
-    every = {} if stretches is None else range_noise(stretches) | reflectivity_noise(stretches)
-    for of in (codes, gains, lost_records, no_returns, dual_returns, rotation, _residues, _clocks):
-        every |= of(sequences)
-    return {name: float(value) for name, value in every.items() if math.isfinite(value)}
+    found = {} if stretches is None else range_noise(stretches) | reflectivity_noise(stretches)
+    for measure in (codes, gains, lost_records, no_returns, dual_returns, rotation, _residues, _clocks):
+        found |= measure(sequences)
+    return {name: float(value) for name, value in found.items() if math.isfinite(value)}
 
 
 def lost_records(sequences: Sequences) -> Statistics:
-    """Return the share of records without a return between two pairs of returns of one laser.
+    """Return the shares of records without a return between two pairs of returns of one laser.
 
-    It is given by the change across them.
-
-    Changes: none of range; steps of 0.3 to 1.4 m, and larger; 20 codes of reflectivity and more on one
-    surface.
+    There is one for each change across the pairs: none of range; steps of 0.3 to 1.4 m, and larger; 20 codes
+    of reflectivity and more on one surface.
     """
     d = sequences.distance_lsb
     r = sequences.reflectivity
@@ -265,10 +256,7 @@ def lost_records(sequences: Sequences) -> Statistics:
 
 
 def no_returns(sequences: Sequences) -> Statistics:
-    """Return statistics of the codes of records without a return.
-
-    They are their levels, and shares raised above their laser's level.
-    """
+    """Return levels of the codes of records without a return, and shares above the level of their laser."""
     silent = sequences.distance_lsb == 0
     r = sequences.reflectivity
     both = silent[1:] & silent[:-1]
@@ -284,20 +272,20 @@ def no_returns(sequences: Sequences) -> Statistics:
 
 def commonest(silent: NDArray[np.bool_], r: I8) -> I8:
     """Return the commonest code (16,) of each laser's records without a return, 0 if there are too few."""
-    each = [column[of] for column, of in zip(r.T, silent.T, strict=True)]
-    return np.array([np.bincount(own).argmax() if len(own) >= _LEAST_EDGES else 0 for own in each])
+    laser_codes = [column[is_silent] for column, is_silent in zip(r.T, silent.T, strict=True)]
+    return np.array([np.bincount(c).argmax() if len(c) >= _LEAST_EDGES else 0 for c in laser_codes])
 
 
 def _raised_codes(silent: NDArray[np.bool_], r: I8) -> Statistics:
     """Return how much more codes are raised beside bright returns than beside dark ones.
 
-    The share of raised runs of one record is returned too.
+    The share of raised runs that have one record comes with it.
     """
     mode = commonest(silent, r)
     raised = silent & (r > _RAISED * mode) & (mode > 0)
-    neighbour = np.maximum(
-        *(np.where(silent[side], -1, r[side]) for side in (slice(None, -2), slice(2, None)))
-    )
+    before = np.where(silent[:-2], -1, r[:-2])
+    after = np.where(silent[2:], -1, r[2:])
+    neighbour = np.maximum(before, after)
     beside = silent[1:-1] & (neighbour >= 0)
     shares = []
     for low, high in (_DARK, _BRIGHT):
@@ -312,10 +300,7 @@ def _raised_codes(silent: NDArray[np.bool_], r: I8) -> Statistics:
 
 
 def dual_returns(sequences: Sequences) -> Statistics:
-    """Return the share of pairs with one return whose other block has none.
-
-    The share of unequal codes in pairs without a return is returned too.
-    """
+    """Return the share of pairs with a return in one block, and of unequal codes among pairs without any."""
     if sequences.last is None:
         return {}
     (d_last, r_last) = sequences.last
@@ -403,6 +388,7 @@ def rotation(sequences: Sequences) -> Statistics:
 
 
 def _residues(sequences: Sequences) -> Statistics:
+    """Return the spread over lasers of the share of odd distances, and how uneven remainders of four are."""
     d = sequences.distance_lsb
     odd = [(codes[codes > 0] % 2).mean() for codes in d.T if (codes > 0).sum() >= _LEAST]
     if len(odd) < 5:
@@ -416,7 +402,8 @@ def _clocks(sequences: Sequences) -> Statistics:
 
     The sensor's rate is against its firings, the host's against the sensor's.
     """
-    clock_us, stamp_us = ((of - of[0]) / US_NS for of in (sequences.clock_ns, sequences.stamp_ns))
+    clock_us = (sequences.clock_ns - sequences.clock_ns[0]) / US_NS
+    stamp_us = (sequences.stamp_ns - sequences.stamp_ns[0]) / US_NS
     arrival_us = (np.diff(stamp_us) - np.diff(clock_us)).std()
     if len(clock_us) < _LEAST_PACKETS:
         return {"clock.arrival_us": arrival_us}

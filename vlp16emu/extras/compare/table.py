@@ -10,7 +10,7 @@ from typing import NamedTuple
 from vlp16emu.extras.compare.sequences import Sequences
 from vlp16emu.extras.compare.statistics import statistics_of
 
-_OF_ONE_UNIT = 2.0
+_ONE_UNIT_FACTOR = 2.0  # of the limits of a statistic that is known of one unit
 
 
 class Known(NamedTuple):
@@ -24,11 +24,11 @@ class Known(NamedTuple):
     def limits(self) -> tuple[float, float]:
         """Least and greatest value, widened by half of the range.
 
-        It is widened by ratio if both are above 0, and by a factor of two for one unit.
+        Values above 0 are widened by the root of their ratio; those of one unit by a factor of two.
         """
         low, high, _ = self
         if low > 0.0:
-            factor = math.sqrt(high / low) if high > low else _OF_ONE_UNIT
+            factor = math.sqrt(high / low) if high > low else _ONE_UNIT_FACTOR
             return low / factor, high * factor
         return low - (high - low) / 2, high + (high - low) / 2
 
@@ -62,14 +62,16 @@ class Compared(NamedTuple):
 
 def compare_statistics(first: Sequences, second: Sequences) -> list[Compared]:
     """Compare two captures by the statistics that both have."""
-    one, other = statistics_of(first), statistics_of(second)
+    first_values = statistics_of(first)
+    second_values = statistics_of(second)
     rows = []
-    for name in (name for name in one if name in other and name in REAL):
+    for name in first_values:
+        if name not in second_values or name not in REAL:
+            continue
         known = REAL[name]
-        values = (one[name], other[name])
-        distance = abs(values[0] - values[1]) / max(
-            known.high - known.low, _LEAST_SPREAD * abs(known.high), 1e-9
-        )
+        values = (first_values[name], second_values[name])
+        spread = max(known.high - known.low, _LEAST_SPREAD * abs(known.high), 1e-9)
+        distance = abs(values[0] - values[1]) / spread
         unlike = not known.is_like(values[0]), not known.is_like(values[1])
         rows.append(Compared(name, known.text, *values, distance, distance > 1.0, unlike))
     return rows

@@ -39,7 +39,7 @@ _FIRST_WORKER_WITHIN_S = 60.0
 _MOST_AT_ONCE = 1_000  # walks that the scheduler knows at a time
 _PIECE_BYTES = 8_000_000  # of a file that is fetched; larger pieces are not faster (tools/results/dataset.md)
 
-_Made = tuple[str | None, Path, Entry]
+_MadeBy = tuple[str | None, Path, Entry]
 """Address of the worker that has the folder, None for one inside the dataset; the folder; entry of the
 walk."""
 
@@ -71,6 +71,7 @@ class Cluster:
         tries = dict[str, tuple[DatasetWalk, int]]()
 
         def submit(walk: DatasetWalk, number: int = 1) -> "Future":
+            """Submit a walk for the first, second ... time."""
             # Dask's dashboard shows the part of a key before the first dash.
             key = f"vlp16emu_walk-{parts.name}-{walk.number}-{number}"
             tries[key] = walk, number
@@ -94,16 +95,18 @@ class Cluster:
 
     @contextmanager
     def _lost_on_error(self) -> Iterator[None]:
+        """Raise RunError if the connection to the scheduler is lost within the block."""
         try:
             yield
         except (CancelledError, OSError):
             raise RunError(f"{self.address}: the scheduler is lost; what is made so far is kept") from None
 
-    def _result(self, future: "Future", walk: DatasetWalk) -> _Made:
+    def _result(self, future: "Future", walk: DatasetWalk) -> _MadeBy:
+        """Return what a worker has made; RunError if it is not that walk, or workers die over it."""
         from distributed import KilledWorker
 
         try:
-            made: _Made = future.result()
+            made: _MadeBy = future.result()
         except KilledWorker:
             raise RunError(died_too_often(walk)) from None
         except ImportError as error:  # workers that came later
@@ -200,11 +203,11 @@ def check_versions(address: str, versions: Table) -> None:
     major, minor, _ = python_version_tuple()
     here = version("vlp16emu"), f"{major}.{minor}"
     places = {"the scheduler": versions["scheduler"]}
-    places |= {f"worker {worker}": one for worker, one in versions["workers"].items()}
+    places |= {f"worker {worker}": installed for worker, installed in versions["workers"].items()}
     others = list[str]()
-    for place, one in places.items():
-        package = one["packages"]["vlp16emu"]
-        python = ".".join(one["host"]["python"].split(".")[:2])
+    for place, installed in places.items():
+        package = installed["packages"]["vlp16emu"]
+        python = ".".join(installed["host"]["python"].split(".")[:2])
         if (package, python) != here:
             found = f"vlp16emu {package}" if package else "no vlp16emu"
             others.append(f"{place} has {found} on Python {python}")
@@ -255,7 +258,8 @@ def _reach(address: str) -> None:
         raise InputError(address, f"no Dask scheduler answers ({error})", _EXPECTED) from None
 
 
-def _make_on_worker(walk: DatasetWalk, parts: Path, scratch: str) -> _Made:
+def _make_on_worker(walk: DatasetWalk, parts: Path, scratch: str) -> _MadeBy:
+    """Make a walk in the folder of the dataset if this worker sees it, else in a folder of its own."""
     from distributed import get_worker
 
     worker = get_worker()

@@ -44,7 +44,7 @@ class Probe:
 
 @dataclass(frozen=True, slots=True)
 class DatasetEstimate:
-    """ExpectationError size and run time of the walks of a dataset that are not complete."""
+    """Expected size and run time of the walks of a dataset that are not complete."""
 
     walks: int
     complete: int  # walks that the folder has; their files are not checked
@@ -86,22 +86,22 @@ def estimate_dataset(walks: Sequence[DatasetWalk], out: Path, **options: Any) ->
     cpu_s = 0.0
     worlds = set[tuple[str, int]]()
     for walk in missing:
-        own = measured.get((walk.stand, walk.sensor))
-        rates = [own] if own else probes
+        kind_probe = measured.get((walk.stand, walk.sensor))
+        rates = [kind_probe] if kind_probe else probes
         size_bytes += walk.scenario.duration_s * mean(probe.bytes_per_s for probe in rates)
         cpu_s += walk.scenario.duration_s * mean(probe.cpu_s_per_s for probe in rates)
         if (walk.stand, walk.seed) not in worlds:
             worlds.add((walk.stand, walk.seed))
-            cpu_s += max(probe.grow_cpu_s for probe in probes if not own or probe.stand == walk.stand)
+            stand_probes = [probe for probe in probes if not kind_probe or probe.stand == walk.stand]
+            cpu_s += max(probe.grow_cpu_s for probe in stand_probes)
+    folder = next(place for place in (out.absolute(), *out.absolute().parents) if place.is_dir())
     return DatasetEstimate(
         walks=len(walks),
         complete=len(walks) - len(missing),
         missing=len(missing),
         simulated_s=sum(walk.scenario.duration_s for walk in missing),
         bytes=round(size_bytes),
-        free_bytes=disk_usage(
-            next(place for place in (out.absolute(), *out.absolute().parents) if place.is_dir())
-        ).free,
+        free_bytes=disk_usage(folder).free,
         cpu_hours=cpu_s / _HOUR_S,
         cores=cores,
         hours=cpu_s / _HOUR_S / cores,
@@ -111,6 +111,7 @@ def estimate_dataset(walks: Sequence[DatasetWalk], out: Path, **options: Any) ->
 
 
 def _cores(asked: DatasetOptions) -> int:
+    """Return the number of walks that are made at a time."""
     if asked.scheduler is not None:
         with connect(asked.scheduler) as cluster:
             return cluster.threads
@@ -147,6 +148,7 @@ def _load_kernels(layout: str) -> None:
 
 
 def _written_bytes(emulator: Emulator, layout: str, span: Span) -> int:
+    """Write a span of a walk into a temporary folder, and return the size of its files."""
     with TemporaryDirectory(prefix="vlp16emu-") as name:
         LAYOUTS[layout](emulator, Path(name), span)
         files = described_files(Path(name))

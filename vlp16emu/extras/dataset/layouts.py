@@ -52,19 +52,22 @@ def _semantic_kitti(emulator: Emulator, folder: Path, span: Span) -> None:
 
 
 def _numbers(instances: U4, known: dict[int, int]) -> U4:
-    own, index = np.unique(instances, return_inverse=True)
-    for instance in own[own > 0].tolist():
+    """Return the numbers of instances (n,) in a sequence, 0 for none, and add new ones to the known."""
+    distinct, index = np.unique(instances, return_inverse=True)
+    for instance in distinct[distinct > 0].tolist():
         known.setdefault(instance, len(known) + 1)
     if len(known) > _MOST_INSTANCES:
         raise RunError(f"more than {_MOST_INSTANCES} instances in one sequence, which its labels cannot hold")
-    return np.array([known.get(instance, 0) for instance in own.tolist()], np.uint32)[index]
+    return np.array([known.get(instance, 0) for instance in distinct.tolist()], np.uint32)[index]
 
 
 def _capture(emulator: Emulator, folder: Path, span: Span) -> None:
+    """Write a capture and its ground truth."""
     emulator.record(folder / "walk.pcap", truth=folder / "truth", **vars(span))
 
 
 def _plot(emulator: Emulator, folder: Path, span: Span) -> None:
+    """Write all points of a walk, with labels, in the world of the scene."""
     write_points(emulator, folder / "points.laz", truth=True, **vars(span))
 
 

@@ -46,10 +46,11 @@ def complete_entry(out: Path, walk: DatasetWalk) -> Entry | None:
     if _real(folder) != _real(out) / walk.folder:
         raise OutputError(str(out), f"{walk.folder} is reached through a link", "folders inside it")
     entry = listed(out, walk)
-    ours = _intact_files(folder)
-    if entry and len(ours) == len(entry["files"]) + 1:
+    intact = _intact_files(folder)
+    if entry and len(intact) == len(entry["files"]) + 1:
         return entry
-    if strange := {path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir()} - ours:
+    present = {path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir()}
+    if strange := present - intact:
         found = f"{min(strange).relative_to(out)} is there, and no {LIST} lists it so"
         raise OutputError(str(out), found, "a new folder, or one of an earlier run")
     if folder.exists() and not folder.is_dir():
@@ -133,6 +134,7 @@ def _intact_files(folder: Path) -> set[Path]:
 
 
 def _agrees(folder: Path, file: Entry) -> bool:
+    """Return True if a file of a folder has the size and sha256 of its entry, and is reached by no link."""
     path = folder / file["path"]
     # What is reached through a link may be anybody's.
     if _real(path) != _real(folder) / file["path"] or not path.is_file():
@@ -167,6 +169,7 @@ def _parse(text: str) -> Entry:
 
 
 def _description(path: Path, folder: Path) -> Entry:
+    """Return path, size and sha256 of a file in a folder."""
     with open_input(path, "a file of a dataset", InputError, most_bytes=None, takes_all=True) as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     return {"path": path.relative_to(folder).as_posix(), "bytes": path.stat().st_size, "sha256": digest}

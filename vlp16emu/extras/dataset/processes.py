@@ -35,6 +35,7 @@ def make_here(walks: Sequence[DatasetWalk], parts: Path, workers: int | None) ->
     running = dict[Future[Made], tuple[ProcessPoolExecutor, DatasetWalk]]()
 
     def start(worker: ProcessPoolExecutor) -> None:
+        """Start the next walk, if one is left."""
         if left:
             walk = left.popleft()
             running[worker.submit(make_walk, walk, parts, threads)] = worker, walk
@@ -71,6 +72,7 @@ def _new_worker() -> ProcessPoolExecutor:
 
 @contextmanager
 def _terminated_on_error() -> Iterator[None]:
+    """Terminate the worker processes that the block has started if it raises."""
     others = set(multiprocessing.active_children())
     try:
         yield
@@ -85,6 +87,7 @@ def _start_worker() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def end_with_parent() -> None:
+        """Wait for the end of the parent process, and end this one."""
         if parent := multiprocessing.parent_process():
             parent.join()
             os._exit(1)

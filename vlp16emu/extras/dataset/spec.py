@@ -16,10 +16,11 @@ from vlp16emu.sensor.settings import require_packets
 from vlp16emu.settings import ExpectationError, Fraction, Section, toml
 
 _SPLITS = ("train", "val", "test")
-_ONE = 1e-9
+_ROUNDING = 1e-9  # of the sum of three shares
 
 
 def _each_once(values: list[Any]) -> list[Any]:
+    """Return a list of variants or seeds; ExpectationError if a name or number is in it twice."""
     if len({getattr(value, "name", value) for value in values}) < len(values):
         raise ExpectationError("each name and each number once")
     return values
@@ -53,7 +54,7 @@ class _Splits(Section):
 
     @model_validator(mode="after")
     def _check_shares(self) -> Self:
-        if abs(self.train + self.val + self.test - 1) > _ONE:
+        if abs(self.train + self.val + self.test - 1) > _ROUNDING:
             raise ExpectationError("train, val and test that sum to 1")
         return self
 
@@ -125,14 +126,15 @@ def walks_of(spec: DatasetSpec, folder: Path) -> list[DatasetWalk]:
     walks = list[DatasetWalk]()
     for stand, seed, path, sensor in product(spec.stands, spec.seeds, spec.paths, spec.sensors):
         settings = [*stand.set, *path.set, *sensor.set]
-        if own_seed := next((one for one in settings if one.partition("=")[0].strip() == "seed"), None):
-            raise ScenarioError("set", f"found {own_seed}", "no seed, as `seeds` has those of the scenes")
+        for setting in settings:
+            if setting.partition("=")[0].strip() == "seed":
+                raise ScenarioError("set", f"found {setting}", "no seed, as `seeds` has those of the scenes")
         settings.append(f"seed={seed}")
         scene = find(stand.scene)
-        own = scene == Path(stand.scene)  # True for a path, False for a name
+        is_path = scene == Path(stand.scene)
         names = stand.name, path.name, sensor.name
         try:
-            scenario = load(folder / scene if own else scene, settings)
+            scenario = load(folder / scene if is_path else scene, settings)
             if spec.layout == "pcap+truth":
                 require_packets(scenario.sensor)
         except ScenarioError as error:

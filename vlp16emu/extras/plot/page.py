@@ -4,18 +4,14 @@ import base64
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from html import escape
+from importlib.resources import files
 from pathlib import Path
 
 from vlp16emu.errors import OutputError
 from vlp16emu.extras.plot.sheet import Report, check_matplotlib, picture_of
 from vlp16emu.output import OutputFile
 
-_STYLE = (
-    "body{font:16px/1.5 sans-serif;max-width:64em;margin:2em auto;padding:0 "
-    "1em;color:#222}table{border-collapse:collapse;margin:1em 0}td,th{padding:.2em "
-    ".8em;border-bottom:1px solid "
-    "#ccc;text-align:left}td.n{text-align:right;font-variant-numeric:tabular-nums}img{max-width:100%}.missed{color:#a32000;font-weight:bold}"
-)
+_STYLE = files(__package__).joinpath("page.css").read_text(encoding="utf-8")
 _MEANING = {
     "ate_m": "RMSE of positions, m",
     "ate_max_m": "greatest error of a position, m",
@@ -102,10 +98,8 @@ def page_of(report: Report) -> str:
         ]
     scores = [(name, _text(value), _meaning(name)) for name, value in report["scores"].items()]
     parts = [
-        (
-            "<!doctype html><html lang=en><meta "
-            f"charset=utf-8><title>{escape(title)}</title><style>{_STYLE}</style>"
-        ),
+        f"<!doctype html><html lang=en><meta charset=utf-8><title>{escape(title)}</title>",
+        f"<style>{_STYLE}</style>",
         f"<h1>{escape(title)}</h1>",
         *(f'<p class="missed">missed: {escape(line)}</p>' for line in report["missed"]),
         _table(("score", "value", "meaning"), scores),

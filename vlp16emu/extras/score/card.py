@@ -19,7 +19,7 @@ from vlp16emu.extras.score.paths import RPE_DELTA_M, PathErrors, score_path
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M
 from vlp16emu.scenario import load
 from vlp16emu.trees import Table, Tree
-from vlp16emu.types import AnyArray, PlantPart, Semantic
+from vlp16emu.types import F8, AnyArray, PlantPart, Semantic
 from vlp16emu.units import MS_NS, S_NS
 
 Cloud = Mapping[str, AnyArray]
@@ -60,15 +60,16 @@ class TreeRow:
     position_error_m: float
     true_dbh_m: float
     dbh_error_m: float  # found value minus true value
-    hits: (
-        int | None
-    )  # true points on the stem from 1.2 to 1.4 m over the foot; None without labelled true points
+    hits: int | None
+    """True points on the stem from 1.2 to 1.4 m over the foot; None without labelled true points."""
     range_m: float  # horizontal distance from the true path of the sensor; NaN without a path
 
     @property
     def kind(self) -> str:
         """One of `found`, `missed` and `false`, which is a found tree without a true one."""
-        return "false" if not self.true_id else "found" if self.found_number else "missed"
+        if not self.true_id:
+            return "false"
+        return "found" if self.found_number else "missed"
 
 
 @dataclass(slots=True)
@@ -101,6 +102,7 @@ class ScoreCard:
 
 
 def _score_text(name: str, value: float) -> str:
+    """Return a score as text; for NaN the reason."""
     if not math.isnan(value):
         return f"{value:.6f}" if name == "time_offset_s" else f"{value:.6g}"
     reason = next((text for begin, text in _UNDEFINED if name.startswith(begin)), "nothing to find")
@@ -136,31 +138,9 @@ def make_card(inputs: ScoreInputs) -> ScoreCard:
     card = ScoreCard(inputs, reference=_reference(inputs.truth))
     true = read_cloud(inputs.truth_points) if inputs.truth_points else None
     if inputs.trajectory:
-        found = score_path(
-            inputs.trajectory, inputs.times, inputs.truth, inputs.unit, inputs.alignment, inputs.time_offset_s
-        )
-        card.scores = found.scores
-        card.path = found.errors
-        card.notes["trajectory"] = (
-            f"alignment {inputs.alignment}; RPE over {RPE_DELTA_M:g} m of path, drift the mean over "
-            "longer ones; "
-            f"{found.poses} poses, {found.left_out} beyond the truth left out; RMSE by evo; the offset "
-            "is to be added to the estimate's stamps"
-        )
-        if found.clock is not None:
-            offset_s = found.clock.offset_ns / S_NS
-            card.scores["time_offset_s"] = offset_s
-            card.notes["stamps"] = f"of the estimate, minus UTC: {offset_s:.6f} s ({found.clock.clock})"
+        _score_trajectory(card, inputs.trajectory)
     if inputs.map:
-        points_m = read_cloud(inputs.map)["xyz"]
-        centre_m = Trajectory(inputs.truth, inputs.unit).first_m[:2]
-        card.scores["infra_d_per_m2"] = measures.density_per_m2(points_m[:, :2], centre_m, REGION_M)
-        card.scores["infra_nuc"] = measures.uniformity(points_m[:, :2], centre_m, REGION_M)
-        card.notes["map"] = (
-            f"InfraD and InfraNUC in plan, {REGION_M:g} m around the first true position; no alignment"
-        )
-        if true is not None:
-            card.scores |= measures.cloud_distances(points_m, true["xyz"], WITHIN_M)
+        _score_map(card, read_cloud(inputs.map)["xyz"], true)
     if inputs.points and true is not None:
         _score_labels(card, read_cloud(inputs.points), true)
     if inputs.stems and inputs.inventory:
@@ -168,7 +148,39 @@ def make_card(inputs: ScoreInputs) -> ScoreCard:
     return card
 
 
-def _need(true: Cloud, *names: str) -> None:
+def _score_trajectory(card: ScoreCard, trajectory: Path) -> None:
+    """Score the poses of a trajectory."""
+    inputs = card.inputs
+    found = score_path(
+        trajectory, inputs.times, inputs.truth, inputs.unit, inputs.alignment, inputs.time_offset_s
+    )
+    card.scores |= found.scores
+    card.path = found.errors
+    card.notes["trajectory"] = (
+        f"alignment {inputs.alignment}; RPE over {RPE_DELTA_M:g} m of path, drift the mean over longer ones; "
+        f"{found.poses} poses, {found.left_out} beyond the truth left out; RMSE by evo; the offset is to be "
+        "added to the estimate's stamps"
+    )
+    if found.clock is not None:
+        offset_s = found.clock.offset_ns / S_NS
+        card.scores["time_offset_s"] = offset_s
+        card.notes["stamps"] = f"of the estimate, minus UTC: {offset_s:.6f} s ({found.clock.clock})"
+
+
+def _score_map(card: ScoreCard, points_m: F8, true: Cloud | None) -> None:
+    """Score a map (n, 3): its points around the start, and its distances from the true points."""
+    centre_m = Trajectory(card.inputs.truth, card.inputs.unit).first_m[:2]
+    card.scores["infra_d_per_m2"] = measures.density_per_m2(points_m[:, :2], centre_m, REGION_M)
+    card.scores["infra_nuc"] = measures.uniformity(points_m[:, :2], centre_m, REGION_M)
+    card.notes["map"] = (
+        f"InfraD and InfraNUC in plan, {REGION_M:g} m around the first true position; no alignment"
+    )
+    if true is not None:
+        card.scores |= measures.cloud_distances(points_m, true["xyz"], WITHIN_M)
+
+
+def _require_columns(true: Cloud, *names: str) -> None:
+    """Raise InputError if the true points have no column of a name."""
     for name in names:
         if name not in true:
             raise InputError("--truth-points", f"no column {name}", "points of `vlp16emu points --truth`")
@@ -178,25 +190,24 @@ def _score_labels(card: ScoreCard, found: Cloud, true: Cloud) -> None:
     """Score labels at the true points; a true point without a near labelled point has no label."""
     from scipy.spatial import KDTree
 
-    away_m, nearest = KDTree(found["xyz"]).query(true["xyz"])
-    away = away_m > SAME_POINT_M
+    apart_m, nearest = KDTree(found["xyz"]).query(true["xyz"])
+    is_apart = apart_m > SAME_POINT_M
     names = [name for name in ("leaf_wood", "instance") if name in found]
     if not names:
         raise InputError(str(card.inputs.points), "found no labels", "a column leaf_wood or instance")
-    _need(true, "semantic", *names)
+    _require_columns(true, "semantic", *names)
     is_tree = true["semantic"] == Semantic.TREE
     if "leaf_wood" in found:
-        labels = np.where(away, 0, found["leaf_wood"][nearest])
+        labels = np.where(is_apart, 0, found["leaf_wood"][nearest])
         card.scores |= measures.leaf_wood_scores(labels, np.where(is_tree, true["leaf_wood"], 0))
     if "instance" in found:
         trees = np.where(is_tree, true["instance"], 0)
         if "semantic" in found:  # our instances include shrubs and stones
             found = {**found, "instance": np.where(found["semantic"] == Semantic.TREE, found["instance"], 0)}
-        card.scores |= measures.instance_scores(np.where(away, 0, found["instance"][nearest]), trees)
+        card.scores |= measures.instance_scores(np.where(is_apart, 0, found["instance"][nearest]), trees)
         boxes, counts = measures.boxes_of(found["xyz"], found["instance"], LEAST_POINTS)
-        card.scores |= measures.box_scores(
-            boxes, counts, measures.boxes_of(true["xyz"], trees, LEAST_POINTS)[0]
-        )
+        true_boxes, _ = measures.boxes_of(true["xyz"], trees, LEAST_POINTS)
+        card.scores |= measures.box_scores(boxes, counts, true_boxes)
     card.notes["labels"] = (
         f"a true point has the label of the nearest point within {SAME_POINT_M:g} m; trees alone; boxes of "
         f"{LEAST_POINTS} points or more, their number is the confidence"
@@ -206,6 +217,7 @@ def _score_labels(card: ScoreCard, found: Cloud, true: Cloud) -> None:
 def _score_stems(
     card: ScoreCard, found: tuple[Stem, ...], trees: tuple[Stem, ...], true: Cloud | None
 ) -> None:
+    """Score a list of stems against trees, those with enough true points if these are given."""
     hits: list[int | None] = [None] * len(trees)
     seen = trees
     if true is not None:
@@ -215,40 +227,41 @@ def _score_stems(
         hits = [on_stem[i] for i in kept]
     pairs = measures.match_stems(found, seen, card.inputs.radius_m)
     card.scores |= measures.stem_scores(found, seen, pairs)
-    of_true = {j: found[i] for i, j in pairs}
+    found_by_tree = {j: found[i] for i, j in pairs}
     range_m = _range_from_path(card.inputs)
-    card.trees += [_row(of_true.get(j), tree, hits[j], range_m) for j, tree in enumerate(seen)]
+    card.trees += [_row(found_by_tree.get(j), tree, hits[j], range_m) for j, tree in enumerate(seen)]
     paired = {i for i, _ in pairs}
     card.trees += [_row(stem, None, None, range_m) for i, stem in enumerate(found) if i not in paired]
-    which = (
-        f"trees with {LEAST_POINTS} true points or more" if true is not None else "all trees of the inventory"
-    )
-    card.notes["stems"] = f"{which}; pairs within {card.inputs.radius_m:g} m"
+    scope = "all trees of the inventory"
+    if true is not None:
+        scope = f"trees with {LEAST_POINTS} true points or more"
+    card.notes["stems"] = f"{scope}; pairs within {card.inputs.radius_m:g} m"
 
 
 def _row(
     found: Stem | None, tree: Stem | None, hits: int | None, range_m: Callable[[float, float], float]
 ) -> TreeRow:
-    nowhere = Stem("", math.nan, math.nan, math.nan, math.nan, "")
-    one = found or nowhere
-    true = tree or nowhere
-    place = tree or found or nowhere
+    """Return the row of a found stem, of a true tree, or of a pair; `range_m` as in `_range_from_path`."""
+    missing = Stem("", math.nan, math.nan, math.nan, math.nan, "")
+    stem = found or missing
+    true = tree or missing
+    place = tree or found or missing
     return TreeRow(
         true_id=true.number,
         list_line=true.list_line,
-        found_number=one.number,
+        found_number=stem.number,
         x_m=place.x_m,
         y_m=place.y_m,
-        position_error_m=math.hypot(one.x_m - true.x_m, one.y_m - true.y_m),
+        position_error_m=math.hypot(stem.x_m - true.x_m, stem.y_m - true.y_m),
         true_dbh_m=true.dbh_m,
-        dbh_error_m=one.dbh_m - true.dbh_m,
+        dbh_error_m=stem.dbh_m - true.dbh_m,
         hits=hits,
         range_m=range_m(place.x_m, place.y_m),
     )
 
 
 def _reference(truth: Path) -> Tree | None:
-    """Return title and seed of the walk whose truth is in a folder."""
+    """Return title, seed and world of the walk whose truth is in a folder; None without its scenario."""
     if not (scene := truth / "scenario.json").is_file():
         return None
     scenario = load(str(scene))
@@ -273,17 +286,16 @@ def _range_from_path(inputs: ScoreInputs) -> Callable[[float, float], float]:
 
 def _point_counts(trees: tuple[Stem, ...], true: Cloud) -> tuple[list[int], list[int]]:
     """Return the number of points of each tree: on the stem at breast height, and in total."""
-    _need(true, "instance", "part")
+    _require_columns(true, "instance", "part")
     if not trees:
         return [], []
     numbers = np.array([int(tree.number) if tree.number.isdigit() else -1 for tree in trees])
     order = np.argsort(numbers)
-    at = np.searchsorted(numbers[order], true["instance"]).clip(max=len(numbers) - 1)
-    row = np.where(numbers[order][at] == true["instance"], order[at], -1)
+    place = np.searchsorted(numbers[order], true["instance"]).clip(max=len(numbers) - 1)
+    row = np.where(numbers[order][place] == true["instance"], order[place], -1)
     foot_m = np.array([tree.z_m for tree in trees])[row]
     at_breast = np.abs(true["xyz"][:, 2] - foot_m - BREAST_HEIGHT_M) <= _BREAST_M
     on_stem = (true["part"] == PlantPart.STEM) & at_breast
-    of_stem, of_tree = (
-        np.bincount(row[(row >= 0) & of], minlength=len(trees)).tolist() for of in (on_stem, row >= 0)
-    )
-    return of_stem, of_tree
+    stem_counts = np.bincount(row[(row >= 0) & on_stem], minlength=len(trees))
+    tree_counts = np.bincount(row[row >= 0], minlength=len(trees))
+    return stem_counts.tolist(), tree_counts.tolist()

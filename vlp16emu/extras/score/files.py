@@ -79,9 +79,10 @@ def read_cloud(path: Path) -> Cloud:
 
 
 def _checked(path: Path, columns: Cloud, expected: str) -> Cloud:
-    """Return positions and labels of the columns of a file."""
-    if (instance := next((name for name in _INSTANCES if name in columns), None)) is not None:
-        columns["instance"] = columns[instance]
+    """Return positions and labels of the columns of a file; InputError if they are malformed."""
+    instances = [name for name in _INSTANCES if name in columns]
+    if instances:
+        columns["instance"] = columns[instances[0]]
     place = next((names for names in _PLACES if all(name in columns for name in names)), None)
     if place is None:
         raise InputError(str(path), f"found columns {', '.join(columns)}", "x, y and z")
@@ -98,9 +99,9 @@ def _checked(path: Path, columns: Cloud, expected: str) -> Cloud:
     for name, values in labels.items():
         if values.shape != (len(xyz),):
             raise InputError(f"{path}: {name}", f"found {values.shape}", f"({len(xyz)},), one for each point")
-        off = ~(np.abs(values) < _LARGEST_LABEL)  # NaN too
-        if off.any():
-            found = f"found {values[off.argmax()]:g}"
+        is_wrong = ~(np.abs(values) < _LARGEST_LABEL)  # NaN too
+        if is_wrong.any():
+            found = f"found {values[is_wrong.argmax()]:g}"
             raise InputError(f"{path}: {name}", found, f"whole numbers below {_LARGEST_LABEL}")
     return {"xyz": xyz} | {name: values.astype(np.int64) for name, values in labels.items()}
 
@@ -166,20 +167,18 @@ def read_stems(path: Path) -> tuple[Stem, ...]:
     table = read_table(path, _COLUMNS, "a CSV of stems with columns x and y", InputError)
     places = table.numbers("x_m", "y_m", "z_m", "dbh_m")
     # Stem maps give positions at breast height, for example 3DFin (dendromatics, `tree_locator`: the section
-    # nearest to
-    # 1.3 m); a leaning stem is not above its foot there.
+    # nearest to 1.3 m); a leaning stem is not above its foot there.
     breast_m = table.numbers("x_breast_m", "y_breast_m")
     places[:, :2] = np.where(np.isnan(breast_m), places[:, :2], breast_m)
-    own_numbers = zip(*(table.texts(name) for name in _NUMBERS), strict=True)
+    numbers = zip(*(table.texts(name) for name in _NUMBERS), strict=True)
+    list_lines = table.texts("list_line")
     stems: dict[str, Stem] = {}
-    for row, (place, names, list_line) in enumerate(
-        zip(places.tolist(), own_numbers, table.texts("list_line"), strict=True)
-    ):
+    for row, (place, given) in enumerate(zip(places.tolist(), numbers, strict=True)):
         x_m, y_m, z_m, dbh_m = place
-        number = next(filter(None, names), str(table.lines[row]))
+        number = next(filter(None, given), str(table.lines[row]))
         if number in stems:
             raise InputError(
                 table.where(row), f"found tree {number} twice", "a number of its own for each tree"
             )
-        stems[number] = Stem(number, x_m, y_m, z_m, dbh_m, list_line)
+        stems[number] = Stem(number, x_m, y_m, z_m, dbh_m, list_lines[row])
     return tuple(stems.values())

@@ -1,7 +1,4 @@
-"""Measures of point clouds and of trees.
-
-They are distances, density, stems on a map, labels of points, instances and boxes.
-"""
+"""Measures of point clouds and of trees: distances, density, stem maps, labels, instances and boxes."""
 
 import math
 from collections.abc import Sequence
@@ -12,10 +9,9 @@ from vlp16emu.extras.score.files import Stem
 from vlp16emu.random import Purpose, uniform
 from vlp16emu.types import F8, I8
 
-# disks of PU-Net, the share of the area of each, and the seed of their places
-_DISKS = 9000
-_SHARE = 0.01
-_SEED = 1
+_DISKS = 9000  # of PU-Net
+_SHARE = 0.01  # of the area, that each disk has
+_SEED = 1  # of the places of the disks
 _COCO = tuple(np.arange(50, 100, 5) / 100)
 """Thresholds of intersection over union whose average precision is averaged (COCO, detection evaluation)."""
 
@@ -32,13 +28,14 @@ def cloud_distances(found: F8, true: F8, within_m: tuple[float, ...]) -> dict[st
     """
     from scipy.spatial import KDTree
 
-    to_true, to_found = (np.asarray(KDTree(a).query(b)[0]) for a, b in ((true, found), (found, true)))
-    scores = {"accuracy_m": float(to_true.mean()), "completeness_m": float(to_found.mean())}
+    to_true_m = np.asarray(KDTree(true).query(found)[0])
+    to_found_m = np.asarray(KDTree(found).query(true)[0])
+    scores = {"accuracy_m": float(to_true_m.mean()), "completeness_m": float(to_found_m.mean())}
     scores["chamfer_m"] = sum(scores.values())
     for limit_m in within_m:
         name = f"{round(limit_m * 100)}cm"
-        scores[f"precision_{name}"] = float((to_true <= limit_m).mean())
-        scores[f"completeness_{name}"] = float((to_found <= limit_m).mean())
+        scores[f"precision_{name}"] = float((to_true_m <= limit_m).mean())
+        scores[f"completeness_{name}"] = float((to_found_m <= limit_m).mean())
     return scores
 
 
@@ -80,8 +77,9 @@ def match_stems(found: Sequence[Stem], true: Sequence[Stem], radius_m: float) ->
     """
     from scipy.optimize import linear_sum_assignment
 
-    places = [np.array([(stem.x_m, stem.y_m) for stem in stems]).reshape(-1, 2) for stems in (found, true)]
-    apart_m = np.linalg.norm(places[0][:, None] - places[1], axis=-1)
+    found_m = np.array([(stem.x_m, stem.y_m) for stem in found]).reshape(-1, 2)
+    true_m = np.array([(stem.x_m, stem.y_m) for stem in true]).reshape(-1, 2)
+    apart_m = np.linalg.norm(found_m[:, None] - true_m, axis=-1)
     # A pair beyond the radius costs more than all possible pairs within it.
     cost = np.where(apart_m <= radius_m, apart_m, (radius_m + 1) * (min(apart_m.shape) + 1))
     rows, columns = linear_sum_assignment(cost)
@@ -93,12 +91,13 @@ def stem_scores(
 ) -> dict[str, float]:
     """Return precision, recall and F1 of a stem map, and its errors.
 
-    Errors are those of position (RMSE, m) and of DBH (mean and RMSE, m).
+    Errors are of position (RMSE, m) and of DBH (mean and RMSE, m).
     """
     scores = _shares("stem", len(pairs), len(found) - len(pairs), len(true) - len(pairs))
     off_m = [math.hypot(found[i].x_m - true[j].x_m, found[i].y_m - true[j].y_m) for i, j in pairs]
     scores["stem_position_m"] = _rms(off_m)
-    errors_m = [e for i, j in pairs if math.isfinite(e := found[i].dbh_m - true[j].dbh_m)]
+    errors_m = [found[i].dbh_m - true[j].dbh_m for i, j in pairs]
+    errors_m = [error_m for error_m in errors_m if math.isfinite(error_m)]
     scores["dbh_bias_m"] = float(np.mean(errors_m)) if errors_m else math.nan
     scores["dbh_m"] = _rms(errors_m)
     return scores
@@ -148,7 +147,8 @@ def boxes_of(xyz_m: F8, instance: I8, least_points: int) -> tuple[F8, I8]:
     names, counts = np.unique(instance[instance > 0], return_counts=True)
     names = names[counts >= least_points]
     counts = counts[counts >= least_points]
-    boxes = [(of.min(axis=0), of.max(axis=0)) for name in names if len(of := xyz_m[instance == name])]
+    points = [xyz_m[instance == name] for name in names]
+    boxes = [(points_m.min(axis=0), points_m.max(axis=0)) for points_m in points]
     return np.array(boxes).reshape(-1, 2, 3), counts
 
 
@@ -165,11 +165,13 @@ def box_scores(found: F8, confidence: I8, true: F8) -> dict[str, float]:
 
 
 def _overlaps(found: F8, true: F8) -> F8:
+    """Return the intersection over union (k, m) of found boxes (k, 2, 3) and true ones (m, 2, 3)."""
     low = np.maximum(found[:, None, 0], true[None, :, 0])
     high = np.minimum(found[:, None, 1], true[None, :, 1])
     both = np.prod(np.clip(high - low, 0, None), axis=-1)
-    volumes = [np.prod(boxes[:, 1] - boxes[:, 0], axis=-1) for boxes in (found, true)]
-    either = volumes[0][:, None] + volumes[1] - both
+    found_m3 = np.prod(found[:, 1] - found[:, 0], axis=-1)
+    true_m3 = np.prod(true[:, 1] - true[:, 0], axis=-1)
+    either = found_m3[:, None] + true_m3 - both
     return np.asarray(np.divide(both, either, out=np.zeros_like(both), where=either > 0))
 
 
@@ -191,9 +193,10 @@ def _average_precision(overlap: F8, limit: float) -> float:
 
 
 def _shares(name: str, hits: int, false: int, missed: int) -> dict[str, float]:
+    """Return precision, recall and F1 by name; NaN where there is nothing to count."""
     shares = {"precision": (hits, hits + false), "recall": (hits, hits + missed)}
     shares["f1"] = 2 * hits, 2 * hits + false + missed
-    return {f"{name}_{key}": part / whole if whole else math.nan for key, (part, whole) in shares.items()}
+    return {f"{name}_{key}": part / total if total else math.nan for key, (part, total) in shares.items()}
 
 
 def _rms(values: Sequence[float]) -> float:

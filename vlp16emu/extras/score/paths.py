@@ -13,17 +13,15 @@ from vlp16emu.extras.clouds.deskew import Trajectory
 from vlp16emu.extras.clouds.epochs import ClockOffset, clock_offset
 from vlp16emu.extras.recorded.files import RecordedPoses, read_kitti, read_tum
 from vlp16emu.libraries import of_extra
-from vlp16emu.types import F8
+from vlp16emu.types import F8, I8
 from vlp16emu.units import MS_NS, S_NS, seconds_to_ns
 
 if TYPE_CHECKING:  # it takes 0.1 s to load
     from scipy.spatial.transform import Rotation
 
 RPE_DELTA_M = 1.0  # length of path for relative errors, short enough for short walks
-DRIFT_M = (
-    10.0,
-    100.0,
-)  # lengths of path for drift; KITTI's are 100 to 800 m (Geiger et al., CVPR 2012, section 3.2)
+DRIFT_M = (10.0, 100.0)
+"""Lengths of path for drift; KITTI's are 100 to 800 m (Geiger et al., CVPR 2012, section 3.2)."""
 _MOST_OFFSET_NS = 300 * MS_NS  # three sweeps, and the step of the search
 _OFFSET_STEP_NS = 10 * MS_NS
 _MOST_LATE_NS = 10 * S_NS  # a program that waits for its initialisation begins so much later (assumption)
@@ -31,9 +29,9 @@ _LATE_STEP_NS = 50 * MS_NS  # the step of that search: a tenth of a pace
 _LEAST_STEP_NS = 100 * MS_NS
 _MOST_STEPS = 500
 _MOST_SHOWN = 1000  # greatest number of poses, and of drifts, in a report
-# fewer poses, or a motion this uniform, do not determine the offset of stamps
 _LEAST_POSES = 10
 _FLAT_M = 1e-4
+"""With fewer poses, or a motion this uniform, the offset of stamps is not determined."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +73,7 @@ def on_truth_clock(
 
     If no offset is given (None), the clock is that of `clock_offset`, moved by the offset within
     `_MOST_LATE_NS` with which the steps of the estimate agree best with the true ones. If the motion is too
-    uniform for that, it stays.
+    uniform for that, it is that of `clock_offset`.
     """
     if time_offset_s is not None:
         clock = ClockOffset(seconds_to_ns(time_offset_s), "as given")
@@ -85,14 +83,15 @@ def on_truth_clock(
     moved = _earlier(moved, -_agreeing_offset_ns(moved, true))
     rest_s = stamp_offset_s(moved, true)
     if math.isnan(rest_s):
-        how = f"{clock.clock}; the motion is too uniform for more"
+        description = f"{clock.clock}; the motion is too uniform for more"
     else:
         moved = _earlier(moved, -seconds_to_ns(rest_s))
-        how = f"{clock.clock}, then by steps that agree"
-    return moved, ClockOffset(int(found.t_ns[0] - moved.t_ns[0]), how)
+        description = f"{clock.clock}, then by steps that agree"
+    return moved, ClockOffset(int(found.t_ns[0] - moved.t_ns[0]), description)
 
 
 def _earlier(found: RecordedPoses, offset_ns: int) -> RecordedPoses:
+    """Return poses with stamps that are earlier by an offset."""
     return replace(found, t_ns=found.t_ns - offset_ns)
 
 
@@ -102,24 +101,14 @@ def _agreeing_offset_ns(found: RecordedPoses, true: Trajectory) -> int:
     Steps of `_LEAST_STEP_NS` or more are compared, at most `_MOST_STEPS` of them; half or more must be within
     the truth. The result is 0 for too few.
     """
-    from scipy.spatial.transform import Rotation
-
     ends = np.searchsorted(found.t_ns, found.t_ns + _LEAST_STEP_NS)
     begins = np.flatnonzero(ends < len(found.t_ns))
     if len(begins) < _LEAST_POSES:
         return 0
     begins = begins[np.linspace(0, len(begins) - 1, min(len(begins), _MOST_STEPS)).astype(np.int64)]
-    both = np.concatenate([begins, ends[begins]])
-    moved_m, turned = _steps(Rotation.from_quat(found.quaternion[both]), found.position_m[both])
     offsets_ns = np.arange(-_MOST_LATE_NS, _MOST_LATE_NS + 1, _LATE_STEP_NS)
-    unlike = np.full(len(offsets_ns), math.inf)
-    for i, offset_ns in enumerate(offsets_ns.tolist()):
-        t_ns = found.t_ns[both] + offset_ns
-        inside = np.flatnonzero(true.has(t_ns).reshape(2, -1).all(axis=0))
-        if len(inside) >= max(_LEAST_POSES, len(begins) / 2):
-            turns, places_m = true.poses_at(t_ns)
-            true_m, true_turned = _steps(Rotation.from_matrix(turns), places_m)
-            unlike[i] = _unlike(moved_m[inside], true_m[inside], turned[inside], true_turned[inside])
+    least_steps = max(_LEAST_POSES, len(begins) / 2)
+    unlike = _unlike_by_offset(found, true, (begins, ends[begins]), offsets_ns, least_steps)
     known = unlike[np.isfinite(unlike)]
     return int(offsets_ns[unlike.argmin()]) if len(known) and np.ptp(known) > _FLAT_M else 0
 
@@ -147,13 +136,11 @@ def score_path(
     found, clock = on_truth_clock(found, true, time_offset_s)
     inside = true.has(found.t_ns)
     if inside.sum() < 3:
-        spans = [
-            f"{a:.3f} to {b:.3f} s" for a, b in ((found.t_ns[0] / S_NS, found.t_ns[-1] / S_NS), true.span_s)
-        ]
+        begin_s, end_s = true.span_s
         raise InputError(
             str(file),
-            f"found poses from {spans[0]}",
-            f"at least three within the truth, {spans[1]} (see --time-offset)",
+            f"found poses from {found.t_ns[0] / S_NS:.3f} to {found.t_ns[-1] / S_NS:.3f} s",
+            f"at least three within the truth, {begin_s:.3f} to {end_s:.3f} s (see --time-offset)",
         )
     pair = _align(found, inside, true, alignment)
     places = metrics.PoseRelation.translation_part
@@ -177,7 +164,7 @@ def score_path(
 def _path_errors(pair: Any, error_m: F8, drift: Any) -> PathErrors:
     """Return the errors along the path of a pair of evo's trajectories.
 
-    A processed RPE over `DRIFT_M[0]` is `drift`.
+    `drift` is evo's RPE over `DRIFT_M[0]` of path, after `process_data`.
     """
     reference, estimate = pair
     true_m = reference.positions_xyz
@@ -202,7 +189,7 @@ def _path_errors(pair: Any, error_m: F8, drift: Any) -> PathErrors:
 
 
 def _some(values: F8) -> list[float]:
-    """Return at most `_MOST_SHOWN` of some values (n,), evenly, to a tenth of a millimetre."""
+    """Return at most `_MOST_SHOWN` values of (n,), evenly spread, rounded to four decimals."""
     rows = np.unique(np.linspace(0, len(values) - 1, min(len(values), _MOST_SHOWN)).astype(np.int64))
     return np.round(values[rows], 4).tolist() if len(values) else []
 
@@ -220,38 +207,47 @@ def _errors(metric: Any, pair: Any) -> tuple[float, F8]:
 
 
 def stamp_offset_s(found: RecordedPoses, true: Trajectory) -> float:
-    """Return the offset to add to the estimate's stamps.
+    """Return the offset to add to the estimate's stamps, with which its steps agree best with the true ones.
 
-    It best fits the estimate's steps between poses to the true steps.
-
-    Steps need no alignment, and the swing of each pace marks its time. NaN for too few poses or too uniform a
-    motion.
+    Steps between poses need no alignment, and the swing of each pace marks its time. NaN for too few poses or
+    too uniform a motion.
     """
-    from scipy.spatial.transform import Rotation
-
     inside = true.has(found.t_ns - _MOST_OFFSET_NS) & true.has(found.t_ns + _MOST_OFFSET_NS)
     if inside.sum() < _LEAST_POSES:
         return math.nan
-    t_ns = found.t_ns[inside]
     offsets_ns = np.arange(-_MOST_OFFSET_NS, _MOST_OFFSET_NS + 1, _OFFSET_STEP_NS)
-
-    places = np.flatnonzero(inside)
-    rows = np.arange(len(t_ns))
-    both = np.concatenate([rows[:-1], rows[1:]])
-    moved_m, turned = _steps(
-        Rotation.from_quat(found.quaternion[places[both]]), found.position_m[places[both]]
-    )
-    unlike = np.empty(len(offsets_ns))
-    for i, offset_ns in enumerate(offsets_ns.tolist()):
-        turns, places_m = true.poses_at(t_ns + offset_ns)
-        true_m, true_turned = _steps(Rotation.from_matrix(turns[both]), places_m[both])
-        unlike[i] = _unlike(moved_m, true_m, turned, true_turned)
+    rows = np.flatnonzero(inside)
+    unlike = _unlike_by_offset(found, true, (rows[:-1], rows[1:]), offsets_ns)
     best = int(unlike.argmin())
     if not 0 < best < len(unlike) - 1 or np.ptp(unlike) < _FLAT_M:
         return math.nan
     before, at, after = unlike[best - 1 : best + 2] ** 2  # a parabola through the minimum
     bend = before - 2.0 * at + after
     return float(offsets_ns[best] + 0.5 * _OFFSET_STEP_NS * (before - after) / bend) / S_NS
+
+
+def _unlike_by_offset(
+    found: RecordedPoses, true: Trajectory, steps: tuple[I8, I8], offsets_ns: I8, least_steps: float = 0
+) -> F8:
+    """Return how unlike an estimate's steps are to the true ones if an offset is added to its stamps.
+
+    The result (k,) is by offset, as `_unlike`; it is infinite where fewer than `least_steps` of the steps,
+    given by the rows (n,) of their first and last poses, are within the truth.
+    """
+    from scipy.spatial.transform import Rotation
+
+    both = np.concatenate(steps)
+    moved_m, turned = _steps(Rotation.from_quat(found.quaternion[both]), found.position_m[both])
+    rows, pose = np.unique(both, return_inverse=True)
+    unlike = np.full(len(offsets_ns), math.inf)
+    for i, offset_ns in enumerate(offsets_ns.tolist()):
+        t_ns = found.t_ns[rows] + offset_ns
+        inside = np.flatnonzero(true.has(t_ns)[pose].reshape(2, -1).all(axis=0))
+        if len(inside) >= least_steps:
+            turns, places_m = true.poses_at(t_ns)
+            true_m, true_turned = _steps(Rotation.from_matrix(turns[pose]), places_m[pose])
+            unlike[i] = _unlike(moved_m[inside], true_m[inside], turned[inside], true_turned[inside])
+    return unlike
 
 
 def _steps(turns: "Rotation", places_m: F8) -> tuple[F8, "Rotation"]:
@@ -266,8 +262,8 @@ def _unlike(moved_m: F8, true_m: F8, turned: "Rotation", true_turned: "Rotation"
     return math.sqrt(((moved_m - true_m) ** 2).sum(axis=1).mean()) + math.sqrt((off_rad**2).mean())
 
 
-def _align(found: RecordedPoses, inside: NDArray[np.bool_], true: Trajectory, alignment: str):  # type: ignore[no-untyped-def]  # noqa: ANN202 - of evo, which has no types
-    """Return the true and the found trajectory, as evo's classes, at the same instants."""
+def _align(found: RecordedPoses, inside: NDArray[np.bool_], true: Trajectory, alignment: str) -> Any:
+    """Return the true and the found trajectory at the same instants, as evo's classes."""
     from evo.core.geometry import GeometryException, umeyama_alignment
     from evo.core.trajectory import PoseTrajectory3D
     from scipy.spatial.transform import Rotation

@@ -67,7 +67,7 @@ class Rig:
     lidar_frame: str = "velodyne"
 
     @classmethod
-    def of(cls, rig: Table, scenario: Table, frame: str) -> Self:
+    def from_truth(cls, rig: Table, scenario: Table, frame: str) -> Self:
         """Return the rig of the first unit, with lidar frame `frame`, from `rig.json` and `scenario.json`."""
         imu = given_mount(rig["imu"], "body_T_imu") if "imu" in rig else None
         lidar = given_mount(rig["units"][0], "body_T_sensor")
@@ -116,20 +116,22 @@ def _number(value: float) -> str:
 
 
 def pose_names(frame: str, child: str, T: AnyArray) -> dict[str, list[float]]:
-    """Return the pose (4, 4) of frame `what` in frame `of` by the names of templates.
+    """Return the pose `T` (4, 4) of frame `child` in `frame` by the names that templates use.
 
-    The names stand for the orders of numbers that programs use.
+    Each name stands for an order of numbers: translation, rotation by rows, quaternion x, y, z, w before the
+    translation, and behind it as in TUM.
     """
     from scipy.spatial.transform import Rotation
 
-    place = (T[:3, 3].round(9) + 0.0).tolist()
-    turn = (T[:3, :3].round(9) + 0.0).ravel().tolist()
+    # Adding zero turns -0.0 into 0.0.
+    translation = (T[:3, 3].round(9) + 0.0).tolist()
+    rotation = (T[:3, :3].round(9) + 0.0).ravel().tolist()
     quaternion = (Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True).round(9) + 0.0).tolist()
     return {
-        f"{frame}_t_{child}": place,
-        f"{frame}_R_{child}": turn,
-        f"{frame}_pose_{child}": quaternion + place,
-        f"{frame}_tum_{child}": place + quaternion,
+        f"{frame}_t_{child}": translation,
+        f"{frame}_R_{child}": rotation,
+        f"{frame}_pose_{child}": quaternion + translation,
+        f"{frame}_tum_{child}": translation + quaternion,
     }
 
 
@@ -144,7 +146,7 @@ def configurations(program: Program, rig: Rig) -> dict[str, str]:
 
 
 def _fill(template: str, names: Mapping[str, str], *, is_json: bool) -> str:
-    """Fill a template; for a name that the rig does not have stands the default of the program."""
+    """Fill a template; a name without a value in the rig leaves the default of the program."""
     text = Template(template).safe_substitute(names)
     if is_json:
         return json.dumps(json.loads(text), indent=2) + "\n"
@@ -153,16 +155,18 @@ def _fill(template: str, names: Mapping[str, str], *, is_json: bool) -> str:
 
 
 def _without_idle_remark(line: re.Match[str]) -> str:
+    """Return the value of a line, with its remark if it differs from the default of the program."""
     if line["value"].startswith("$"):
         return line["default"]
     return line["value"] if _is_default(line) else line[0]
 
 
-def _is_default(found: re.Match[str]) -> bool:
+def _is_default(match: re.Match[str]) -> bool:
+    """Return True if a value equals the default of the program, as numbers if both are."""
     try:
-        return bool(json.loads(found["value"]) == json.loads(found["default"]))
+        return bool(json.loads(match["value"]) == json.loads(match["default"]))
     except ValueError:
-        return found["value"].strip('"') == found["default"]
+        return match["value"].strip('"') == match["default"]
 
 
 def _holds(path: Path, text: str) -> bool:

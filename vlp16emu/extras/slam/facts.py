@@ -57,10 +57,10 @@ class Facts:
 
     topic: str
     imu_topic: str  # empty if there is no inertial unit
-    frame: str = ""
+    frame: str = ""  # of the lidar
     imu_frame: str = ""
-    fields: Mapping[str, np.dtype[Any]] = field(default_factory=dict)
-    time_name: str = ""
+    fields: Mapping[str, np.dtype[Any]] = field(default_factory=dict)  # types of the fields of points by name
+    time_name: str = ""  # name of the time field; empty if there is none
     clouds: list[CloudRow] = field(default_factory=list)
     rings: dict[int, list[float]] = field(default_factory=dict)
     """Sum and number of the sines of elevation by ring."""
@@ -72,12 +72,12 @@ class Facts:
 
     def pose(self, frame: str, parent: str) -> F8 | None:
         """Return the fixed pose (4, 4) of `frame` in `parent`; None if they are not connected."""
-        parent_chain = dict(self.up(parent))
-        chain = dict(self.up(frame))
+        parent_chain = dict(self.ancestors(parent))
+        chain = dict(self.ancestors(frame))
         common = next((name for name in chain if name in parent_chain), None)
         return None if common is None else np.linalg.inv(parent_chain[common]) @ chain[common]
 
-    def up(self, frame: str) -> Iterator[tuple[str, F8]]:
+    def ancestors(self, frame: str) -> Iterator[tuple[str, F8]]:
         """Yield the frame and its ancestors, with its pose in each."""
         T = np.eye(4)
         seen = set[str]()
@@ -104,16 +104,16 @@ def read_facts(path: Path) -> Facts:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             facts = Facts(_topic(reader, _CLOUD, "velodyne_points"), _topic(reader, _IMU, "imu/data"))
             start_s = reader.start_time // S_NS
-            read = {
+            adders = {
                 facts.topic: _add_cloud,
                 facts.imu_topic: _add_sample,
                 "/tf": _add_moving,
                 "/tf_static": _add_fixed,
             }
-            wanted = [connection for connection in reader.connections if connection.topic in read]
+            wanted = [connection for connection in reader.connections if connection.topic in adders]
             for connection, _, raw in reader.messages(wanted) if wanted else ():
                 where = f"{path}, {connection.topic}"
-                read[connection.topic](facts, reader.deserialize(raw, connection.msgtype), start_s)
+                adders[connection.topic](facts, reader.deserialize(raw, connection.msgtype), start_s)
     except Exception as error:  # noqa: BLE001  # rosbags raises errors of any type for damage
         reason = str(error) or type(error).__name__
         raise CaptureError(where, f"no bag: {reason}", _EXPECTED) from None
@@ -124,7 +124,7 @@ def read_facts(path: Path) -> Facts:
 
 
 def _check_files(path: Path) -> None:
-    """Check that a bag, and each file of a folder, is a regular file: rosbags would wait for a FIFO."""
+    """Raise CaptureError if a bag, or a file of a folder, is no regular file: rosbags waits for a FIFO."""
     names = [path]
     if path.is_dir():
         with parsing(path, _EXPECTED, CaptureError):
@@ -136,27 +136,28 @@ def _check_files(path: Path) -> None:
                 pass
 
 
-def _topic(reader: Any, kind: str, ours: str) -> str:
-    """Return the topic of a type that ends with `ours`, else the first; empty if there is none."""
-    names = [connection.topic for connection in reader.connections if connection.msgtype == kind]
-    return next((name for name in names if name.endswith(ours)), names[0] if names else "")
+def _topic(reader: Any, message_type: str, ending: str) -> str:
+    """Return the topic of a type with an ending, else the first of this type; empty if there is none."""
+    names = [connection.topic for connection in reader.connections if connection.msgtype == message_type]
+    return next((name for name in names if name.endswith(ending)), names[0] if names else "")
 
 
 def _stamp_s(message: Any, start_s: int) -> float:
+    """Return the stamp of a message since the first message of the bag."""
     return float(message.header.stamp.sec - start_s + message.header.stamp.nanosec / S_NS)
 
 
 def _add_sample(facts: Facts, message: Any, start_s: int) -> None:
     rate = message.angular_velocity
     force = message.linear_acceleration
-    turn = message.orientation
+    attitude = message.orientation
     facts.imu_frame = message.header.frame_id
     facts.samples.append(
         SampleRow(
             _stamp_s(message, start_s),
             (rate.x, rate.y, rate.z),
             (force.x, force.y, force.z),
-            (turn.x, turn.y, turn.z, turn.w),
+            (attitude.x, attitude.y, attitude.z, attitude.w),
             (
                 float(message.orientation_covariance[0]),
                 float(message.angular_velocity_covariance[0]),
@@ -167,10 +168,10 @@ def _add_sample(facts: Facts, message: Any, start_s: int) -> None:
 
 
 def _add_cloud(facts: Facts, message: Any, start_s: int) -> None:
-    names = [number.name for number in message.fields]
-    end = "><"[not message.is_bigendian]
-    kinds = [np.dtype(end + _KINDS.get(number.datatype, "u1")) for number in message.fields]
-    layout: Any = {"names": names, "formats": kinds, "offsets": [number.offset for number in message.fields]}
+    names = [column.name for column in message.fields]
+    order = ">" if message.is_bigendian else "<"
+    kinds = [np.dtype(order + _KINDS.get(column.datatype, "u1")) for column in message.fields]
+    layout: Any = {"names": names, "formats": kinds, "offsets": [column.offset for column in message.fields]}
     layout["itemsize"] = message.point_step
     points: AnyArray = np.frombuffer(message.data, np.dtype(layout))
     facts.frame = message.header.frame_id
@@ -204,12 +205,13 @@ def _add_cloud(facts: Facts, message: Any, start_s: int) -> None:
 
 
 def _add_rings(facts: Facts, ring: AnyArray, sine: F8) -> None:
+    """Add the sines of elevation (n,) of points to the sums of their rings (n,)."""
     numbers: AnyArray = np.where(np.isfinite(ring), ring, -1)
     for number in np.unique(numbers).tolist():
-        is_own = np.equal(numbers, number)
+        in_ring = np.equal(numbers, number)
         total = facts.rings.setdefault(int(number), [0.0, 0.0])
-        total[0] += float(sine[is_own].sum())
-        total[1] += int(is_own.sum())
+        total[0] += float(sine[in_ring].sum())
+        total[1] += int(in_ring.sum())
 
 
 def _turned_deg(azimuth_deg: F8, times: F8, ring: AnyArray) -> float:
@@ -226,7 +228,7 @@ def _turned_deg(azimuth_deg: F8, times: F8, ring: AnyArray) -> float:
 
 
 def _winding_deg(azimuth_deg: F8) -> float:
-    """Return the sum of the steps, each the short way round."""
+    """Return the size of the sum of steps in azimuth, each of at most half a turn."""
     step_deg = (np.diff(azimuth_deg) + 180.0) % 360.0 - 180.0
     return abs(float(step_deg.sum()))
 

@@ -1,7 +1,7 @@
 """Values of parameters in configuration files of any syntax: YAML, JSON, Lua, shell and launch files."""
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import NamedTuple
 
 _SET = re.compile(r"(?P<name>[A-Za-z][\w/.]*)(?::=|: |=)(?P<value>\[[^\]]*\]|/[\w/]+|-?\d[-+.e\d]*)")
@@ -12,7 +12,7 @@ _TOLERANCE = 0.03  # relative, of rates and durations
 _POSE_TOLERANCE = 2e-3  # m, and elements of rotations: 0.1 deg
 
 
-class Held(NamedTuple):
+class Parameter(NamedTuple):
     """A parameter in a file."""
 
     file: str
@@ -24,35 +24,33 @@ class Held(NamedTuple):
         return f"{self.file} has {self.name}: {self.value}"
 
 
-def values_set(needs: str) -> dict[str, str]:
-    """Return the values by the parameters that a need sets."""
+def parameters_held(needs: str, texts: Mapping[str, str]) -> list[Parameter]:
+    """Return the parameters that a need sets and that configuration files (text by name) hold."""
     remedy = needs.partition("; ")[0]
-    return {found["name"]: found["value"] for found in _SET.finditer(remedy)}
-
-
-def values_held(wanted: Mapping[str, str], texts: Mapping[str, str]) -> list[Held]:
-    """Return the parameters of `wanted` that configuration files (text by name) hold."""
+    wanted = {found["name"]: found["value"] for found in _SET.finditer(remedy)}
     return [
-        Held(file, name, value, _is_equal(value, wanted[name]))
+        Parameter(file, name, value, _is_equal(value, wanted[name]))
         for file, text in texts.items()
         for name in wanted
         for value in _values(_REMARKS.sub("", text), name)
     ]
 
 
-def _values(text: str, name: str) -> Iterable[str]:
+def _values(text: str, name: str) -> list[str]:
+    """Return the values of a parameter in a text, with single blanks."""
     *_, parent, last = ["", *re.split(r"[/.]", name)]
-    own = re.escape(last)
+    key = re.escape(last)
     if len(last) == 1:  # t and R, as parameters or as keys below their parent
-        own = rf"{re.escape(parent)}(?:/|:\s*)(?:\w:\s*\[[^\]]*\]\s*)*{own}"
-    form = rf"(?<!\w){own}[\"']?\s*(?::=|[:=]|value=)\s*[\"']?(\[[^\]]*\]|[^\s,\"'<>]+)"
-    return (" ".join(found.split()) for found in re.findall(form, text))
+        key = rf"{re.escape(parent)}(?:/|:\s*)(?:\w:\s*\[[^\]]*\]\s*)*{key}"
+    form = rf"(?<!\w){key}[\"']?\s*(?::=|[:=]|value=)\s*[\"']?(\[[^\]]*\]|[^\s,\"'<>]+)"
+    return [" ".join(found.split()) for found in re.findall(form, text)]
 
 
 def _is_equal(value: str, wanted: str) -> bool:
     if wanted.startswith("/"):
         return value == wanted
-    numbers, wanted_numbers = (list(map(float, _NUMBER.findall(each))) for each in (value, wanted))
+    numbers = [float(number) for number in _NUMBER.findall(value)]
+    wanted_numbers = [float(number) for number in _NUMBER.findall(wanted)]
     if len(numbers) != len(wanted_numbers):
         return False
     return all(

@@ -17,14 +17,13 @@ EARLY_S = 1e-3  # longest time before the stamp that counts as rounding
 _GRAVITY_M_S2 = 9.80665
 _COLUMNS = 1800  # of a sweep of 0.1 s, as in LIO-SAM and LeGO-LOAM
 _SMOOTHED_S = 0.1  # IMU samples are averaged over this time to find rest
-_RESTS_RAD_S = 0.15
-_RESTS_SHARE = 0.05
+_REST_RAD_S = 0.15
+_REST_SHARE = 0.05
 """Highest angular rate, and relative deviation of the specific force from 1 g, of a standing person."""
 _UNITS = (("s", 1.0, 0), ("ms", 1e-3, 1), ("us", 1e-6, 2), ("ns", 1e-9, 3))
 """Units of times, and their numbers in FAST-LIO2 and Point-LIO (src/preprocess.h)."""
-_ALIKE = (
-    1.5  # ratio up to which the span of point times is that of a sweep, and a step that of its neighbours
-)
+_ALIKE = 1.5
+"""Ratio up to which the span of point times is that of a sweep, and a step that of its neighbours."""
 _WHOLE = 0.1  # deviation of a step between stamps from a whole number of sweeps
 _ROUNDED = 0.02  # deviation of a sweep rate from a whole number per second, as sensors have it
 _PART = 0.8  # share of the sectors of two messages that each has, if it is part of a turn
@@ -32,13 +31,12 @@ _SECTOR_POINTS = 6  # least number of points of a cloud per sector
 _MOST_TURNED_DEG = 540.0
 _MOST_RINGS = 128  # of the largest sensors
 _BIAS_RAD_S = 0.035  # a mean angular rate below 2 deg/s may be a bias
-TURNS_DEG = 5.0
-_STAYS = 1e-6  # difference of quaternions
-"""Turn of a unit, by its gyroscopes, that an attitude shows, and the noise of an attitude that stays."""
+TURNS_DEG = 5.0  # turn of a unit, by its gyroscopes, that an attitude shows
+_FIXED = 1e-6  # greatest difference between quaternions of an attitude that never changes
 
 
 def cloud_values(facts: Facts) -> Tree:
-    """Return the values of clouds."""
+    """Return the values of clouds by the names that the rules use."""
     rows = [row for row in facts.clouds if row.points]
     stamp_s = np.array([row.stamp_s for row in facts.clouds])
     steps_s = np.diff(stamp_s)
@@ -52,7 +50,7 @@ def cloud_values(facts: Facts) -> Tree:
     turn_s = span * scale / turns if timed and span else step_s / turns
     sweeps = step_s / turn_s
     is_rare = sweeps > _ALIKE and abs(sweeps - round(sweeps)) < _WHOLE  # scans are missing
-    sweep_s = _rounded(turn_s if is_rare else step_s)
+    sweep_s = _at_whole_rate(turn_s if is_rare else step_s)
     gaps_s = steps_s[steps_s > _ALIKE * sweep_s]
     return {
         "topic": facts.topic,
@@ -88,6 +86,7 @@ def cloud_values(facts: Facts) -> Tree:
 
 
 def _ring_values(facts: Facts) -> Tree:
+    """Return the values of rings: their number, and what is wrong with their numbers or their order."""
     numbers = sorted(facts.rings)
     sines = [(ring, total / n) for ring, (total, n) in sorted(facts.rings.items()) if n]
     misordered = (f"{low[0]} is above ring {high[0]}" for low, high in pairwise(sines) if low[1] >= high[1])
@@ -104,8 +103,8 @@ def _median(values: "F8 | list[float]", otherwise: float = 0.0) -> float:
     return float(np.median(values)) if len(values) else otherwise
 
 
-def _rounded(sweep_s: float) -> float:
-    """Return the time of a whole number of sweeps per second if near: revolutions end between packets."""
+def _at_whole_rate(sweep_s: float) -> float:
+    """Return the time of a sweep at a whole number per second if near, as revolutions end between packets."""
     hz = max(round(1.0 / sweep_s), 1)
     return 1.0 / hz if abs(sweep_s * hz - 1.0) < _ROUNDED else sweep_s
 
@@ -131,7 +130,7 @@ def _is_part(rows: list[CloudRow]) -> bool:
     distinct = SECTORS
     while distinct > SECTORS // 8 and _median([row.points for row in rows]) < _SECTOR_POINTS * distinct:
         distinct //= 2
-    covered = [_coarse(row.sectors, SECTORS // distinct) for row in rows]
+    covered = [_joined(row.sectors, SECTORS // distinct) for row in rows]
     shares = [
         (first.bit_count() + second.bit_count()) / 2 / (first | second).bit_count()
         for first, second in pairwise(covered)
@@ -139,15 +138,18 @@ def _is_part(rows: list[CloudRow]) -> bool:
     return bool(shares) and _median(shares) < _PART
 
 
-def _coarse(sectors: int, each: int) -> int:
-    """Return sectors joined to groups of `each`."""
-    group = (1 << each) - 1
-    joined = (bool(sectors >> (number * each) & group) for number in range(SECTORS // each))
-    return sum(1 << number for number, is_covered in enumerate(joined) if is_covered)
+def _joined(sectors: int, group_size: int) -> int:
+    """Return sectors, as bits, joined to groups; bit i is set if any sector of group i is covered."""
+    mask = (1 << group_size) - 1
+    groups = range(SECTORS // group_size)
+    return sum(1 << group for group in groups if sectors >> (group * group_size) & mask)
 
 
 def imu_values(facts: Facts) -> Tree:
-    """Return the values of IMU samples, without samples that repeat a stamp or hold no numbers."""
+    """Return the values of IMU samples by the names that the rules use.
+
+    Samples that repeat a stamp or hold NaN count for themselves alone.
+    """
     stamp_s = np.array([row.stamp_s for row in facts.samples])
     motion = np.array([row.rate + row.force for row in facts.samples]).reshape(-1, 6)
     attitude = np.array([row.attitude for row in facts.samples]).reshape(-1, 4)
@@ -163,8 +165,9 @@ def imu_values(facts: Facts) -> Tree:
     quiet_s = rest_s(motion, 1.0 / usual_s) if len(motion) else 0.0
     quiet = motion[: max(round(quiet_s / usual_s), 1)] if quiet_s >= 1.0 else motion
     force = quiet[:, 3:].mean(axis=0) if len(quiet) else np.array([0.0, 0.0, _GRAVITY_M_S2])
-    turn = facts.pose(facts.imu_frame, "base_link")
-    up = (force if turn is None else turn[:3, :3] @ force) / max(float(np.linalg.norm(force)), 1e-9)
+    base_T_imu = facts.pose(facts.imu_frame, "base_link")
+    base_force = force if base_T_imu is None else base_T_imu[:3, :3] @ force
+    up = base_force / max(float(np.linalg.norm(force)), 1e-9)
     is_inside = (cloud_stamp_s >= stamp_s[0] - usual_s) & (cloud_stamp_s <= stamp_s[-1]) if n else np.ones(1)
     return {
         "imu": facts.imu_topic,
@@ -181,7 +184,7 @@ def imu_values(facts: Facts) -> Tree:
         "imu_back": int((steps_s < 0).sum()),
         "levelled": int(((np.linalg.norm(attitude, axis=1) > 0.5) & (covariances[:, 0] != -1)).sum()),
         "turned_imu_deg": _turned_imu_deg(motion[:, :3], usual_s),
-        "is_fixed_attitude": bool(n and np.ptp(attitude, axis=0).max() < _STAYS),
+        "is_fixed_attitude": bool(n and np.ptp(attitude, axis=0).max() < _FIXED),
         "unknown": bool((covariances[:, 1:] == -1).any()),
         "inside": float(is_inside.mean()),
         "offset_s": float(stamp_s[0] - cloud_stamp_s[0]) if n else 0.0,
@@ -205,24 +208,17 @@ def rest_s(motion: F8, rate_hz: float) -> float:
     means = motion[:rows].reshape(-1, block, 6).mean(axis=1)
     force = np.linalg.norm(means[:, 3:], axis=1)
     usual = np.median(np.linalg.norm(motion[:, 3:], axis=1))
-    moves = np.abs(means[:, :3]).max(axis=1) > _RESTS_RAD_S
-    moves |= np.abs(force - usual) > _RESTS_SHARE * usual
+    moves = np.abs(means[:, :3]).max(axis=1) > _REST_RAD_S
+    moves |= np.abs(force - usual) > _REST_SHARE * usual
     first = int(np.argmax(moves)) if moves.any() else len(moves)
     return first * block / rate_hz
 
 
 def frame_values(facts: Facts) -> Tree:
-    """Return the values of transforms."""
+    """Return the values of transforms by the names that the rules use."""
     lidar = facts.frame
     unit = facts.imu_frame
-    roots = [list(facts.up(frame))[-1][0] for frame in (lidar, unit) if frame] or [""]
-    twice = [(child, parents) for child, parents in facts.parents.items() if len(parents) > 1]
-    if twice:
-        tree = f"{twice[0][0]} has the parents {' and '.join(sorted(twice[0][1]))}"
-    elif len(set(roots)) > 1:
-        tree = f"{lidar} and {unit} are not connected"
-    else:
-        tree = "" if lidar in facts.fixed or lidar == "base_link" else f"no transform leads to {lidar}"
+    roots = [list(facts.ancestors(frame))[-1][0] for frame in (lidar, unit) if frame] or [""]
     edges = (
         f"{min(facts.parents[child])} -> {child}"
         for child in ("base_link", lidar, unit)
@@ -230,7 +226,7 @@ def frame_values(facts: Facts) -> Tree:
     )
     apart = _pose(facts, unit, lidar)
     return {
-        "tree": tree,
+        "tree": _tree_fault(facts, set(roots)),
         "root": roots[0],
         "edge": next(edges, ""),
         "is_apart": unit not in ("", lidar) and facts.pose(unit, lidar) is None,
@@ -245,6 +241,20 @@ def frame_values(facts: Facts) -> Tree:
     }
 
 
+def _tree_fault(facts: Facts, roots: set[str]) -> str:
+    """Return what is wrong with the tree of frames, whose lidar and IMU have these roots; empty if sound."""
+    lidar = facts.frame
+    for child, parents in facts.parents.items():
+        if len(parents) > 1:
+            return f"{child} has the parents {' and '.join(sorted(parents))}"
+    if len(roots) > 1:
+        return f"{lidar} and {facts.imu_frame} are not connected"
+    if lidar in facts.fixed or lidar == "base_link":
+        return ""
+    return f"no transform leads to {lidar}"
+
+
 def _pose(facts: Facts, frame: str, parent: str) -> F8:
+    """Return the fixed pose (4, 4) of a frame in a parent; the identity if they are not connected."""
     pose = facts.pose(frame, parent)
     return np.eye(4) if pose is None else pose

@@ -26,11 +26,11 @@ _DRIFT_PPM = 150  # clocks of sensors and hosts differed by 2 to 20 ppm; a cheap
 _PPS_AT: int = layout.POSITION_PAYLOAD.fields["pps"][1]  # type: ignore[index]  # it has fields
 _GAIN_NS = 2 * S_NS  # a clock that gets pulse and sentence is set within a second
 _MOST_GAINS = 64
+LEAP_SECOND = b"235960"
+"""Time of a leap second in a sentence (NMEA 0183)."""
 SILENCE_US = 500_000
 """Longest time without packets, which arrive every 20 ms or faster, also with lasers off; and the difference
 between both clocks' steps that a stall of the host does not explain."""
-
-
 _BACK_US = 20_000  # step back of a clock that goes on, between packets of both kinds
 _SOUND_US = 100_000  # difference between the steps of both clocks behind a packet at which one was set
 
@@ -38,8 +38,8 @@ _SOUND_US = 100_000  # difference between the steps of both clocks behind a pack
 class HostClock:
     """Times of packets by the clock of the host, without the steps by which somebody has set it.
 
-    The host's clock was set where its step from packet to packet is not that of the sensor's clock, which
-    goes on. The duration is that of the sensor's clock; of the host's where the sensor's was set.
+    The host's clock was set where its step from packet to packet differs from that of the sensor's clock,
+    which goes on. The duration is by the sensor's clock, and by the host's where the sensor's was set.
     """
 
     def __init__(self, findings: Findings) -> None:
@@ -65,7 +65,7 @@ class HostClock:
             if may_be_set and abs(host_us - sensor_us) > SILENCE_US:
                 self._doubtful = kind, datagram, host_us, sensor_us
                 return
-            self._pass(datagram.number, sensor_us if abs(host_us - sensor_us) <= SILENCE_US else host_us)
+            self._add_step(datagram.number, sensor_us if abs(host_us - sensor_us) <= SILENCE_US else host_us)
         yield kind, self._corrected(datagram)
 
     def rest(self, *, is_set: bool = False) -> Iterator[tuple[PacketKind, Datagram]]:
@@ -80,7 +80,7 @@ class HostClock:
             self._set_ns += set_us * US_NS
             found = f"capture stamps set by {set_us / 1e6:+.3f} s, while time stamps go on"
             self._findings.add(Rule.HOST_CLOCK, datagram.number, found, "a clock that is not set", Level.NOTE)
-        self._pass(datagram.number, step_us)
+        self._add_step(datagram.number, step_us)
         yield kind, self._corrected(datagram)
 
     def _steps_us(self, datagram: Datagram, kind: PacketKind) -> tuple[int, int] | None:
@@ -97,7 +97,7 @@ class HostClock:
         self._before = host_us, sensor_us
         return None if before is None else (host_us - before[0], wrap_hour(sensor_us - before[1], HOUR_US))
 
-    def _pass(self, number: int, step_us: int) -> None:
+    def _add_step(self, number: int, step_us: int) -> None:
         if step_us > SILENCE_US:
             found = f"no packet for {step_us / 1e6:.2f} s before it"
             self._findings.add(Rule.SILENCE, number, found, "data or position packets all the time")
@@ -117,15 +117,15 @@ class GpsGains:
         self._stamps_ns = deque[int](maxlen=_MOST_GAINS)
 
     def take(self, datagram: Datagram) -> None:
-        """Take a position packet."""
+        """Note the time of a position packet that shows such a time."""
         state = datagram.payload[_PPS_AT]
-        is_leap = datagram.payload.startswith(b"235960", SENTENCE_OFFSET + len("$GPRMC,"))
+        is_leap = datagram.payload.startswith(LEAP_SECOND, SENTENCE_OFFSET + len("$GPRMC,"))
         if is_leap or (self._state is not None and self._state < state <= PpsState.LOCKED):
             self._stamps_ns.append(datagram.stamp_ns)
         self._state = state
 
     def near(self, stamps_ns: I8) -> NDArray[np.bool_]:
-        """Return which capture stamps (n,) are near such a time."""
+        """Return a mask of the capture stamps (n,) near such a time."""
         apart_ns = np.abs(stamps_ns[:, None] - np.array(self._stamps_ns, np.int64))
         return np.asarray((apart_ns < _GAIN_NS).any(axis=1))
 

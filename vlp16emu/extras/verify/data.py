@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.captures.capture import Datagram
-from vlp16emu.extras.verify.clocks import SILENCE_US, ClockWatch, GpsGains
+from vlp16emu.extras.verify.clocks import LEAP_SECOND, SILENCE_US, ClockWatch, GpsGains
 from vlp16emu.extras.verify.frames import (
     HOUR_US,
     JITTER_US,
@@ -46,14 +46,12 @@ units, at either end, and the noise of two readings and a step."""
 _GAP_TOLERANCE = 0.005  # additional difference in proportion to the gap, for speed control: 3 rpm in 600
 _CLOCK_PPM = 10  # short-term rate error of a clock that follows GPS
 
-_RPM_TOLERANCE = (
-    0.01  # speed control, 3 rpm in sibling manuals, and the once-per-revolution error of the encoder
-)
+_RPM_TOLERANCE = 0.01
+"""Speed control, 3 rpm in sibling manuals, and the once-per-revolution error of the encoder."""
 _RPM_STEPS = 100  # least number of steps to judge the speed
 _CDEG_PER_STEP_AND_RPM = 6 * 100 * layout.BLOCK_PERIOD_NS / 1e9
-_STILL_CDEG = (
-    12  # two readings differ by less than this if the rotor stands; at 300 rpm a packet turns by 220
-)
+_STILL_CDEG = 12
+"""Two readings differ by less than this if the rotor stands; at 300 rpm a packet turns by 220."""
 
 _BY_ELEVATION = np.array([*range(0, layout.LASERS, 2), *range(1, layout.LASERS, 2)])
 """Lasers from lowest to highest. Source: 63-9243 Rev D, table 9-1, p. 53."""
@@ -88,7 +86,7 @@ class DataChunk:
         self, table: PacketTable, before: bytes, gains: GpsGains, *, continues: bool, ends: bool
     ) -> None:
         n = len(table)
-        self.own = slice(1 if continues else 0, n)  # packets whose codes no earlier chunk has judged
+        self.added = slice(1 if continues else 0, n)  # packets whose codes no earlier chunk has judged
         self.judged = slice(0, n if ends else n - 1)
         """Packets whose azimuths are judged; only the next chunk has the neighbour of the last packet."""
         blocks = table["blocks"]
@@ -98,9 +96,8 @@ class DataChunk:
         self.timestamp_us = table["timestamp_us"].astype(np.int64)
         self.flag = blocks["flag"]  # (n, 12)
         self.azimuth_cdeg = blocks["azimuth_cdeg"].astype(np.int64)
-        self.distance_lsb, self.reflectivity = (
-            np.ascontiguousarray(blocks["records"][name]) for name in ("distance_lsb", "reflectivity")
-        )  # (n, 12, 2, 16)
+        self.distance_lsb = np.ascontiguousarray(blocks["records"]["distance_lsb"])  # (n, 12, 2, 16)
+        self.reflectivity = np.ascontiguousarray(blocks["records"]["reflectivity"])  # (n, 12, 2, 16)
         self.mode = table["return_mode"]
         self.product = table["factory"]
         self._read_factory(before)
@@ -111,10 +108,9 @@ class DataChunk:
 
     def _read_factory(self, before: bytes) -> None:
         """Find changes of return mode and product; findings of the chunk before are not repeated."""
-        pairs = zip(before or bytes([self.mode[0], self.product[0]]), (self.mode, self.product), strict=True)
-        self.mode_before, self.product_before = (
-            np.append(np.uint8(first), codes[:-1]) for first, codes in pairs
-        )
+        mode, product = before or (self.mode[0], self.product[0])
+        self.mode_before = np.append(np.uint8(mode), self.mode[:-1])
+        self.product_before = np.append(np.uint8(product), self.product[:-1])
         new_mode = self.mode != self.mode_before
         new_product = self.product != self.product_before
         is_new = new_mode | new_product
@@ -128,12 +124,13 @@ class DataChunk:
         self.is_no_product = is_no_product & ~self.is_old_product
 
     def _read_codes(self) -> None:
-        each = np.arange(len(self.number))
+        """Find codes outside their limits, and pairs of dual return whose blocks disagree."""
+        packet = np.arange(len(self.number))
         is_no_flag = self.flag != layout.BLOCK_FLAG
         self.azimuth = self.azimuth_cdeg.max(axis=1)
         self.is_no_flag = is_no_flag.any(axis=1)
         self.flag_block = is_no_flag.argmax(axis=1)
-        self.flag_found = self.flag[each, self.flag_block].byteswap()
+        self.flag_found = self.flag[packet, self.flag_block].byteswap()
         self.azimuth_block = self.azimuth_cdeg.argmax(axis=1)
         self.first_deg = self.azimuth_cdeg[:, 0] / 100
         self.is_past_turn = self.azimuth > layout.AZIMUTH_CODES
@@ -149,8 +146,8 @@ class DataChunk:
         pair = is_apart.argmax(axis=1)
         self.even = 2 * pair
         self.odd = 2 * pair + 1
-        self.even_cdeg = self.azimuth_cdeg[each, self.even]
-        self.odd_cdeg = self.azimuth_cdeg[each, self.odd]
+        self.even_cdeg = self.azimuth_cdeg[packet, self.even]
+        self.odd_cdeg = self.azimuth_cdeg[packet, self.odd]
         last = self.distance_lsb[:, ::2]
         other = self.distance_lsb[:, 1::2]
         self.swapped = ((last < other) & (last > 0)).sum(axis=(1, 2, 3))
@@ -186,8 +183,8 @@ class DataChunk:
         self.step_number[:-1, -1] = self.number[1:]  # a step belongs to the packet at its end
         self.step_deg = self.signed_cdeg / 100
         self.usual_deg = float(np.median(self.usual_cdeg)) / 100
-        led_to = np.roll(np.arange(0, layout.BLOCKS_PER_PACKET, layout.BLOCKS_PER_PACKET // blocks), -1)
-        self.step_block = np.broadcast_to(led_to, self.step_deg.shape)
+        end_block = np.roll(np.arange(0, layout.BLOCKS_PER_PACKET, layout.BLOCKS_PER_PACKET // blocks), -1)
+        self.step_block = np.broadcast_to(end_block, self.step_deg.shape)
 
     def _read_times(self, gains: GpsGains) -> None:
         """Find which of the n - 1 steps of time are regular, and excuse azimuths that time explains."""
@@ -220,7 +217,7 @@ class DataChunk:
         self.is_odd[self.is_still] = False
         self.is_twin = (self.forward_cdeg[:, 0] == 0) & ~self.is_still & (not self.dual)
         self.is_odd[:, 0] &= ~self.is_twin
-        self._find_late(np.append(self.is_gap & odd_inside, False))
+        self._find_late(contains_gap=np.append(self.is_gap & odd_inside, False))
 
     def _explain(self, extra_us: F8) -> NDArray[np.bool_]:
         """Find where the odd azimuth steps of a packet account for the time (n - 1,) beyond a period."""
@@ -234,34 +231,32 @@ class DataChunk:
         self.gap_ms = gap_us / 1e3
         return np.asarray(is_odd.any(axis=1) & (np.abs(gap_us - extra_us) <= tolerance_us))
 
-    def _find_late(self, takes_longer: NDArray[np.bool_]) -> None:
+    def _find_late(self, contains_gap: NDArray[np.bool_]) -> None:
         """Compare time stamps with capture stamps.
 
-        Packets (n,) that take longer contain a gap of the revolution.
+        Packets (n,) that contain a gap of the revolution take longer, and are not late.
         """
         offset_us = self.stamp_ns // US_NS - self.timestamp_us
         moved_us = wrap_hour(offset_us - offset_us[0], HOUR_US)
         after_us = np.minimum.accumulate(moved_us[::-1])[::-1]
         late_us = moved_us - np.maximum(np.minimum.accumulate(moved_us), after_us)
         self.late_ms = late_us / 1e3
-        self.is_late = (
-            (late_us > JITTER_US) & ~takes_longer & (not (self.is_broken | self.is_clock_set).any())
-        )
+        is_sound = not (self.is_broken | self.is_clock_set).any()
+        self.is_late = (late_us > JITTER_US) & ~contains_gap & is_sound
         self.offset_us = int(offset_us[0]) + round(float(np.median(moved_us)))
         """Clock offset of the whole chunk: a median, which a burst does not change."""
 
     def _read_revolutions(self) -> None:
         """Find the mean speed of each revolution, in which the error of the encoder cancels."""
         turned_cdeg = self.signed_cdeg[:-1].sum(axis=1)
-        middle_cdeg = float(np.median(turned_cdeg)) if len(turned_cdeg) else 0.0
-        packets = (
-            max(round(layout.AZIMUTH_CODES / middle_cdeg), 1) if middle_cdeg >= 1.0 else len(self.number)
-        )
+        usual_cdeg = float(np.median(turned_cdeg)) if len(turned_cdeg) else 0.0
+        packets = len(self.number)
+        if usual_cdeg >= 1.0:
+            packets = max(round(layout.AZIMUTH_CODES / usual_cdeg), 1)
         rows = len(turned_cdeg) // packets * packets
-        whole = self.is_regular[:rows].reshape(-1, packets).all(axis=1)
+        self.is_whole_revolution = self.is_regular[:rows].reshape(-1, packets).all(axis=1)
         revolution_cdeg = turned_cdeg[:rows].reshape(-1, packets).sum(axis=1)
         self.rpm = revolution_cdeg / layout.AZIMUTH_CODES / (packets * self.period_ns / S_NS) * 60.0
-        self.is_whole_revolution = whole
         self.revolution_number = self.number[:rows:packets]
         is_even = self.is_even.copy()
         is_even[:-1, -1] &= self.is_regular
@@ -293,7 +288,7 @@ class DataRules:
         The last packet is judged with the next chunk, if there is one, which has its neighbour.
         """
         apply = self._findings.apply
-        apply(TABLES["packets"] + TABLES["pairs"] * chunk.dual, chunk, chunk.own)
+        apply(TABLES["packets"] + TABLES["pairs"] * chunk.dual, chunk, chunk.added)
         apply(TABLES["steps"], chunk)
         apply(TABLES["azimuths"], chunk, chunk.judged)
         if (chunk.is_broken | chunk.is_clock_set).any():
@@ -323,7 +318,7 @@ class DataRules:
 class OpticsRules:
     """Rules of the returns of lasers and of sectors of the window.
 
-    They are compared with their neighbours and the chunk before.
+    Both are compared with their neighbours and with the chunk before.
     """
 
     def __init__(self, findings: Findings) -> None:
@@ -344,15 +339,15 @@ class OpticsRules:
     def _check_lasers(self, packet: int, share: F8) -> None:
         """Report lasers without any return whose neighbours have many.
 
-        Lasers at the edge if they had returns before.
+        A laser at the edge, with one neighbour, is reported if it had returns before.
         """
-        of = share[_BY_ELEVATION]
+        upward = share[_BY_ELEVATION]
         before = self._share[_BY_ELEVATION]
-        sees = of >= _SEEN
-        dead = of == 0
+        sees = upward >= _SEEN
+        dead = upward == 0
         dead[1:-1] &= sees[:-2] & sees[2:]
         for edge, inner in ((0, 1), (-1, -2)):
-            dead[edge] &= before[edge] >= _SEEN and of[inner] >= 0.5 * before[inner] > 0
+            dead[edge] &= before[edge] >= _SEEN and upward[inner] >= 0.5 * before[inner] > 0
         found = frozenset(_BY_ELEVATION[dead].tolist()) | {laser for laser in self._dead if share[laser] == 0}
         for laser in sorted(found - self._dead):
             self._findings.add(
@@ -392,7 +387,6 @@ _SHORTEST_INTERVAL_NS = 1_400_000  # real units leave 1.47 ms or more between po
 _UNEVEN_S = 0.25  # difference between the delays of two sentences of one receiver
 _NEXT_NS = 50 * MS_NS  # position packets farther apart than this do not show the time of a sentence
 _SENTENCE_CHARACTERS = 82  # longest sentence of NMEA 0183
-_LEAP = b"235960"  # time of a leap second
 _SENTENCE = re.compile(
     rb"\$(?P<talker>[A-Z]{2})RMC,"
     rb"((?P<time>([01]\d|2[0-3])[0-5]\d[0-5]\d|%b)(\.\d*)?)?,"
@@ -401,7 +395,8 @@ _SENTENCE = re.compile(
     rb"(\d+(\.\d*)?)?,(\d+(\.\d*)?)?,"  # speed, course
     rb"([0-3]\d[01]\d\d\d)?,"
     rb"(\d+(\.\d*)?)?,[EW]?"  # magnetic variation
-    rb"(,[ADEFMNPRS]?(,[SCUV]?)?)?" % _LEAP  # mode since NMEA 0183 version 2.3, navigational status since 4.1
+    rb"(,[ADEFMNPRS]?(,[SCUV]?)?)?"
+    % LEAP_SECOND  # mode since NMEA 0183 version 2.3, navigational status since 4.1
 )
 
 
@@ -424,21 +419,20 @@ class PositionChunk:
     The first one is the last packet of the chunk `before`, already judged.
     """
 
-    head_bytes = (
-        14  # other sensors of the family report motion from here on; software detects the VLP-16 by the zeros
-    )
-    latest_s = (
-        2  # the sentence of a second arrives during the next one; until then the sentence before is repeated
-    )
+    head_bytes = 14
+    """Other sensors of the family report motion from here on; software detects the VLP-16 by the zeros."""
+    latest_s = 2
+    """The sentence of a second arrives during the next one; until then the sentence before is repeated."""
 
     def __init__(self, datagrams: Sequence[Datagram], before: "PositionChunk | None") -> None:
         self.last = datagrams[-1]
-        every = [before.last, *datagrams] if before else list(datagrams)
-        self.own = slice(1 if before else 0, None)
+        packets = [before.last, *datagrams] if before else list(datagrams)
+        self.added = slice(1 if before else 0, None)  # without the packet of the chunk before
         self.number, self.stamp_ns, self.identification = np.array(
-            [(each.number, each.stamp_ns, each.identification) for each in every]
+            [(packet.number, packet.stamp_ns, packet.identification) for packet in packets]
         ).T
-        payload = np.frombuffer(b"".join(each.payload for each in every), np.uint8).reshape(len(every), -1)
+        payload = np.frombuffer(b"".join(packet.payload for packet in packets), np.uint8)
+        payload = payload.reshape(len(packets), -1)
         fields = payload.view(POSITION_PAYLOAD)[:, 0]
         self.head = payload[:, : self.head_bytes].max(axis=1)
         self.has_head = self.head > 0
@@ -449,54 +443,60 @@ class PositionChunk:
         self.state = np.array([*map(str.lower, PpsState.__members__), ""])[self.pps.clip(0, len(PpsState))]
         self.is_no_state = self.pps >= len(PpsState)
         is_error = self.pps == PpsState.ERROR
-        was = np.append(PpsState.ABSENT, self.pps[:-1])
-        self.is_lost_lock = (was == PpsState.LOCKED) & (self.pps != was) & ~self.is_no_state
-        self.is_error = is_error & (was != PpsState.ERROR) & ~self.is_lost_lock
-        self._count(every)
-        self._read_sentences(every, before)
+        state_before = np.append(PpsState.ABSENT, self.pps[:-1])
+        was_locked = state_before == PpsState.LOCKED
+        self.is_lost_lock = was_locked & (self.pps != state_before) & ~self.is_no_state
+        self.is_error = is_error & (state_before != PpsState.ERROR) & ~self.is_lost_lock
+        self._read_counts(packets)
+        self._read_sentences(packets, before)
 
-    def _count(self, every: Sequence[Datagram]) -> None:
+    def _read_counts(self, packets: Sequence[Datagram]) -> None:
+        """Find lost packets by the identification, which counts on unless VeloView has replaced it."""
         self.due = np.append(self.identification[0], (self.identification[:-1] + 1) % 0x10000)
         self.missing = (self.identification - self.due) % 0x10000
-        most = np.diff(self.stamp_ns, prepend=self.stamp_ns[0]).clip(0) // _SHORTEST_INTERVAL_NS
-        is_own = np.array([not is_rewritten(each) for each in every])
-        self.is_lost = (self.missing > 0) & (self.missing <= most) & is_own
-        self.is_no_count = (self.missing > most) & is_own
+        possible = np.diff(self.stamp_ns, prepend=self.stamp_ns[0]).clip(0) // _SHORTEST_INTERVAL_NS
+        is_counted = np.array([not is_rewritten(packet) for packet in packets])
+        self.is_lost = (self.missing > 0) & (self.missing <= possible) & is_counted
+        self.is_no_count = (self.missing > possible) & is_counted
 
-    def _read_sentences(self, every: Sequence[Datagram], before: "PositionChunk | None") -> None:
+    def _read_sentences(self, packets: Sequence[Datagram], before: "PositionChunk | None") -> None:
         """Read the sentences, and compare their seconds with the clock and with earlier sentences."""
-        areas = [each.payload[SENTENCE_OFFSET:] for each in every]
+        areas = [packet.payload[SENTENCE_OFFSET:] for packet in packets]
         columns = zip(*map(_read_sentence, areas), strict=True)
         self.second, self.status, self.malformed, self.end, self.checksum, self.right, is_leap, talker = map(
             np.array, columns
         )
         self.talker = np.where(talker == np.append("", talker[:-1]), "", talker)
-        self.named = np.array([f"{second // 60:02d}:{second % 60:02d}" for second in self.second.tolist()])
+        self.time = np.array([f"{second // 60:02d}:{second % 60:02d}" for second in self.second.tolist()])
         is_locked = self.pps == PpsState.LOCKED
         is_known = self.second >= 0
         self.is_missing = is_locked & np.array([not any(area) for area in areas])
-        place = np.maximum.accumulate(np.where(is_known, np.arange(len(every)), -1))
-        said = np.where(place >= 0, self.second[place], before.said if before else -1)
-        earlier = np.append(before.said if before else -1, said[:-1])
-        self.said: int = said[-1]
+        place = np.maximum.accumulate(np.where(is_known, np.arange(len(packets)), -1))
+        second_before = before.latest_second if before else -1
+        latest_second = np.where(place >= 0, self.second[place], second_before)
+        earlier = np.append(second_before, latest_second[:-1])
+        self.latest_second: int = latest_second[-1]  # named by a sentence so far; -1 if none has a time
         self.is_void = is_known & (self.status == "V") & (self.second != earlier)
-        self.late_s = (self.clock_s - self.second) % 3600
+        self.delay_s = (self.clock_s - self.second) % 3600
         # After a leap second a clock that did not take it is a second ahead.
         is_after = np.logical_or.accumulate(is_leap) | (before.has_leapt if before else False)
         self.has_leapt: bool = bool(is_after[-1])
-        is_old = is_known & (self.late_s >= self.latest_s + is_after)
-        self.is_old, self.is_off = (
-            of & ~np.append(False, of[:-1])
-            for of in (is_old & is_locked, is_old & ~is_locked & (self.status == "A"))
-        )  # first of consecutive packets whose sentence and clock disagree, with lock and without
+        is_old = is_known & (self.delay_s >= self.latest_s + is_after)
+        self.is_old = _first_of_runs(is_old & is_locked)
+        self.is_off = _first_of_runs(is_old & ~is_locked & (self.status == "A"))
         is_next = is_locked & is_known & ~is_old & (earlier >= 0) & (self.second == (earlier + 1) % 3600)
         is_next[1:] &= np.diff(self.stamp_ns) < _NEXT_NS
-        came_s = self.late_s[self.own][is_next[self.own]]
-        self.comes_s: float = before.comes_s if before else math.nan
-        if math.isnan(self.comes_s) and len(came_s):
-            self.comes_s = float(came_s[0])
-        off_s = np.abs(self.late_s - self.comes_s)
+        delays_s = self.delay_s[self.added][is_next[self.added]]
+        self.usual_delay_s: float = before.usual_delay_s if before else math.nan
+        if math.isnan(self.usual_delay_s) and len(delays_s):
+            self.usual_delay_s = float(delays_s[0])
+        off_s = np.abs(self.delay_s - self.usual_delay_s)
         self.is_uneven = is_next & (off_s > _UNEVEN_S) & ~(is_after & (np.abs(off_s - 1.0) <= _UNEVEN_S))
+
+
+def _first_of_runs(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return a mask (n,) of the first of each run of consecutive packets in a mask (n,)."""
+    return np.asarray(mask & ~np.append(False, mask[:-1]))
 
 
 class PositionRules:
@@ -512,17 +512,17 @@ class PositionRules:
     def check(self, datagrams: Sequence[Datagram], gains: GpsGains) -> None:
         """Check packets of 512 bytes; GPS may set their clock when it is gained."""
         chunk = self._before = PositionChunk(datagrams, self._before)
-        self._findings.apply(TABLES["positions"], chunk, chunk.own)
+        self._findings.apply(TABLES["positions"], chunk, chunk.added)
         step_us = wrap_hour(np.diff(chunk.timestamp_us, prepend=chunk.timestamp_us[0]), HOUR_US)
         host_step_us = np.diff(chunk.stamp_ns, prepend=chunk.stamp_ns[0]) // US_NS
         is_set = (np.abs(step_us - host_step_us) > JITTER_US) & gains.near(chunk.stamp_ns)
-        columns = chunk.timestamp_us[chunk.own].tolist(), is_set[chunk.own].tolist()
+        columns = chunk.timestamp_us[chunk.added].tolist(), is_set[chunk.added].tolist()
         for datagram, timestamp_us, is_new in zip(datagrams, *columns, strict=True):
             if is_new:
                 self._clock.restart()
             self._clock.check(datagram.number, datagram.stamp_ns, datagram.stamp_ns // US_NS - timestamp_us)
-        self.void_sentences += int(chunk.is_void[chunk.own].sum())
-        self.lost_packets += int(chunk.missing[chunk.own][chunk.is_lost[chunk.own]].sum())
+        self.void_sentences += int(chunk.is_void[chunk.added].sum())
+        self.lost_packets += int(chunk.missing[chunk.added][chunk.is_lost[chunk.added]].sum())
 
 
 @lru_cache(16)
@@ -534,13 +534,9 @@ def _read_sentence(area: bytes) -> _Sentence:
     if not any(area):
         return _Sentence()
     text, _, rest = area.partition(b"\0")
-    end = (
-        "characters after a NUL"
-        if any(rest)
-        else ""
-        if text.endswith(b"\r\n")
-        else f"an end of {text[-4:]!r}"
-    )
+    end = "" if text.endswith(b"\r\n") else f"an end of {text[-4:]!r}"
+    if any(rest):
+        end = "characters after a NUL"
     body, star, checksum = text.rstrip(b"\r\n").rpartition(b"*")
     match = _SENTENCE.fullmatch(body)
     if match is None or not star:
@@ -551,7 +547,7 @@ def _read_sentence(area: bytes) -> _Sentence:
     found = checksum.decode("ascii", "replace")
     return _Sentence(
         second=(60 * int(time[2:4]) + int(time[4:])) % 3600 if time else -1,
-        is_leap=time == _LEAP,
+        is_leap=time == LEAP_SECOND,
         status=match["status"].decode(),
         end=end,
         checksum="" if found == right else found or "of no digits",

@@ -20,7 +20,7 @@ from vlp16emu.packets import layout
 from vlp16emu.packets.frames import DATA_PORT, DATA_TTL, POSITION_PORT, POSITION_TTL
 from vlp16emu.packets.table import wrap_hour
 from vlp16emu.sensor.beams import SEQUENCE_NS
-from vlp16emu.types import PacketKind
+from vlp16emu.types import I8, PacketKind
 from vlp16emu.units import HOUR_NS, MS_NS, US_NS
 
 
@@ -28,8 +28,8 @@ class Level(StrEnum):
     """Weight of a finding."""
 
     ERROR = "error"  # no sensor sends it
-    # caused by settings of the user, receivers, old firmware or recorders; the sensor works correctly
     NOTE = "note"
+    """Caused by settings of the user, receivers, old firmware or recorders; the sensor works correctly."""
 
 
 class Rule(StrEnum):
@@ -43,8 +43,8 @@ class Rule(StrEnum):
     HEADER = "header"  # IPv4 and UDP header fields of each stream, checksums included
     STAMP_ORDER = "stamp-order"  # capture stamps never decrease
     FLAG = "flag"  # every block begins with FF EE
-    # return mode and product are known and the product does not change; a change of mode is a note
     FACTORY = "factory"
+    """Return mode and product are known and the product does not change; a change of mode is a note."""
     TIME_RANGE = "time-range"  # time stamps lie within the hour
     TIME_STEP = "time-step"
     """Time stamps increase by one packet period, across the hour too; a step when GPS is gained is a note."""
@@ -72,9 +72,8 @@ class Rule(StrEnum):
     DISTANCE_CODE = "distance-code"  # distances are 0 or at least 250 counts
     DUAL_AZIMUTH = "dual-azimuth"  # in dual return the two blocks of a pair have one azimuth
     DUAL_ORDER = "dual-order"  # the last return, in the even block, is never nearer than its pair
-    DUAL_REFLECTIVITY = (
-        "dual-reflectivity"  # pairs of equal distance have equal reflectivity, with rare exceptions
-    )
+    DUAL_REFLECTIVITY = "dual-reflectivity"
+    """Pairs of equal distance have equal reflectivity, with rare exceptions."""
     POSITION_HEAD = "position-head"  # position packets begin with 14 zeros
     PPS = "pps"  # the state of the pulse per second is 0 .. 2; 3 is an error. Once locked it stays locked
     NMEA_FORMAT = "nmea-format"
@@ -118,29 +117,29 @@ class Row(NamedTuple):
     once: bool = False  # True if only the first finding is kept; all are counted
 
 
-def _row(rule: str, broken: str, found: str, expected: str, level: str = Level.ERROR, *more: Any) -> Row:
-    return Row(Rule(rule), broken, found, expected, Level(level), *more)
+def _row(rule: str, level: str = Level.ERROR, **columns: Any) -> Row:
+    return Row(rule=Rule(rule), level=Level(level), **columns)
 
 
 _ROWS = tomllib.loads(files(__package__).joinpath("rules.toml").read_text(encoding="utf-8"))
-TABLES = {name: tuple(_row(*row) for row in rows) for name, rows in _ROWS.items()}
+TABLES = {name: tuple(_row(**row) for row in rows) for name, rows in _ROWS.items()}
 """Tables of rules by name."""
 
 
 class _Element:
-    """Element `i` of each column, by name."""
+    """One element of each column, by the name of the column, for `str.format_map`."""
 
-    def __init__(self, columns: object, i: int) -> None:
+    def __init__(self, columns: object, index: int) -> None:
         self._columns = columns
-        self._i = i
+        self._index = index
 
     def __getitem__(self, name: str) -> Any:
         value = getattr(self._columns, name)
-        return value.flat[self._i] if isinstance(value, np.ndarray) else value
+        return value.flat[self._index] if isinstance(value, np.ndarray) else value
 
 
 class Findings:
-    """Counts all findings and keeps the first `limit_per_rule` of each rule."""
+    """Count of all findings, and the first `limit_per_rule` of each rule."""
 
     def __init__(self, limit_per_rule: int) -> None:
         self._limit = limit_per_rule
@@ -166,11 +165,11 @@ class Findings:
             if not (places := np.flatnonzero(inside)).size:
                 continue
             number = getattr(columns, row.at).ravel()
-            most = max(self._limit - self.counts[row.level][row.rule], 0)
+            left = max(self._limit - self.counts[row.level][row.rule], 0)
             if row.once:
-                most = int(row not in self._kept_once)
+                left = int(row not in self._kept_once)
                 self._kept_once.add(row)
-            for i in places[:most].tolist():
+            for i in places[:left].tolist():
                 element = _Element(columns, i)
                 found, expected = (text.format_map(element) for text in (row.found, row.expected))
                 self.kept.append(Finding(row.rule, int(number[i]), found, expected, row.level))
@@ -178,9 +177,8 @@ class Findings:
 
 
 HOUR_US = HOUR_NS // US_NS
-JITTER_US = (
-    5 * MS_NS // US_NS
-)  # greatest delay of a capture stamp, bursts included; a quiet host stays below 0.1 ms
+JITTER_US = 5 * MS_NS // US_NS
+"""Greatest delay of a capture stamp, bursts included; a quiet host stays below 0.1 ms."""
 _LAYOUTS = {PacketKind.DATA: layout.DATA_PAYLOAD, PacketKind.POSITION: layout.POSITION_PAYLOAD}
 STAMP_AT: dict[PacketKind, int] = {
     kind: fields.fields["timestamp_us"][1]  # type: ignore[index]  # it has fields
@@ -244,29 +242,29 @@ class _Frames:
         self.kind = kind
         is_data = kind is PacketKind.DATA
         payload_bytes = PAYLOAD_BYTES[kind]
-        self.number = np.array([each.number for each in datagrams])
-        self.captured, self.wire, self.whole = np.array(
-            [(each.captured_bytes, each.wire_bytes, len(each.header) + payload_bytes) for each in datagrams]
-        ).T
-        self.is_cut = (self.captured != self.whole) | (self.wire != self.whole)
-        self.is_rewritten = np.array([not is_data and is_rewritten(each) for each in datagrams])
-        raw = np.frombuffer(b"".join(each.ip[:20] + each.header[-8:] for each in datagrams), _HEADER)
-        words, sent = (
-            np.frombuffer(part, ">u2").reshape(len(raw), -1).astype(np.int64)
-            for part in (raw.tobytes(), b"".join(each.payload for each in datagrams))
+        self.number = np.array([datagram.number for datagram in datagrams])
+        self.captured_bytes = np.array([datagram.captured_bytes for datagram in datagrams])
+        self.wire_bytes = np.array([datagram.wire_bytes for datagram in datagrams])
+        self.frame_bytes = np.array([len(datagram.header) + payload_bytes for datagram in datagrams])
+        self.is_cut = (self.captured_bytes != self.frame_bytes) | (self.wire_bytes != self.frame_bytes)
+        self.is_rewritten = np.array([not is_data and is_rewritten(datagram) for datagram in datagrams])
+        raw = np.frombuffer(
+            b"".join(datagram.ip[:20] + datagram.header[-8:] for datagram in datagrams), _HEADER
         )
+        header = _words(raw.tobytes(), len(raw))
+        payload = _words(b"".join(datagram.payload for datagram in datagrams), len(raw))
         # The UDP sum includes addresses, protocol and length (RFC 768).
-        udp = words[:, 6:].sum(axis=1) + sent.sum(axis=1) + dpkt.ip.IP_PROTO_UDP + raw["udp_bytes"]
+        udp = header[:, 6:].sum(axis=1) + payload.sum(axis=1) + dpkt.ip.IP_PROTO_UDP + raw["udp_bytes"]
         # Words that include their own checksum add up to a multiple of 2**16 - 1 (RFC 1071).
         fields = [
             ("IP version", raw["version"] >> 4, 4),
-            ("header bytes", np.array([len(each.ip) + 8 for each in datagrams]), 28),
+            ("header bytes", np.array([len(datagram.ip) + 8 for datagram in datagrams]), 28),
             ("type of service", raw["tos"], 0),
             ("IP length", raw["total"], 28 + payload_bytes),
             ("flags and offset", raw["fragment"], _FLAGS[kind]),
             ("TTL", raw["ttl"], _TTL[kind]),
             ("UDP length", raw["udp_bytes"], 8 + payload_bytes),
-            ("remainder of the IP header's sum", words[:, :10].sum(axis=1) % 0xFFFF, 0),
+            ("remainder of the IP header's sum", header[:, :10].sum(axis=1) % 0xFFFF, 0),
             ("identification", raw["identification"] * is_data, 0),
             ("UDP checksum", raw["udp_sum"] * is_data, 0),
             (
@@ -275,13 +273,19 @@ class _Frames:
                 0,
             ),
         ]
-        names, values, wanted = zip(*fields, strict=True)
+        names, values, correct = zip(*fields, strict=True)
         self.value = np.stack([np.asarray(column, np.int64) for column in values], axis=1)
-        self.field, self.wanted = (np.broadcast_to(of, self.value.shape) for of in (names, wanted))
+        self.field = np.broadcast_to(names, self.value.shape)
+        self.correct = np.broadcast_to(correct, self.value.shape)
         self.is_fragmented = (raw["version"] >> 4 == 4) & ((raw["fragment"] & 0x3FFF) != 0)
-        self.is_other = (self.value != self.wanted) & ~(self.is_rewritten | self.is_fragmented)[:, None]
+        self.is_other = (self.value != self.correct) & ~(self.is_rewritten | self.is_fragmented)[:, None]
         self.is_other[:, 1:] &= self.is_other[:, :1] == 0  # another IP version has its fields elsewhere
         self.field_number = np.broadcast_to(self.number[:, None], self.value.shape)
+
+
+def _words(data: bytes, rows: int) -> I8:
+    """Return big-endian words of 16 bits (rows, c), whose sums are checked."""
+    return np.frombuffer(data, ">u2").reshape(rows, -1).astype(np.int64)
 
 
 def check_frames(datagrams: Sequence[Datagram], kind: PacketKind, findings: Findings) -> None:
@@ -301,7 +305,7 @@ class InOrder:
         self._kind = kind
         self._findings = findings
         self._stamp_at = STAMP_AT[kind]
-        self._is_begin = True  # no packet of this stretch has been yielded
+        self._is_at_start = True  # no packet of this stretch has been yielded
         self._held: list[tuple[int, Datagram]] = []  # packets with their time stamps, us
         self._repeats = 0
         self.duplicates = 0  # repeated packets so far, without the packets of a sensor that hangs
@@ -311,7 +315,7 @@ class InOrder:
         stamp_us = int.from_bytes(datagram.payload[self._stamp_at : self._stamp_at + 4], "little")
         for known_us, known in reversed(self._held):
             if datagram.payload == known.payload:
-                self._report_again(datagram, known)
+                self._report_repeat(datagram, known)
                 return
             if known_us <= stamp_us:
                 break
@@ -330,17 +334,17 @@ class InOrder:
                 place = 0
         self._held.insert(place, (stamp_us, datagram))
         if len(self._held) > _HELD:
-            self._is_begin = False
+            self._is_at_start = False
             yield self._held.pop(0)[1]
 
     def rest(self) -> Iterator[Datagram]:
         """Yield the packets that are still held."""
         held = self._held
         self._held = []
-        self._is_begin = True
+        self._is_at_start = True
         yield from (datagram for _, datagram in held)
 
-    def _report_again(self, datagram: Datagram, known: Datagram) -> None:
+    def _report_repeat(self, datagram: Datagram, known: Datagram) -> None:
         """Report a repeated packet; a sensor that hangs sends it again and again."""
         rule = Rule.DUPLICATE
         found = f"packet {known.number} again"
@@ -357,7 +361,7 @@ class InOrder:
 
         It follows from the period of data packets, or the count of position packets.
         """
-        if self._since_us(stamp_us, 0) <= 0 and not self._is_begin:
+        if self._since_us(stamp_us, 0) <= 0 and not self._is_at_start:
             return False
         if self._kind is PacketKind.POSITION:
             return 0 < (self._held[-1][1].identification - datagram.identification) % 0x10000 <= _HELD

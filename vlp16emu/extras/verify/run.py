@@ -34,10 +34,8 @@ _MODE_AT = -2  # return mode and product end a data payload
 _DUAL_BYTE = RETURN_MODE_BYTE[ReturnMode.DUAL]
 _SHORTEST_S = 2.0  # least span to judge rates: position packets arrive at irregular intervals
 _RATE_TOLERANCE = 0.1
-_POSITION_RATES_HZ = (
-    146.0,
-    53.8,
-)  # measured on two units in single return; 63-9243 Rev D, section 8.2.2, p. 50
+_POSITION_RATES_HZ = (146.0, 53.8)
+"""Measured on two units in single return; 63-9243 Rev D, section 8.2.2, p. 50."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,13 +50,12 @@ class Verification:
     """Seconds without a GPS fix, from the status V of sentences; trees cause them too."""
     span_s: float  # time from the first packet to the last, by the sensor's clock; by the host's if it is set
     rpm: float | None  # mean rotor speed; None without data packets
-    # True if the file ends in the middle of a packet, as after a killed recorder; the rest is checked
     is_cut: bool
+    """True if the file ends in the middle of a packet, as after a killed recorder; the rest is checked."""
     damage: tuple[str, ...]  # damaged parts of the file that were left out
     counts: Mapping[Rule, int]  # errors of each broken rule
-    notes: Mapping[
-        Rule, int
-    ]  # findings of each rule that settings, receivers, old firmware or recorders cause
+    notes: Mapping[Rule, int]
+    """Findings of each rule that settings, receivers, old firmware or recorders cause."""
     findings: tuple[Finding, ...]  # the first findings of each rule, by packet number
 
     @property
@@ -89,7 +86,7 @@ def verify_units(
 ) -> list[Verification]:
     """Check each of several units on its own, in one pass and with little memory.
 
-    It is None stands for all packets.
+    None among the units stands for all packets of the capture.
     """
     chunk_packets = min(_CHUNK_PACKETS, max(_HELD_PACKETS // max(len(units), 1), _SMALLEST_CHUNK))
     checks = [_Check(Findings(limit_per_rule), chunk_packets) for _ in units]
@@ -112,9 +109,8 @@ class _Check:
         self._position = PositionRules(findings)
         self._in_order = {kind: InOrder(kind, findings) for kind in PORT}
         self._chunk: dict[PacketKind, list[Datagram]] = {kind: [] for kind in PORT}
-        self._before: Datagram | None = (
-            None  # last data packet of the chunk before, if this chunk continues it
-        )
+        self._before: Datagram | None = None
+        """Last data packet of the chunk before, if this chunk continues it."""
         self._factory = b""
         self._packets = Counter[PacketKind]()
         self._first: dict[PacketKind, Datagram] = {}
@@ -126,13 +122,13 @@ class _Check:
         """Check one datagram, or keep it for its chunk."""
         kind = kind_of(datagram)
         if kind is not None:
-            self._sort(self._clock.follow(datagram, kind))
+            self._take_all(self._clock.follow(datagram, kind))
 
-    def _sort(self, datagrams: Iterable[tuple[PacketKind, Datagram]]) -> None:
+    def _take_all(self, datagrams: Iterable[tuple[PacketKind, Datagram]]) -> None:
         for kind, datagram in datagrams:
-            self._take(kind, datagram)
+            self._take_one(kind, datagram)
 
-    def _take(self, kind: PacketKind, datagram: Datagram) -> None:
+    def _take_one(self, kind: PacketKind, datagram: Datagram) -> None:
         number = datagram.number
         since_ns = 0 if self._stamp_ns is None else datagram.stamp_ns - self._stamp_ns
         if since_ns < 0:
@@ -166,7 +162,7 @@ class _Check:
 
     def finish(self, path: Path, capture: Capture) -> Verification:
         """Check the remaining packets, and return the result."""
-        self._sort(self._clock.rest())
+        self._take_all(self._clock.rest())
         if not self._packets:
             found = f"no VLP-16 packets, but {capture.missed}" if capture.missed else "no VLP-16 packets"
             raise CaptureError(str(path), found, "data packets on UDP port 2368")
@@ -236,25 +232,30 @@ class _Check:
 
         The counts are those of position packets and of the time that data packets cover.
         """
-        data_s, position_s = (
-            (self._last[kind].stamp_ns - self._first[kind].stamp_ns) / S_NS if kind in self._first else 0.0
-            for kind in (PacketKind.DATA, PacketKind.POSITION)
-        )
+        data_s = self._kind_span_s(PacketKind.DATA) - self._data.left_out_us * US_NS / S_NS
         mode = ReturnMode.DUAL if self._factory[:1] == bytes([_DUAL_BYTE]) else ReturnMode.STRONGEST
         nominal_hz = S_NS / (SEQUENCES_PER_PACKET[mode] * SEQUENCE_NS)
         covered = self._data.covered_us * US_NS / S_NS * nominal_hz
-        data_s -= self._data.left_out_us * US_NS / S_NS
         copies = self._in_order[PacketKind.POSITION].duplicates  # by a bridge or a recorder
         sent = self._packets[PacketKind.POSITION] - copies - 1 + self._position.lost_packets
-        for kind, rule, count, span_s, usual_hz in (
-            (PacketKind.DATA, Rule.DATA_RATE, covered, data_s, (nominal_hz,)),
-            (PacketKind.POSITION, Rule.POSITION_RATE, sent, position_s, _POSITION_RATES_HZ),
-        ):
-            if span_s >= _SHORTEST_S and all(
-                abs(count / span_s / hz - 1) > _RATE_TOLERANCE for hz in usual_hz
-            ):
-                found = f"{count / span_s:.1f} {kind} packets per second"
-                words = " or ".join(f"{hz:.1f}" for hz in usual_hz)
-                self._findings.add(
-                    rule, self._last[kind].number, found, f"{words} within {_RATE_TOLERANCE:.0%}"
-                )
+        self._check_rate(PacketKind.DATA, covered, data_s, (nominal_hz,))
+        position_s = self._kind_span_s(PacketKind.POSITION)
+        self._check_rate(PacketKind.POSITION, sent, position_s, _POSITION_RATES_HZ)
+
+    def _kind_span_s(self, kind: PacketKind) -> float:
+        """Return the time from the first to the last packet of a kind by the host's clock; 0 without any."""
+        if kind not in self._first:
+            return 0.0
+        return (self._last[kind].stamp_ns - self._first[kind].stamp_ns) / S_NS
+
+    def _check_rate(self, kind: PacketKind, count: float, span_s: float, usual_hz: Sequence[float]) -> None:
+        """Compare the rate of `count` packets over a span with the usual rates."""
+        if span_s < _SHORTEST_S:
+            return
+        rate_hz = count / span_s
+        if all(abs(rate_hz / hz - 1) > _RATE_TOLERANCE for hz in usual_hz):
+            found = f"{rate_hz:.1f} {kind} packets per second"
+            words = " or ".join(f"{hz:.1f}" for hz in usual_hz)
+            rule = Rule.DATA_RATE if kind is PacketKind.DATA else Rule.POSITION_RATE
+            number = self._last[kind].number
+            self._findings.add(rule, number, found, f"{words} within {_RATE_TOLERANCE:.0%}")

@@ -9,7 +9,7 @@ from vlp16emu.types import F8, I8
 
 _HELD_RPM = 4.0
 """Error of the mean speed of a revolution: speed control, 3 rpm in sibling manuals, and two readings."""
-_MOST_HELD = 1000  # revolutions of one change of speed
+_LONGEST_CHANGE = 1000  # revolutions of one change of speed
 
 
 class SpeedRules:
@@ -17,9 +17,8 @@ class SpeedRules:
 
     def __init__(self, findings: Findings) -> None:
         self._findings = findings
-        self._off: list[
-            tuple[int, float]
-        ] = []  # revolutions off any speed, by packet number, and their speeds
+        self._unsteady: list[tuple[int, float]] = []
+        """Packet numbers and speeds, rpm, of the latest revolutions between two speeds."""
         self._held_rpm: float | None = None  # the speed before them
 
     def check(self, packets: I8, rpm: F8, is_whole: NDArray[np.bool_]) -> None:
@@ -27,8 +26,8 @@ class SpeedRules:
         for packet, speed_rpm in zip(packets[is_whole].tolist(), rpm[is_whole].tolist(), strict=True):
             held_rpm = RPM_STEP * round(speed_rpm / RPM_STEP)
             if abs(speed_rpm - held_rpm) > _HELD_RPM:
-                self._off.append((packet, speed_rpm))
-                if len(self._off) >= _MOST_HELD:
+                self._unsteady.append((packet, speed_rpm))
+                if len(self._unsteady) >= _LONGEST_CHANGE:
                     self._report(None)
             else:
                 self._report(held_rpm)
@@ -40,14 +39,14 @@ class SpeedRules:
 
     def _report(self, held_rpm: float | None) -> None:
         """Report the collected revolutions, which a held speed follows, or None."""
-        if not self._off:
+        if not self._unsteady:
             return
-        speeds_rpm = [speed_rpm for _, speed_rpm in self._off]
+        speeds_rpm = [speed_rpm for _, speed_rpm in self._unsteady]
         is_other = None not in (held_rpm, self._held_rpm) and held_rpm != self._held_rpm
         is_change = is_other or max(speeds_rpm) - min(speeds_rpm) > RPM_STEP / 2
         level = Level.NOTE if is_change else Level.ERROR
-        for packet, speed_rpm in self._off:
+        for packet, speed_rpm in self._unsteady:
             found = f"a revolution at {speed_rpm:.1f} rpm"
             expected = f"a multiple of {RPM_STEP} rpm within {_HELD_RPM:g}, held"
             self._findings.add(Rule.SPEED, packet, found, expected, level)
-        self._off = []
+        self._unsteady = []
