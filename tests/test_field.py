@@ -98,6 +98,33 @@ def test_readings_are_late_scaled_and_warm_up(field):
     np.testing.assert_array_equal(part.specific_force_m_s2, read.specific_force_m_s2[1500:1507])
 
 
+@pytest.mark.parametrize("clock_ppm", [10_000.0, -10_000.0, 40.0])
+def test_the_clock_of_the_inertial_unit_drifts(clock_ppm):
+    """A fit of stamps on true times has the slope of the clock, from the first sample on; readings are those of
+    the same instants, and a unit that is also late is late by as much as without the drift."""
+    late = {"imu.preset": "field", "seed": 3}
+    drift, steady = (
+        Emulator(HALL, late | {"imu.clock_ppm": ppm}).parts.imu.read(0, 2001) for ppm in (clock_ppm, 0.0)
+    )
+    elapsed_s = (drift.t_ns - drift.t_ns[0]) * 1e-9
+    gained_us = (drift.stamp_ns - steady.stamp_ns) / 1e3
+    assert np.polyfit(elapsed_s, gained_us, 1) == pytest.approx([clock_ppm, 0.0], abs=1e-3)
+    assert gained_us[0] == 0.0
+    assert gained_us[-1] == pytest.approx(10.0 * clock_ppm, abs=1e-3)
+    assert (np.diff(drift.stamp_ns) > 0).all()
+    np.testing.assert_array_equal(drift.specific_force_m_s2, steady.specific_force_m_s2)
+    np.testing.assert_array_equal(drift.angular_rate_rad_s, steady.angular_rate_rad_s)
+
+
+def test_a_drift_of_the_clock_is_in_the_ground_truth(tmp_path):
+    """`imu.csv` has stamps beside true times, 1 % apart per second, where only the clock drifts."""
+    write_truth(Emulator(HALL, {"imu.clock_ppm": 10_000.0}), tmp_path / "truth", duration_s=2.0)
+    table = np.genfromtxt(tmp_path / "truth" / "imu.csv", delimiter=",", names=True)
+    elapsed_s = table["t_utc_s"] - table["t_utc_s"][0]
+    gained_s = table["stamp_utc_s"] - table["t_utc_s"]
+    np.testing.assert_allclose(gained_s, 0.01 * elapsed_s, atol=2e-6)
+
+
 def test_the_mast_leans_with_each_step(field):
     """Sensors lean on the pack by tenths of a degree at the rate of steps, are rigid on a stiff mast, and
     have derivatives of their own."""

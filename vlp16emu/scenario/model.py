@@ -147,7 +147,7 @@ class InertialSection(Mounted, Protocol):
 
     @property
     def is_late(self) -> bool:
-        """True if its time stamps are later than its samples."""
+        """True if its time stamps differ from the times of its samples."""
 
 
 IMU_SECTION = Part[type[Section]]("vlp16emu.extras.imu.settings:Imu")

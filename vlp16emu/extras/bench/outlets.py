@@ -120,8 +120,9 @@ class Beside:
                 count = min(max(self._rate_hz // _READS_PER_S, 1), numbers.stop - number)
                 read = imu.read(number, count)
                 stamps_ns = read.t_ns if read.stamp_ns is None else read.stamp_ns
+                arrivals_ns = read.t_ns + imu.late_ns(number, count)
                 frames = imu_frames(number, stamps_ns, read.angular_rate_rad_s, read.specific_force_m_s2)
-                for at, (due_ns, frame) in enumerate(zip(stamps_ns.tolist(), frames, strict=True), number):
+                for at, (due_ns, frame) in enumerate(zip(arrivals_ns.tolist(), frames, strict=True), number):
                     ready[at] = Packet(PacketKind.IMU, due_ns, frame)
             return ready[number]
 
