@@ -1,6 +1,7 @@
 """Conditions as in the field: what a real walk is harder by, and that the ground truth knows all of it."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ HALL = {
     "motion": {"kind": "walk", "way_points_m": [[-12, -1], [0, 1], [12, 0]]},
     "world": {"kind": "hall", "length_m": 40.0, "width_m": 16.0, "height_m": 6.0},
 }
+TOOLS = Path(__file__).resolve().parents[1] / "tools"
 FIELD = HALL | {"conditions": "field"}
 COMPANION, PASSER = 0xFFFFFFF0, 0xFFFFFFF1
 
@@ -184,3 +186,17 @@ def test_bytes_are_those_of_seed_and_scene(field):
     parts = [packet.payload for span in ((4.0, 4.2), (4.2, 4.4)) for packet in field.packets(*span)]
     assert parts == whole
     assert [packet.payload for packet in Emulator(FIELD, {"seed": 4}).packets(4.0, 4.4)] != whole
+
+
+def test_factors_of_the_field_are_scenes(tool_named, monkeypatch):
+    """Each factor of `tools/field_factors` is a change that a scene takes, with the source of its strength;
+    those of the inertial unit change nothing else, so the pulses of the walk without them serve them too."""
+    monkeypatch.syspath_prepend(str(TOOLS))
+    given = tool_named("odometry.py").SETTINGS
+    perfect = load("reference_forest", given)
+    for factor in tool_named("field_factors").FACTORS:
+        changed = load("reference_forest", [*given, *factor.settings])
+        assert (changed != perfect) == bool(factor.settings), factor.name
+        assert bool(factor.source) == bool(factor.settings), factor.name
+        if factor.is_inertial:
+            assert changed.model_copy(update={"imu": perfect.imu}) == perfect, factor.name
