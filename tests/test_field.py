@@ -1,6 +1,7 @@
 """Conditions as in the field: what a real walk is harder by, and that the ground truth knows all of it."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,7 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from vlp16emu import Emulator, load, write_truth
 from vlp16emu.extras.truth.truth import given_mount
-from vlp16emu.extras.walk.settings import Harness
+from vlp16emu.extras.walk.gait import Trunk
+from vlp16emu.extras.walk.settings import Gait, Harness
 from vlp16emu.motion.mount import true_mount
 from vlp16emu.motion.settings import Mount
 
@@ -19,6 +21,7 @@ HALL = {
     "motion": {"kind": "walk", "way_points_m": [[-12, -1], [0, 1], [12, 0]]},
     "world": {"kind": "hall", "length_m": 40.0, "width_m": 16.0, "height_m": 6.0},
 }
+TOOLS = Path(__file__).resolve().parents[1] / "tools"
 FIELD = HALL | {"conditions": "field"}
 COMPANION, PASSER = 0xFFFFFFF0, 0xFFFFFFF1
 
@@ -40,6 +43,9 @@ def test_keys_of_the_field_are_those_that_are_not_given():
     assert (field.motion.mount.error_mm, field.motion.mount.error_deg) == (1.0, 0.3)
     assert field.wind is None  # in a hall
     assert load("birch_walk", ["conditions=field"]).wind.speed_m_s == 2.0
+    assert (field.motion.gait.preset, field.motion.gait.variation) == ("uneven", 0.082)
+    given = load(FIELD, ["motion.gait=paper"]).motion.gait
+    assert (given.preset, given.variation) == ("paper", 0.0)
     perfect = load(HALL)
     assert (perfect.imu, perfect.motion.mast, perfect.people) == (None, None, None)
     assert load(field) == field
@@ -96,6 +102,56 @@ def test_readings_are_late_scaled_and_warm_up(field):
     part = imu.read(1500, 7)
     np.testing.assert_array_equal(part.stamp_ns, read.stamp_ns[1500:1507])
     np.testing.assert_array_equal(part.specific_force_m_s2, read.specific_force_m_s2[1500:1507])
+
+
+@pytest.mark.parametrize("clock_ppm", [10_000.0, -10_000.0, 40.0])
+def test_the_clock_of_the_inertial_unit_drifts(clock_ppm):
+    """A fit of stamps on true times has the slope of the clock, from the first sample on; readings are those
+    of the same instants, and a unit that is also late is late by as much as without the drift."""
+    late = {"imu.preset": "field", "seed": 3}
+    drift, steady = (
+        Emulator(HALL, late | {"imu.clock_ppm": ppm}).parts.imu.read(0, 2001) for ppm in (clock_ppm, 0.0)
+    )
+    elapsed_s = (drift.t_ns - drift.t_ns[0]) * 1e-9
+    gained_us = (drift.stamp_ns - steady.stamp_ns) / 1e3
+    assert np.polyfit(elapsed_s, gained_us, 1) == pytest.approx([clock_ppm, 0.0], abs=1e-3)
+    assert gained_us[0] == 0.0
+    assert gained_us[-1] == pytest.approx(10.0 * clock_ppm, abs=1e-3)
+    assert (np.diff(drift.stamp_ns) > 0).all()
+    np.testing.assert_array_equal(drift.specific_force_m_s2, steady.specific_force_m_s2)
+    np.testing.assert_array_equal(drift.angular_rate_rad_s, steady.angular_rate_rad_s)
+
+
+def test_a_drift_of_the_clock_is_in_the_ground_truth(tmp_path):
+    """`imu.csv` has stamps beside true times, 1 % apart per second, where only the clock drifts."""
+    write_truth(Emulator(HALL, {"imu.clock_ppm": 10_000.0}), tmp_path / "truth", duration_s=2.0)
+    table = np.genfromtxt(tmp_path / "truth" / "imu.csv", delimiter=",", names=True)
+    elapsed_s = table["t_utc_s"] - table["t_utc_s"][0]
+    gained_s = table["stamp_utc_s"] - table["t_utc_s"]
+    np.testing.assert_allclose(gained_s, 0.01 * elapsed_s, atol=2e-6)
+
+
+def test_steps_vary_as_on_uneven_ground():
+    """Times of steps of the gait `uneven` vary by 8.2 % and those of the default by 4.0 %, as step times of
+    young adults on uneven and flat ground (Downey et al., PLOS ONE 17, e0278646); the trunk rises as far."""
+    spread, rise_m = {}, {}
+    for preset in ("natural", "uneven"):
+        height_m = np.concatenate([_heights_m(preset, seed) for seed in range(3)])
+        peaks = [np.flatnonzero((z[1:-1] > z[:-2]) & (z[1:-1] >= z[2:])) for z in height_m]
+        steps = np.concatenate([np.diff(each) for each in peaks])
+        spread[preset] = steps.std() / steps.mean()
+        rise_m[preset] = height_m.std()
+    assert spread["natural"] == pytest.approx(0.040, rel=0.25)
+    assert spread["uneven"] == pytest.approx(0.082, rel=0.25)
+    assert rise_m["uneven"] == pytest.approx(rise_m["natural"], rel=0.05)
+
+
+def _heights_m(preset, seed):
+    """Rise (1, n) of the trunk in 300 s of walking, every 5 ms, with one harmonic."""
+    plain = {"second_harmonic_m": 0.0, "heel_strike_m": 0.0}
+    trunk = Trunk(Gait(preset=preset, **plain), 1.2, seed)
+    elapsed_s = np.arange(0.0, 300.0, 0.005)
+    return trunk.at(elapsed_s, np.ones(len(elapsed_s)))[None, :, 2]
 
 
 def test_the_mast_leans_with_each_step(field):
@@ -157,3 +213,17 @@ def test_bytes_are_those_of_seed_and_scene(field):
     parts = [packet.payload for span in ((4.0, 4.2), (4.2, 4.4)) for packet in field.packets(*span)]
     assert parts == whole
     assert [packet.payload for packet in Emulator(FIELD, {"seed": 4}).packets(4.0, 4.4)] != whole
+
+
+def test_factors_of_the_field_are_scenes(tool_named, monkeypatch):
+    """Each factor of `tools/field_factors` is a change that a scene takes, with the source of its strength;
+    those of the inertial unit change nothing else, so the pulses of the walk without them serve them too."""
+    monkeypatch.syspath_prepend(str(TOOLS))
+    given = tool_named("odometry.py").SETTINGS
+    perfect = load("reference_forest", given)
+    for factor in tool_named("field_factors").FACTORS:
+        changed = load("reference_forest", [*given, *factor.settings])
+        assert (changed != perfect) == bool(factor.settings), factor.name
+        assert bool(factor.source) == bool(factor.settings), factor.name
+        if factor.is_inertial:
+            assert changed.model_copy(update={"imu": perfect.imu}) == perfect, factor.name

@@ -98,7 +98,7 @@ class Sampler(Protocol):
         """Return samples, numbered from the start of the run."""
 
     def late_ns(self, first: int, count: int) -> I8:
-        """Return the delays (count,) of the time stamps of samples."""
+        """Return the delays (count,) of the arrival of samples."""
 
 
 class SamplerOf(Protocol):

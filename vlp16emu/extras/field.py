@@ -8,7 +8,10 @@ _FIELD: Tree = {"imu": {"preset": "field", "mount": _MOUNT}}
 """Tables of `conditions = "field"`. Extrinsics of a backpack are known within a degree and a centimetre by
 self-calibration (Pan, Shao et al., IEEE TGRS 61, 5703713, 2023); from a drawing within a third of a degree
 and half a centimetre for each axis (assumption)."""
-_ON_FOOT: Tree = {"motion": {"kind": "walk", "mount": _MOUNT, "mast": {}}, "people": {}}
+_ON_FOOT: Tree = {
+    "motion": {"kind": "walk", "gait": {"preset": "uneven"}, "mount": _MOUNT, "mast": {}},
+    "people": {},
+}
 _FORESTS = ("forest", "plot")
 _IN_A_FOREST: Tree = {"wind": {"speed_m_s": 2.0}}
 """A light breeze, 1.6 to 3.3 m/s (Beaufort scale, WMO code table 1100)."""

@@ -147,7 +147,7 @@ class InertialSection(Mounted, Protocol):
 
     @property
     def is_late(self) -> bool:
-        """True if its time stamps are later than its samples."""
+        """True if its time stamps differ from the times of its samples."""
 
 
 IMU_SECTION = Part[type[Section]]("vlp16emu.extras.imu.settings:Imu")
@@ -218,7 +218,8 @@ class Scenario(Section):
     """People beside a walking carrier; none without this table."""
     conditions: Literal["perfect", "field"] = "perfect"
     """Preset; `field` sets some keys of a real walk unless given: errors of the extrinsics, a
-    bending `mast`, `imu.preset = "field"`, a light wind in a forest, and `people`."""
+    bending `mast`, `imu.preset = "field"`, steps as on uneven ground, a light wind in a forest, and
+    `people`."""
 
     @field_validator("start_utc")
     @classmethod

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from vlp16emu import Emulator
+from vlp16emu.extras.bench.imu_frame import decode_imu
 from vlp16emu.extras.bench.outlets import PULSE_NS, DevicePackets
 from vlp16emu.packets import decode_position
 from vlp16emu.types import PacketKind
@@ -99,3 +100,13 @@ def test_nothing_is_made_before_its_time(hall, packets, monkeypatch):
     for packet in all_of(hall, 0.0, 2.0):
         assert asked_ns[-1] <= packet.due_ns
         assert looked[0] <= packet.due_ns + 20 * MS_NS
+
+
+def test_samples_of_a_clock_that_drifts_leave_when_they_are_taken(each_unit, hall, packets):
+    """Their stamps gain 1 % of the time of the run, and they leave at the same instants as without it."""
+    settings = [*SETTINGS, "imu.clock_ppm=10000"]
+    samples = of(all_of(Emulator(each_unit, settings, threads=1), 0.0, 2.1), PacketKind.IMU)
+    due_ns = np.array([packet.due_ns for packet in samples])
+    assert due_ns.tolist() == [packet.due_ns for packet in of(packets, PacketKind.IMU)]
+    stamps_ns = np.array([decode_imu(packet.payload)["t_ns"] for packet in samples])
+    np.testing.assert_allclose(stamps_ns - due_ns, 0.01 * (due_ns - hall.scenario.start_ns), atol=1000)

@@ -135,10 +135,11 @@ class DevicePackets:
                 count = min(max(self._rate_hz // _READS_PER_S, 1), numbers.stop - number)
                 samples = imu.read(number, count)
                 stamps_ns = samples.t_ns if samples.stamp_ns is None else samples.stamp_ns
+                arrivals_ns = samples.t_ns + imu.late_ns(number, count)
                 frames = imu_frames(
                     number, stamps_ns, samples.angular_rate_rad_s, samples.specific_force_m_s2
                 )
-                packets = map(partial(Packet, PacketKind.IMU), stamps_ns.tolist(), frames)
+                packets = map(partial(Packet, PacketKind.IMU), arrivals_ns.tolist(), frames)
                 ready.update(enumerate(packets, number))
             return ready[number]
 

@@ -51,7 +51,7 @@ class ImuSampler:
         self._turn = lru_cache(None)(lambda chunk: float(self._gyro_bias_angle(chunk)[-1]))
 
     def late_ns(self, first: int, count: int) -> I8:
-        """Return the delay (count,) of the time stamps of samples first .. first + count - 1."""
+        """Return the delay (count,) of the arrival of samples first .. first + count - 1."""
         (least_s, greatest_s) = self._imu.delay_s
         late_s = np.zeros(count)
         if greatest_s:
@@ -75,8 +75,8 @@ class ImuSampler:
         )
         attitude = self._attitude(truth.world_R_body, force_bias, first) if e.attitude else None
         seen_w, seen_force = map(matvec, self._responses, (w, force)) if e.is_rough else (w, force)
-        late_ns = self.late_ns(first, count)
-        stamp_ns = t_ns + late_ns if late_ns.any() else None
+        gained_ns = np.rint(1e-6 * self._imu.clock_ppm * (t_ns - self._start_ns)).astype(np.int64)
+        stamp_ns = t_ns + self.late_ns(first, count) + gained_ns if self._imu.is_late else None
         read = seen_w + w_errors, seen_force + force_errors
         return Inertial(t_ns, *read, w, force, w_bias, force_bias, attitude, stamp_ns)
 

@@ -78,6 +78,9 @@ class Imu(Preset):
     them."""
     jitter_s: NonNegative = 0.0
     """Greatest additional delay, drawn for each sample; below the time between two samples."""
+    clock_ppm: Annotated[float, Field(ge=-50_000, le=50_000)] = 0.0
+    """Drift of its clock: microseconds that time stamps gain in each second since the first sample; negative
+    if they lose. 10 000 is the variation of an MPU-6050 without a quartz (PS-MPU-6000A, section 7.15)."""
 
     @property
     def is_rough(self) -> bool:
@@ -87,7 +90,7 @@ class Imu(Preset):
     @property
     def is_late(self) -> bool:
         """True if time stamps differ from the times of the samples."""
-        return bool(self.delay_s[1] or self.jitter_s)
+        return bool(self.delay_s[1] or self.jitter_s or self.clock_ppm)
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:

@@ -98,11 +98,15 @@ class Gait(Preset):
             "sideways_m": 0.02,
         },
         "natural": {},
+        # Step times of young adults vary by 4.0 % on flat ground and by 8.2 % on uneven ground, and the rise
+        # and sway of their sacrum vary more too (Downey et al., PLOS ONE 17, e0278646, 2022, abstract).
+        "uneven": {"variation": 0.082},
         "strong": _STRONG_GAIT,
     }
 
-    preset: Literal["none", "paper", "natural", "strong"] = "natural"
-    """Sets the keys that are not given beside it; the defaults are `natural`."""
+    preset: Literal["none", "paper", "natural", "uneven", "strong"] = "natural"
+    """Sets the keys that are not given beside it; the defaults are `natural`. Steps of `uneven` vary as on
+    uneven ground."""
     step_hz: Annotated[float, Field(gt=0, le=5)] | None = None
     """Steps per second; from the walking speed if not given."""
     vertical_m: _Amplitude = 0.023
