@@ -13,6 +13,7 @@ from vlp16emu import Emulator
 from vlp16emu.engine.engine import Engine
 from vlp16emu.engine.windows import window_of
 from vlp16emu.forest.plants.stem import StemKey
+from vlp16emu.forest.tiles import GroundKey, TileKey
 from vlp16emu.scenario import Scenario, load, schema
 
 SPAN_S = 0.05  # less than one block
@@ -157,16 +158,17 @@ def test_without_canopy_loss_nobody_looks_at_the_sky(caplog, setting):
 
 @pytest.mark.usefixtures("kept_woods")
 def test_still_air_moves_nothing():
-    """Without wind no placement of a window sways, and each tile's stems are one shape; in wind each is
-    its own."""
+    """Without wind no placement of a window sways, and each tile's stems are one shape; in wind layers of near
+    stems are on their own."""
     still, blown = (
         window_of(emulator.parts, emulator.scenario.start_ns, emulator.engine.batching, 0)
         for emulator in (Emulator(birch(*wind), threads=1) for wind in ([], ["wind.speed_m_s=3"]))
     )
     assert still.sway is None
-    assert not any(isinstance(key, StemKey) for key in still.shapes)
+    assert not any(isinstance(key, StemKey | GroundKey) for key in still.shapes)
     assert blown.sway is not None
     assert any(isinstance(key, StemKey) for key in blown.shapes)
+    assert not any(isinstance(key, TileKey) for key in blown.shapes)
 
 
 def test_a_medium_out_of_sight_is_not_made(tmp_path, monkeypatch):
