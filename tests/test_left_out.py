@@ -197,7 +197,7 @@ are loaded by now."""
 def test_commands_load_no_library_they_do_not_need(tmp_path, monkeypatch):
     """What is wrong with a scene is found before kernels and their compiler are loaded.
 
-    A static, single-ray recording imports nothing that draws, reads meshes or grids, makes curves or talks; a
+    A walk in still air imports nothing of wind. A static, single-ray recording imports nothing that draws, reads meshes or grids, makes curves or talks; a
     stream builds no frames, and waits neither for the lint nor for scipy, be its path and woods made for it
     or kept from before.
     """
@@ -226,9 +226,10 @@ def test_commands_load_no_library_they_do_not_need(tmp_path, monkeypatch):
     heavy = ["trimesh", "rich.progress", "vlp16emu.extras.verify", *scipy]
     talks = ["rasterio", "PIL", "networkx", "serial", "pynmea2", "velodyne_decoder"]
     own = ["vlp16emu.extras.truth.truth", "vlp16emu.extras.accuracy.sweep"]
+    wind = ["vlp16emu.forest.stand.wind", "vlp16emu.forest.plants.bending"]
     steps = [
         ([("schema",), ("record", *wrong, "x.pcap"), ("stream", *wrong)], ["numba", "scipy", "dpkt"]),
-        ([walk, walk], ["numba", "dpkt", "scipy.linalg", *heavy]),
+        ([walk, walk], ["numba", "dpkt", "scipy.linalg", *heavy, *wind]),
         ([lean], ["numba", *heavy, *talks, *own]),
     ]
     command = [sys.executable, "-c", STEPS, json.dumps(steps)]

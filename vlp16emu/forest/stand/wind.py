@@ -64,6 +64,9 @@ expansion factors of 1.3 for conifers, 1.4 for broadleaved trees)."""
 _THINNEST = 0.1
 """Least diameter over the DBH with which a stem bends, so that its tip is no hook: twigs and needles stiffen
 the leader; assumption."""
+_ROOM = 0.5
+"""Limit of a top's movement over the crown's width: crowns clash with their neighbours, which takes half of
+the energy of swaying trees (Milne, Tree Physiol 9, 1991); the amount is an assumption."""
 _HIGHEST_BASE = (
     0.95  # greatest height of a crown's base over the tree's for its drag, for trees without crown
 )
@@ -213,7 +216,8 @@ class TreeSway:
     def top_m(self, trees: Stand, t_ns: I8) -> F8:
         """Return the movement (k, m, 2) of the tops of trees (m,), east and north, at UTC times (k,).
 
-        Drag grows with the square of the speed; the mean and the term linear in the gusts are kept.
+        Drag grows with the square of the speed; the mean and the term linear in the gusts are kept. Neighbours
+        hold a crown that moves far.
         """
         frequency_hz, top_m_per_pa, _ = self.mechanics(trees)
         along_m, across_m = (trees["x_m"] * east + trees["y_m"] * north for east, north in self._axes)
@@ -224,7 +228,9 @@ class TreeSway:
         per_speed2 = _AIR_KG_M3 * _FRICTION_SHARE * _FRICTION_SHARE * top_m_per_pa
         downwind = per_speed2 * mean_m_s * (mean_m_s + 2.0 * along)
         aside = per_speed2 * mean_m_s * across
-        east, north = (downwind * a + aside * b for a, b in self._axes.T)
+        limit_m = _ROOM * trees["crown_width_m"]
+        held = 1.0 / np.sqrt(1.0 + (downwind * downwind + aside * aside) / (limit_m * limit_m))
+        east, north = (held * (downwind * a + aside * b) for a, b in self._axes.T)
         return np.stack([east, north], axis=-1)
 
     def with_sway(self, window: Window, track_m: F8, start_ns: int, stop_ns: int) -> Window:
