@@ -238,6 +238,19 @@ def test_commands_load_no_library_they_do_not_need(tmp_path, monkeypatch):
     assert said == ["0 2 2", "0 0 numba", "0 numba"]
 
 
+def test_a_hall_in_clear_air_knows_neither_weather_nor_gnss(tmp_path):
+    """Without a receiver and without weather a recording in a hall imports no laws of rain and fog and no
+    receiver; with both it does."""
+    names = ["vlp16emu.returns.weather", "vlp16emu.motion.gnss", "vlp16emu.forest.stand.wind"]
+    options = "--duration", "0.1", "--json", "--no-audit", "--set"
+    bare = "record", "static_bench", f"{tmp_path}/x.pcap", *options, "gps.connected=false"
+    wet = "record", "static_bench", f"{tmp_path}/y.pcap", *options, "weather.rain_mm_h=2"
+    command = [sys.executable, "-c", STEPS, json.dumps([([bare], names), ([wet], names)])]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    said = [line for line in done.stderr.splitlines() if line[0].isdigit()]
+    assert said == ["0", "0 vlp16emu.motion.gnss vlp16emu.returns.weather"]
+
+
 def test_descriptions_of_keys_are_read_for_the_schema_only():
     """No section's source is parsed at the start: the docstring of a key is no part of its field."""
     assert Scenario.model_fields["seed"].description is None

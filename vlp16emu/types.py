@@ -362,7 +362,8 @@ class Sway:
         at = np.maximum(z_m - self.foot_z_m[row], 0.0) / self.height_m[row] * steps
         knot = np.minimum(at, steps - 1).astype(np.int64)
         below = self.curve[row, knot]
-        return below + (at - knot) * (self.curve[row, knot + 1] - below)
+        shares: F8 = below + (at - knot) * (self.curve[row, knot + 1] - below)
+        return shares
 
 
 @dataclass(frozen=True, slots=True)
