@@ -244,7 +244,15 @@ def test_a_hall_in_clear_air_knows_neither_weather_nor_gnss(tmp_path):
     names = ["vlp16emu.returns.weather", "vlp16emu.motion.gnss", "vlp16emu.forest.stand.wind"]
     options = "--duration", "0.1", "--json", "--no-audit", "--set"
     bare = "record", "static_bench", f"{tmp_path}/x.pcap", *options, "gps.connected=false"
-    wet = "record", "static_bench", f"{tmp_path}/y.pcap", *options, "weather.rain_mm_h=2"
+    wet = (
+        "record",
+        "static_bench",
+        f"{tmp_path}/y.pcap",
+        *options,
+        "weather.rain_mm_h=2",
+        "--set",
+        "gps.connected=true",
+    )
     command = [sys.executable, "-c", STEPS, json.dumps([([bare], names), ([wet], names)])]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     said = [line for line in done.stderr.splitlines() if line[0].isdigit()]
