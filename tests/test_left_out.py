@@ -13,6 +13,7 @@ from vlp16emu import Emulator
 from vlp16emu.engine.engine import Engine
 from vlp16emu.engine.windows import window_of
 from vlp16emu.forest.plants.stem import StemKey
+from vlp16emu.forest.tiles import GroundKey, TileKey
 from vlp16emu.scenario import Scenario, load, schema
 
 SPAN_S = 0.05  # less than one block
@@ -157,16 +158,17 @@ def test_without_canopy_loss_nobody_looks_at_the_sky(caplog, setting):
 
 @pytest.mark.usefixtures("kept_woods")
 def test_still_air_moves_nothing():
-    """Without wind no placement of a window sways, and each tile's stems are one shape; in wind each is
-    its own."""
+    """Without wind no placement of a window sways, and each tile's stems are one shape; in wind layers of near
+    stems are on their own."""
     still, blown = (
         window_of(emulator.parts, emulator.scenario.start_ns, emulator.engine.batching, 0)
         for emulator in (Emulator(birch(*wind), threads=1) for wind in ([], ["wind.speed_m_s=3"]))
     )
     assert still.sway is None
-    assert not any(isinstance(key, StemKey) for key in still.shapes)
+    assert not any(isinstance(key, StemKey | GroundKey) for key in still.shapes)
     assert blown.sway is not None
     assert any(isinstance(key, StemKey) for key in blown.shapes)
+    assert not any(isinstance(key, TileKey) for key in blown.shapes)
 
 
 def test_a_medium_out_of_sight_is_not_made(tmp_path, monkeypatch):
@@ -195,7 +197,7 @@ are loaded by now."""
 def test_commands_load_no_library_they_do_not_need(tmp_path, monkeypatch):
     """What is wrong with a scene is found before kernels and their compiler are loaded.
 
-    A static, single-ray recording imports nothing that draws, reads meshes or grids, makes curves or talks; a
+    A walk in still air imports nothing of wind. A static, single-ray recording imports nothing that draws, reads meshes or grids, makes curves or talks; a
     stream builds no frames, and waits neither for the lint nor for scipy, be its path and woods made for it
     or kept from before.
     """
@@ -224,15 +226,37 @@ def test_commands_load_no_library_they_do_not_need(tmp_path, monkeypatch):
     heavy = ["trimesh", "rich.progress", "vlp16emu.extras.verify", *scipy]
     talks = ["rasterio", "PIL", "networkx", "serial", "pynmea2", "velodyne_decoder"]
     own = ["vlp16emu.extras.truth.truth", "vlp16emu.extras.accuracy.sweep"]
+    wind = ["vlp16emu.forest.stand.wind", "vlp16emu.forest.plants.bending"]
     steps = [
         ([("schema",), ("record", *wrong, "x.pcap"), ("stream", *wrong)], ["numba", "scipy", "dpkt"]),
-        ([walk, walk], ["numba", "dpkt", "scipy.linalg", *heavy]),
+        ([walk, walk], ["numba", "dpkt", "scipy.linalg", *heavy, *wind]),
         ([lean], ["numba", *heavy, *talks, *own]),
     ]
     command = [sys.executable, "-c", STEPS, json.dumps(steps)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     said = [line for line in done.stderr.splitlines() if line[0].isdigit()]
     assert said == ["0 2 2", "0 0 numba", "0 numba"]
+
+
+def test_a_hall_in_clear_air_knows_neither_weather_nor_gnss(tmp_path):
+    """Without a receiver and without weather a recording in a hall imports no laws of rain and fog and no
+    receiver; with both it does."""
+    names = ["vlp16emu.returns.weather", "vlp16emu.motion.gnss", "vlp16emu.forest.stand.wind"]
+    options = "--duration", "0.1", "--json", "--no-audit", "--set"
+    bare = "record", "static_bench", f"{tmp_path}/x.pcap", *options, "gps.connected=false"
+    wet = (
+        "record",
+        "static_bench",
+        f"{tmp_path}/y.pcap",
+        *options,
+        "weather.rain_mm_h=2",
+        "--set",
+        "gps.connected=true",
+    )
+    command = [sys.executable, "-c", STEPS, json.dumps([([bare], names), ([wet], names)])]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    said = [line for line in done.stderr.splitlines() if line[0].isdigit()]
+    assert said == ["0", "0 vlp16emu.motion.gnss vlp16emu.returns.weather"]
 
 
 def test_descriptions_of_keys_are_read_for_the_schema_only():

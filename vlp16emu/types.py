@@ -323,21 +323,47 @@ class Mesh:
 
 @dataclass(frozen=True, slots=True)
 class Sway:
-    """Motion of m placements of a window, linear between knots.
+    """Motion of m placements of a window that bend over their feet, linear in time between knots.
 
-    A point at height h over the foot moves by h * `shear`.
+    A point of a placement moves level by `top_m` times the curve at its height. Below the foot nothing moves,
+    and above the top the curve goes on straight. Each piece of a shape moves as the chord of the curve over
+    the piece's height.
     """
 
     start_ns: int  # UTC of the first knot
     step_ns: int  # Time from knot to knot
     placement: I8  # (m,) in the window, ascending
     foot_z_m: F8  # (m,) height of each one's foot in the world
-    shear: F8  # (k, m, 2) at each knot, towards x and y; at least two knots
+    height_m: F8  # (m,) from foot to top
+    curve: F8  # (m, c) at even steps of height, from 0 at the foot to 1 at the top
+    top_m: F8  # (k, m, 2) movement of the top at each knot, towards x and y; at least two knots
 
     def __post_init__(self) -> None:
         m = len(self.placement)
         _check(self, "i8", placement=(m,))
-        _check(self, "f8", foot_z_m=(m,), shear=(None, m, 2))
+        _check(self, "f8", foot_z_m=(m,), height_m=(m,), curve=(m, None), top_m=(None, m, 2))
+
+    def of_part(self, keep: NDArray[np.bool_]) -> "Sway":
+        """Return the motion in a window that keeps the placements of a mask (n,) alone."""
+        moves = keep[self.placement]
+        return Sway(
+            self.start_ns,
+            self.step_ns,
+            (np.cumsum(keep) - 1)[self.placement[moves]],
+            self.foot_z_m[moves],
+            self.height_m[moves],
+            self.curve[moves],
+            self.top_m[:, moves],
+        )
+
+    def shares(self, row: I8, z_m: F8) -> F8:
+        """Return the shares (n,) of the top's movement at heights (n,) in the world, by rows (n,) of m."""
+        steps = self.curve.shape[1] - 1
+        at = np.maximum(z_m - self.foot_z_m[row], 0.0) / self.height_m[row] * steps
+        knot = np.minimum(at, steps - 1).astype(np.int64)
+        below = self.curve[row, knot]
+        shares: F8 = below + (at - knot) * (self.curve[row, knot + 1] - below)
+        return shares
 
 
 @dataclass(frozen=True, slots=True)

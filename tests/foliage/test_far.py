@@ -11,7 +11,7 @@ from raycast import lab
 from vlp16emu.foliage import far as room
 from vlp16emu.foliage.far import FarCaster
 from vlp16emu.raycast.near import EmbreeGeometry
-from vlp16emu.types import NO_SURFACE, SURFACE, Mesh, PlantPart, Semantic, Sway, Window
+from vlp16emu.types import NO_SURFACE, SURFACE, Mesh, PlantPart, Semantic, Window
 
 AT_M = np.array([[10.0, 10.0, 6.0]])
 
@@ -262,7 +262,7 @@ def test_things_that_sway_are_faces_at_any_range(workers):
     still[crowns] = False
     shear = np.stack([np.zeros((len(crowns), 2)), np.full((len(crowns), 2), 0.2)])
     foot_z_m = window.world_T_shape[crowns, 2, 3] - 5.0
-    swaying = replace(window, far=still, sway=Sway(0, 1_000_000_000, crowns, foot_z_m, shear))
+    swaying = replace(window, far=still, sway=lab.straight(0, 1_000_000_000, crowns, foot_z_m, shear))
 
     scenes = (
         FarCaster(lab.Tiles(8.0, crowns_far=False), workers).open(swaying),

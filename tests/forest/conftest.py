@@ -55,10 +55,10 @@ def terrain():
 
 @pytest.fixture(scope="session")
 def make_forest(terrain):
-    def make(*, path_xy_m=PATH_XY_M, with_layers=False, loose_stems=False, **changes):
+    def make(*, path_xy_m=PATH_XY_M, with_layers=False, **changes):
         section = (FULL if with_layers else BARE).model_copy(update=changes)
         land = Land(5, terrain.height_m, Corridor(path_xy_m, section.path_clearance_m))
-        return ForestWorld(section, Stand(section, land), land, reach_m=REACH_M, loose_stems=loose_stems)
+        return ForestWorld(section, Stand(section, land), land, reach_m=REACH_M)
 
     return make
 

@@ -21,7 +21,7 @@ from vlp16emu.sensor.beams import BEAM_TABLES
 from vlp16emu.sensor.clock import Clock, ClockSpan
 from vlp16emu.sensor.head import Head
 from vlp16emu.sensor.rotor import Encoder, Rotor, Spin
-from vlp16emu.types import SURFACE, Firings, Hits, Mesh, PlantPart, Semantic, SensorModel, Window
+from vlp16emu.types import SURFACE, Firings, Hits, Mesh, PlantPart, Semantic, SensorModel, Sway, Window
 
 UTM_M = np.array([432_100.0, 6_901_234.0, 87.0])
 NEAR_M = BEAM_TABLES[SensorModel.VLP_16].near_m
@@ -68,6 +68,12 @@ def pulses(count, *, first=0, at=UTM_M, tilt_deg=2.0, every=1):
     firings = head.aim(first, count, standing.poses_at, beam_axis=True)
     names = ("t_ns", "azimuth_deg", "origin_m", "direction", "beam_axis")
     return replace(firings, **{name: getattr(firings, name)[:, ::every].copy() for name in names})
+
+
+def straight(start_ns, step_ns, placement, foot_z_m, lean):
+    """Sway of placements (m,) along straight lines, by `lean` (k, m, 2) per metre over the foot."""
+    m = len(placement)
+    return Sway(start_ns, step_ns, placement, foot_z_m, np.ones(m), np.tile([0.0, 1.0], (m, 1)), lean)
 
 
 def assert_same_bits(ours, other):

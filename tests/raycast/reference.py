@@ -15,16 +15,24 @@ from vlp16emu.types import NO_SURFACE, Hits
 
 
 def frozen(window, t_ns):
-    """Still window that a moving one is at a time, or at its first or last where that is outside."""
+    """Still window that a moving one is at a time, or at its first or last where that is outside; its
+    placements move along straight lines."""
     if (sway := window.sway) is None:
         return window
-    steps = len(sway.shear) - 1
-    at = min(max((t_ns - sway.start_ns) / sway.step_ns, 0.0), float(steps))
-    knot = min(int(at), steps - 1)
-    shear = sway.shear[knot] + (at - knot) * (sway.shear[knot + 1] - sway.shear[knot])
+    assert sway.curve.shape[1] == 2
+    top_m = top_at_m(sway, t_ns)
     transforms = window.world_T_shape.copy()
+    shear = top_m / sway.height_m[:, None]
     transforms[sway.placement] = shear_placements(transforms[sway.placement], sway.foot_z_m, shear)
     return replace(window, world_T_shape=transforms, sway=None)
+
+
+def top_at_m(sway, t_ns):
+    """Movement (m, 2) of the tops at a time, or at the first or last knot where that is outside."""
+    steps = len(sway.top_m) - 1
+    at = min(max((t_ns - sway.start_ns) / sway.step_ns, 0.0), float(steps))
+    knot = min(int(at), steps - 1)
+    return sway.top_m[knot] + (at - knot) * (sway.top_m[knot + 1] - sway.top_m[knot])
 
 
 def flatten(window, shape):

@@ -12,10 +12,10 @@ from raycast.reference import ReferenceScene, frozen
 
 from vlp16emu.foliage import far
 from vlp16emu.foliage.far import STRAY_M, FarCaster, within_reach
-from vlp16emu.raycast.build import _SHARPEST, _WIDER_M, widen
+from vlp16emu.raycast.build import _SHARPEST, _WIDER_M, motion_of, widen
 from vlp16emu.raycast.packet import LEVEL
 from vlp16emu.raycast.pieces import faces_of, split_into_pieces
-from vlp16emu.types import SURFACE, Mesh, Sway, Window
+from vlp16emu.types import SURFACE, Mesh, Window
 
 
 def triangles(n, *, sharp=1.0):
@@ -141,12 +141,13 @@ def test_no_piece_that_light_may_meet_is_left_out(moves):
     track_m = window.origin_m + rng.uniform(-1, 1, (20, 3)).cumsum(axis=0)
     if moves:
         shear = rng.uniform(-3, 3, (3, n, 2))
-        window = replace(window, sway=Sway(0, 1000, np.arange(n), window.world_T_shape[:, 2, 3] - 2.0, shear))
+        foot_z_m = window.world_T_shape[:, 2, 3] - 8.0
+        window = replace(window, sway=lab.straight(0, 1000, np.arange(n), foot_z_m, shear))
     low_m = rng.uniform(-1, 0, (n, 3))
     boxes_m = np.stack([low_m, low_m + rng.uniform(0, 2, (n, 3))], axis=1)
-    met, level = within_reach(
-        SimpleNamespace(window=window, placement=np.arange(n), boxes_m=boxes_m), track_m, reach_m
-    )
+    motion = motion_of(window, np.arange(n), boxes_m)
+    pieces = SimpleNamespace(window=window, placement=np.arange(n), boxes_m=boxes_m, motion=motion)
+    met, level = within_reach(pieces, track_m, reach_m)
     assert 0.05 < level.mean() < met.mean() - 0.05 < 0.9
     stray_m = rng.normal(size=(200, 3))
     stray_m *= STRAY_M * rng.uniform(0, 1, (200, 1)) / np.linalg.norm(stray_m, axis=1)[:, None]

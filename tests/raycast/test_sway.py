@@ -1,6 +1,7 @@
 """What moves: instances at the time of each pulse, against the slow twin and against themselves."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -8,19 +9,19 @@ from raycast import lab
 from raycast.reference import ReferenceScene, frozen
 
 from vlp16emu.errors import RunError
-from vlp16emu.types import Sway
+from vlp16emu.types import SURFACE, Sway, Window
 
 STEP_NS = 100_000  # so short that a test's few pulses see several knots
 
 
-def swaying(*, knots=40, lean=0.3, seed=3):
+def swaying(*, knots=40, lean=0.1, seed=3):
     """Window of soups of which two of three move, and the span of its pulses."""
     window, firings = lab.placed(30), lab.pulses(64)
     moving = np.flatnonzero(np.arange(30) % 3)
     shear = np.random.default_rng(seed).uniform(-lean, lean, (knots, len(moving), 2))
-    foot_z_m = window.world_T_shape[moving, 2, 3] - 2.0
+    foot_z_m = window.world_T_shape[moving, 2, 3] - 8.0
     start_ns = int(firings.t_ns.min()) - STEP_NS // 3
-    return replace(window, sway=Sway(start_ns, STEP_NS, moving, foot_z_m, shear)), firings
+    return replace(window, sway=lab.straight(start_ns, STEP_NS, moving, foot_z_m, shear)), firings
 
 
 def assert_meet_alike(ours, other):
@@ -66,7 +67,7 @@ def test_a_shear_moves_points_level_by_their_height_over_the_foot():
     still = lab.placed(1)
     foot_z_m = float(lab.UTM_M[2]) - 4.0
     shear = np.array([[[0.0, 0.0]], [[0.4, -0.2]]])
-    sway = Sway(1000, 100, np.zeros(1, np.int64), np.array([foot_z_m]), shear)
+    sway = lab.straight(1000, 100, np.zeros(1, np.int64), np.array([foot_z_m]), shear)
     moved = frozen(replace(still, sway=sway), 1050)
     to_shape = np.linalg.inv(still.world_T_shape[0, :, :3])
     for over_foot_m in (0.0, 5.0):
@@ -74,6 +75,36 @@ def test_a_shear_moves_points_level_by_their_height_over_the_foot():
         own = to_shape @ (point_m - still.world_T_shape[0, :, 3])
         went_m = moved.world_T_shape[0, :, :3] @ own + moved.world_T_shape[0, :, 3] - point_m
         assert went_m == pytest.approx(np.array([0.2, -0.1, 0.0]) * over_foot_m, abs=1e-9)
+
+
+def test_pieces_move_as_chords_of_the_curve(workers):
+    """A mast of straight pipes on each other, bent as a cylinder under an even load (the closed form of its
+    beam): a level ray meets each height where the form has it, less the chord's own error."""
+    edges_m = np.linspace(0.0, 16.0, 33)
+    share = np.arange(101) / 100
+    curve = (share**4 - 4 * share**3 + 6 * share**2) / 3
+    shapes = [lab.upright((0.0, -5.0, 5.0, low, high))[1](0) for low, high in pairwise(edges_m)]
+    count = len(shapes)
+    window = Window(
+        np.zeros(3),
+        tuple(range(count)),
+        np.arange(count, dtype="i4"),
+        np.repeat(np.eye(3, 4)[None], count, axis=0),
+        np.arange(count, dtype="u4"),
+        np.zeros(count, SURFACE),
+    )
+    moves = np.arange(count), np.zeros(count), np.full(count, 16.0), np.tile(curve, (count, 1))
+    window = replace(window, sway=Sway(0, 100, *moves, np.tile([[[0.0, 0.0]], [[2.0, 0.5]]], (1, count, 1))))
+    heights_m = np.linspace(0.02, 15.98, 64)
+    origin_m = np.column_stack([np.full(64, -8.0), np.zeros(64), heights_m])
+    firings = replace(lab.rays(origin_m, np.tile([1.0, 0.0, 0.0], (64, 1))), t_ns=np.full((64, 1), 50))
+    hits = lab.opened(workers, window, lambda key: shapes[key]).cast(firings, np.zeros(1), 60.0)
+    moved_m = hits.range_m - 8.0
+    x = heights_m / 16.0
+    form_m = (x**4 - 4 * x**3 + 6 * x**2) / 3  # half of the movement of 2 m
+    sharpest = 4.0 / 16.0**2
+    assert np.abs(moved_m - form_m).max() < sharpest * 0.5**2 / 8 + 1e-4
+    assert moved_m[-1] > 0.98
 
 
 def test_more_knots_than_embree_takes_are_refused(workers):

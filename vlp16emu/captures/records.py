@@ -125,6 +125,7 @@ class _Records:
         self._window = window
         self._struct = struct.Struct(self.order + form)
         self.size = self._struct.size
+        self.count = 0  # records read
 
     def head(self, ahead: int = 0) -> _Head | None:
         """Return a record's header; None if the file ends before or within it."""
@@ -152,10 +153,10 @@ class _Records:
 
     def sound_frames(
         self, again: bytes, link_type: int, check_bytes: int, near_s: int
-    ) -> Generator[Frame, None, tuple[int, int]]:
+    ) -> Generator[Frame, None, int]:
         """Yield the frames of sound records in memory, each followed by a sound record; move the window.
 
-        Nearly all frames of a capture are read here. Returns their number, and the seconds of the last one.
+        Nearly all frames of a capture are read here. Returns the seconds of the last one.
 
         Parameters
         ----------
@@ -166,7 +167,6 @@ class _Records:
         last = len(held) - self.size
         most_units = S_NS // self.unit_ns
         at = begin
-        count = 0
         while at <= last and not held.startswith(again, at):
             seconds, fraction, captured, wire = unpack_from(held, at)
             following = at + self.size + captured
@@ -181,9 +181,9 @@ class _Records:
             yield Frame(stamp_ns, link_type, wire, held[at + self.size : following][:wire])
             near_s = seconds
             at = following
-            count += 1
+            self.count += 1
         self._window.skip(at - begin)
-        return count, near_s
+        return near_s
 
     def goes_on(self, ahead: int, near_s: int | None, again: bytes) -> bool:
         """Return whether there is a record or the end of the file at a place.
@@ -231,7 +231,6 @@ def pcap_frames(path: Path, file: Any) -> Frames:
     link_type = 0
     check_bytes = 0
     near_s: int | None = None
-    number = 0
     while start := window.peek(_FILE_HEADER_BYTES):
         if start.startswith(again) and len(start) == _FILE_HEADER_BYTES:  # also of a file that is appended
             link_type, check_bytes = _link_of(struct.unpack_from(f"{records.order}I", start, 20)[0])
@@ -247,9 +246,9 @@ def pcap_frames(path: Path, file: Any) -> Frames:
             records.find(near_s)
             yield Damage(begin, window.at_bytes - begin)
             continue
-        number += 1
+        records.count += 1
         if head.fraction * records.unit_ns >= S_NS:
-            raise _nanoseconds(path, number, head, records.order)
+            raise _nanoseconds(path, records.count, head, records.order)
         near_s = head.seconds
         size = records.size + head.captured
         content = window.peek(head.captured, records.size)
@@ -260,8 +259,7 @@ def pcap_frames(path: Path, file: Any) -> Frames:
         if is_complete and records.goes_on(size, near_s, again):
             window.skip(size)
             yield frame
-            count, near_s = yield from records.sound_frames(again, link_type, check_bytes, near_s)
-            number += count
+            near_s = yield from records.sound_frames(again, link_type, check_bytes, near_s)
             continue
         window.skip(1)
         if not records.find(near_s) and not is_complete:

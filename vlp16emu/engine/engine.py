@@ -10,7 +10,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from itertools import chain
 from threading import Event
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -20,7 +20,6 @@ from vlp16emu.engine.build import Parts, Unit, assemble, with_events
 from vlp16emu.engine.timeline import Packer, Stretch, TruthOf
 from vlp16emu.engine.windows import Batching, OwnWindows, Windows, in_order, windows_of
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.motion.gnss import Receiver
 from vlp16emu.packets import STAMP_LEAD_NS, first_position_packet, pack_position, position_due_ns
 from vlp16emu.raycast.caster import Geometry, sky_cover
 from vlp16emu.raycast.texture import add_texture
@@ -30,6 +29,9 @@ from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.settings import require_packets
 from vlp16emu.types import F8, Firings, Hits, Packet, PacketKind, Returns
 from vlp16emu.units import S_NS, seconds_to_ns
+
+if TYPE_CHECKING:
+    from vlp16emu.motion.gnss import Receiver
 
 _AT_ONCE = 128  # position packets whose times are computed at once: one second
 _LONGEST_S = 14 * 86_400
@@ -93,7 +95,7 @@ class Engine:
     parts: Parts
     batching: Batching
     windows: Windows[Geometry]
-    receiver: Receiver
+    receiver: "Receiver | None"  # None if none is connected
     threads: int  # Workers; they change the speed only
     taps: tuple[Tap, ...] = ()
     prompt: bool = False
@@ -114,7 +116,7 @@ class Engine:
         threads = threads or usable_cores()
         batching = Batching.of(parts.head.beams)
         windows = windows_of(parts, scenario.start_ns, batching, threads)
-        receiver = make_receiver(scenario, parts, windows)
+        receiver = make_receiver(scenario, parts, windows) if scenario.gps.connected else None
         return cls(scenario, parts, batching, windows, receiver, threads, tuple(taps))
 
     def packets(self, start_s: float = 0.0, stop_s: float | None = None) -> Iterator[Packet]:
@@ -158,7 +160,8 @@ class Engine:
         It shares world and windows; other runs go on.
         """
         windows = self.windows.stopped_by(stop)
-        return replace(self, windows=windows, receiver=make_receiver(self.scenario, self.parts, windows))
+        receiver = self.receiver and make_receiver(self.scenario, self.parts, windows)
+        return replace(self, windows=windows, receiver=receiver)
 
     def with_events(self, events: Sequence[object]) -> Self:
         """Return an engine with other sensor events in place of the scene's."""
@@ -230,8 +233,10 @@ class Engine:
         return scan(job, opened.result(), self.taps)
 
 
-def make_receiver(scenario: Scenario, parts: Parts, windows: Windows[Geometry]) -> Receiver:
+def make_receiver(scenario: Scenario, parts: Parts, windows: Windows[Geometry]) -> "Receiver":
     """Make the GPS receiver, whose view of the sky comes from the windows of the run."""
+    from vlp16emu.motion.gnss import Receiver  # here: sensors without one do without
+
     gps = scenario.gps
     start_ns = scenario.start_ns
     far_m = scenario.sensor.max_range_m
@@ -283,7 +288,7 @@ def positions_due(scenario: Scenario, unit: Unit, start_ns: int, stop_ns: int) -
 
 
 def position_packets(
-    scenario: Scenario, receiver: Receiver, unit: Unit, start_ns: int, stop_ns: int
+    scenario: Scenario, receiver: "Receiver | None", unit: Unit, start_ns: int, stop_ns: int
 ) -> Iterator[Packet]:
     """Yield the position packets of a unit due in a span since the first pulse."""
     gps = unit.state.gps
@@ -294,7 +299,9 @@ def position_packets(
         second_ns = gps.second_ns(stamp_ns)
         if second_ns != named_ns:
             named_ns = second_ns
-            sentence = b"" if second_ns is None else gps.sentence(receiver.fix(second_ns), unit.seed)
+            sentence = b""
+            if receiver is not None and second_ns is not None:
+                sentence = gps.sentence(receiver.fix(second_ns), unit.seed)
         clock_ns = int(unit.head.clock.reading_ns(np.array([stamp_ns]))[0])
         payload = pack_position(clock_ns, gps.pps.at(stamp_ns), sentence)
         yield Packet(PacketKind.POSITION, due_ns, payload, unit.number, number=number)

@@ -9,12 +9,11 @@ import threading
 from collections.abc import Iterable, Mapping
 from concurrent.futures import Executor
 from copy import copy
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.elementary import hypot, matvec, norm
+from vlp16emu.elementary import hypot, norm
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.cloud import Cloud, Library, cloud_of
 from vlp16emu.foliage.lanes import Ground, Medium, Stems, empty_lanes
@@ -24,7 +23,7 @@ from vlp16emu.foliage.polyline import distance_m
 from vlp16emu.foliage.stems import room_for_stems, stem_lines, stems_of
 from vlp16emu.foliage.tiles import STEM, FarTile, TiledWindow, TiledWorld
 from vlp16emu.foliage.voxel import BRICK, COLUMNS, FINER, KNOTS, QUANTILES, VOXEL_M
-from vlp16emu.raycast.build import Instances
+from vlp16emu.raycast.build import Instances, placed_boxes
 from vlp16emu.raycast.near import EmbreeCaster, EmbreeGeometry, target_of
 from vlp16emu.raycast.packet import LEVEL, Target
 from vlp16emu.store import recall
@@ -131,18 +130,14 @@ def within_reach(
     """Return masks (n,), (n,) of the pieces in reach of positions (t, 3): by any ray, and by level rays."""
     window = instances.window
     placement = instances.placement
-    world_T_shape = window.world_T_shape[placement]
-    half_m = np.diff(instances.boxes_m, axis=1)[:, 0] / 2
-    at_m = matvec(world_T_shape[..., :3], instances.boxes_m[:, 0] + half_m) + world_T_shape[..., 3]
-    half_m = matvec(np.abs(world_T_shape[..., :3]), half_m)
+    at_m, half_m = placed_boxes(window.world_T_shape[placement], instances.boxes_m)
     low_m, high_m = at_m[:, 2] - half_m[:, 2], at_m[:, 2] + half_m[:, 2]
     aside_m = hypot(half_m[:, 0], half_m[:, 1])
-    if (sway := window.sway) is not None:
-        lean, foot_z_m = np.zeros((2, len(window.shape)))
-        lean[sway.placement] = hypot(sway.shear[..., 0], sway.shear[..., 1]).max(axis=0)
-        foot_z_m[sway.placement] = sway.foot_z_m
-        foot_z_m = foot_z_m[placement]
-        aside_m += lean[placement] * np.maximum(np.abs(low_m - foot_z_m), np.abs(high_m - foot_z_m))
+    motion = instances.motion
+    if motion.span_ns:
+        shear = hypot(motion.shear[..., 0], motion.shear[..., 1]).max(axis=0)
+        foot_z_m = motion.foot_m + window.origin_m[2]
+        aside_m += shear * np.maximum(np.abs(low_m - foot_z_m), np.abs(high_m - foot_z_m))
     level_m = np.maximum(distance_m(at_m[:, :2], track_m[:, :2]) - aside_m, 0.0)
     sensors_m = track_m[:, 2]
     rise_m = np.maximum(np.maximum(low_m - sensors_m.max(), sensors_m.min() - high_m), 0.0)
@@ -201,7 +196,7 @@ class FarCaster(EmbreeCaster):
             at_m[place] += _TILE_M / 2
             radius_m[place] = norm(ends_m).max() + STRAY_M
         track_m = window.track_m[:, :2]
-        reach_m = self._tiled.near_m + STRAY_M + radius_m
+        reach_m = self._tiled.near_m + STRAY_M + radius_m + _aside_m(window)
         low_m, high_m = track_m.min(axis=0), track_m.max(axis=0)
         few = np.flatnonzero((np.maximum(low_m - at_m, at_m - high_m) <= reach_m[:, None]).all(axis=1))
         near = np.zeros(len(at_m), np.bool_)
@@ -302,15 +297,20 @@ class FarCaster(EmbreeCaster):
         part = _part(window, kept)
         radius_m = np.array([mesh.radius_m for mesh in self._await_shapes(part, self._start_shapes(part))])
         reach_m = self._tiled.near_m + STRAY_M + stretch_of(part.world_T_shape) * radius_m[part.shape]
+        reach_m += _aside_m(part)
         return distance_m(part.world_T_shape[:, :2, 3], window.track_m[:, :2]) <= reach_m
+
+
+def _aside_m(window: Window) -> F8:
+    """Return the greatest movement (n,) of the placements of a window at their tops."""
+    aside_m = np.zeros(len(window.shape))
+    if (sway := window.sway) is not None:
+        aside_m[sway.placement] = hypot(sway.top_m[..., 0], sway.top_m[..., 1]).max(axis=0)
+    return aside_m
 
 
 def _part(window: Window, keep: NDArray[np.bool_]) -> Window:
     used, shape = np.unique(window.shape[keep], return_inverse=True)
-    if (sway := window.sway) is not None:
-        moves = keep[sway.placement]
-        placement = (np.cumsum(keep) - 1)[sway.placement[moves]]
-        sway = replace(sway, placement=placement, foot_z_m=sway.foot_z_m[moves], shear=sway.shear[:, moves])
     return Window(
         origin_m=window.origin_m,
         shapes=tuple(window.shapes[number] for number in used.tolist()),
@@ -318,7 +318,7 @@ def _part(window: Window, keep: NDArray[np.bool_]) -> Window:
         world_T_shape=window.world_T_shape[keep],
         first_surface=window.first_surface[keep],
         surfaces=window.surfaces,
-        sway=sway,
+        sway=window.sway and window.sway.of_part(keep),
     )
 
 

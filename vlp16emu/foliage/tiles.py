@@ -56,7 +56,9 @@ class TiledWindow(Window):
     tiles: tuple[tuple[int, int, int], ...]
     """Squares (ix, iy) whose far medium `TiledWorld.far_tile` makes, and their first rows in `surfaces`."""
     far: NDArray[np.bool_]  # (n,) mask of the placements that `tiles` represent
-    low: NDArray[np.bool_]  # (n,) mask of the others so low that far light meets the ground instead
+    low: NDArray[np.bool_]
+    """(n,) mask of the others that near light alone meets: so low that far light meets the ground instead, or
+    loose stems, which the far medium has at rest."""
 
     def with_more(self, count: int) -> Tree:
         """Return the fields of the window for `count` more placements that are exact at any range."""

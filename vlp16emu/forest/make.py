@@ -18,10 +18,9 @@ from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.given_stand import GivenStand, stems_in_the_way
 from vlp16emu.forest.stand.points import Land
 from vlp16emu.forest.stand.stand import Stand
-from vlp16emu.forest.stand.wind import TreeSway
 from vlp16emu.inputs import LARGEST_BYTES, read_bytes
 from vlp16emu.settings import Section
-from vlp16emu.types import F8, World
+from vlp16emu.types import F8, MovingTrees, World
 
 
 class ForestSite:
@@ -70,7 +69,7 @@ class ForestSite:
 
     def world(
         self, path_xy_m: F8, *, reach_m: float, farthest_m: float, wind: Section | None, start_ns: int
-    ) -> tuple[World, TreeSway | None]:
+    ) -> tuple[World, MovingTrees | None]:
         """Return the forest and the sway of its trees; parameters and errors as in `Site`."""
         section = self._section
         ground = self._ground
@@ -80,7 +79,6 @@ class ForestSite:
         if isinstance(section, Forest) and path.clearance_m >= reach_m:
             expected = f"less than the {reach_m:.0f} m that are seen, where it leaves no tree"
             raise GeometryError("world.path_clearance_m", f"found {path.clearance_m:g}", expected)
-        blows = wind if isinstance(wind, Wind) and wind.speed_m_s > 0 else None
         trails = ground.trails if isinstance(ground, TerrainHeights) else None
         land = Land(self._seed, self.height_m, path, flora(section.species_file), trails)
         stems: Stand | GivenStand
@@ -95,23 +93,26 @@ class ForestSite:
             stems,
             land,
             reach_m=reach_m,
-            loose_stems=blows is not None,
             # A sensor whose range ends within `near_m` meets no medium, so none is made.
             near_m=section.near_m if section.near_m < farthest_m else math.inf,
-            name=_cache_name(section, self._seed, path, reach_m, loose_stems=blows is not None),
+            name=_cache_name(section, self._seed, path, reach_m),
             plants_name=_content(section.species_file),
         )
-        sway = None if blows is None else TreeSway(blows, forest=bare, start_ns=start_ns)
+        sway = None
+        if isinstance(wind, Wind) and wind.speed_m_s > 0:
+            from vlp16emu.forest.stand.wind import TreeSway  # here: still forests do without
+
+            sway = TreeSway(wind, forest=bare, start_ns=start_ns)
         return section.with_meshes(bare, path_xy_m, reach_m), sway
 
 
-def _cache_name(section: Woods, seed: int, path: Corridor, reach_m: float, *, loose_stems: bool) -> str:
+def _cache_name(section: Woods, seed: int, path: Corridor, reach_m: float) -> str:
     stem_list = section.stem_list if isinstance(section, Plot) else None
     dem_file = section.dem.file if section.dem else None
     files = section.species_file, dem_file, stem_list, *(model.file for model in section.tree_models)
     settings = section.model_dump_json(exclude={"meshes", "near_m", "seed"})
     path_digest = hashlib.sha256(path.xy_m.tobytes()).hexdigest()
-    return _digest(settings, str(seed), f"{reach_m!r} {loose_stems}", *map(_content, files), path_digest)
+    return _digest(settings, str(seed), f"{reach_m!r}", *map(_content, files), path_digest)
 
 
 def _digest(*parts: str) -> str:

@@ -448,9 +448,9 @@ class Wind(Section):
     """Wind through a stand; without this table, and at a speed of 0, the air is still and costs nothing."""
 
     speed_m_s: Annotated[float, Field(ge=0, le=12)]
-    """Mean speed at the top of the canopy, roughly half the speed in the open. Trees respond linearly, even
-    if real trees would break or lean on their neighbours: from about 8 m/s on, thin trees of dense stands
-    lean too far."""
+    """Mean speed at the top of the canopy, roughly half the speed in the open. Trees respond linearly and do
+    not break; neighbours hold their tops within half the width of a crown. Trees beyond `world.near_m` stand
+    still."""
     towards_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
     """Direction towards which it blows, counter-clockwise from east."""
     turbulence_intensity: Annotated[float, Field(ge=0, le=1)] = 0.55

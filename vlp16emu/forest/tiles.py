@@ -157,6 +157,14 @@ class TileKey:
     iy: int
 
 
+@dataclass(frozen=True, slots=True)
+class GroundKey:
+    """Key of the shape of a tile's ground without its stems."""
+
+    ix: int
+    iy: int
+
+
 def tiles_within(line_xy_m: F8, reach_m: float) -> I8:
     """Return tiles (n, 2) that may be partly within `reach_m` of a polyline (m, 2).
 
@@ -191,7 +199,7 @@ def tile_origin_m(ix: int, iy: int, height_m: HeightField) -> F8:
     return np.array([x, y, np.round(middle[0])])
 
 
-def ground_mesh(key: TileKey, height_m: HeightField) -> Mesh:
+def ground_mesh(key: TileKey | GroundKey, height_m: HeightField) -> Mesh:
     """Triangles of a tile's ground in the tile's frame, with a skirt that hides seams."""
     points_m, faces = ground_triangles((key.ix * TILE_M, key.iy * TILE_M), TILE_M, height_m)
     points_m -= tile_origin_m(key.ix, key.iy, height_m)

@@ -12,6 +12,7 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import matvec
 from vlp16emu.errors import RunError
 from vlp16emu.kernels.compiler import array_kernel, inline_kernel
 from vlp16emu.raycast import embree as rtc
@@ -28,12 +29,12 @@ class Shape(NamedTuple):
     radius_m: float  # greatest distance of a corner from the shape's origin
 
 
-def shape_of(meshes: Sequence[Mesh]) -> Shape:
-    """Group the triangles of a shape's meshes into pieces."""
+def shape_of(meshes: Sequence[Mesh], *, bends: bool = False) -> Shape:
+    """Group the triangles of a shape's meshes into pieces; those of a shape that bends are always low."""
     square_m2 = 0.0
     for x_m, y_m, z_m in (mesh.vertices_m.T for mesh in meshes):
         square_m2 = max(square_m2, float((x_m * x_m + y_m * y_m + z_m * z_m).max(initial=0.0)))
-    return Shape(*split_into_pieces([faces_of(mesh) for mesh in meshes]), math.sqrt(square_m2))
+    return Shape(*split_into_pieces([faces_of(mesh) for mesh in meshes], bends=bends), math.sqrt(square_m2))
 
 
 _WIDER_M = 2.0**-10
@@ -170,6 +171,13 @@ def inverses(transforms: F8) -> F8:
     return out
 
 
+def placed_boxes(world_T_shape: F8, boxes_m: F8) -> tuple[F8, F8]:
+    """Return middles and half sizes (n, 3), (n, 3) in the world of boxes (n, 2, 3) of placed shapes."""
+    half_m = np.diff(boxes_m, axis=1)[:, 0] / 2
+    middle_m = matvec(world_T_shape[..., :3], boxes_m[:, 0] + half_m) + world_T_shape[..., 3]
+    return middle_m, matvec(np.abs(world_T_shape[..., :3]), half_m)
+
+
 def shear_placements(world_T_shape: F8, foot_z_m: F8, shear: F8) -> F8:
     """Shear placements (m, 3, 4) by `shear` (..., m, 2) per metre over a foot (m,): (..., m, 3, 4)."""
     over_foot = world_T_shape[:, 2].copy()
@@ -204,11 +212,11 @@ class Instances:
         self.window = window
         self.meshes = meshes
         self._workers = workers
-        self.motion, self._moving = motion_of(window)
         counts = np.array([len(mesh.boxes_m) for mesh in meshes], np.int64)
         self.placement = np.repeat(np.arange(len(meshes)), counts)  # (n,) placement of each piece
         self.boxes_m = np.concatenate([np.zeros((0, 2, 3)), *(mesh.boxes_m for mesh in meshes)])
         """Boxes (n, 2, 3) of pieces, in coordinates of the shape."""
+        self.motion = motion_of(window, self.placement, self.boxes_m)
         self.buffers, self.row = _buffers(meshes, counts)
         """Buffers (b, 2) as in `EmbreeMesh`, and the first row (n,) of each piece."""
         self._pieces = [
@@ -230,14 +238,15 @@ class Instances:
         device = rtc.device()
         scene, release = _new_scene(self)
         transforms = relative_to_window(self.window).astype(np.float32)
+        moving = self._moving(kept)
         first = transforms.ctypes.data
         for number in numbers:
             mesh, piece = self._pieces[number]
             at = int(self.placement[number])
             geometry = lib.rtcNewGeometry(device, rtc.GEOMETRY_INSTANCE)
             lib.rtcSetGeometryInstancedScene(geometry, mesh.scene(piece))
-            if at in self._moving:
-                _set_steps(geometry, self._moving[at])
+            if number in moving:
+                _set_steps(geometry, moving[number])
             else:
                 lib.rtcSetGeometryTransform(geometry, 0, rtc.FORMAT_FLOAT3X4_ROW_MAJOR, first + at * 48)
             lib.rtcCommitGeometry(geometry)
@@ -250,6 +259,18 @@ class Instances:
             release()
             raise
         return scene
+
+    def _moving(self, kept: NDArray[np.bool_]) -> dict[int, F4]:
+        """Return window_T_shape (k, 3, 4) at all knots of each selected piece that moves."""
+        motion = self.motion
+        numbers = np.flatnonzero(kept & (motion.shear != 0.0).any(axis=(0, 2)))
+        if not len(numbers):
+            return {}
+        still = relative_to_window(self.window)[self.placement[numbers]]
+        shear = motion.shear[:, numbers].astype(np.float64)
+        moved = shear_placements(still, motion.foot_m[numbers], shear)
+        by_piece = np.ascontiguousarray(moved.swapaxes(0, 1), np.float32)
+        return dict(zip(numbers.tolist(), by_piece, strict=True))
 
 
 def _buffers(meshes: Sequence[EmbreeMesh], counts: I8) -> tuple[U8, I8]:
@@ -278,12 +299,12 @@ _set_transform = types.ExternalFunction(
 
 
 class InstanceMotion(NamedTuple):
-    """Motion of the instances of a scene."""
+    """Motion of the instances of a scene: each is sheared by its height over a foot."""
 
     start_ns: int  # UTC of the first knot
     span_ns: int  # time from the first knot to the last; 0 if nothing moves
-    shear: F4  # (k, n, 2) as in `Sway`, for all placements; no knots if nothing moves
-    foot_m: F8  # (n,) height in the window at which a placement does not move; empty if nothing moves
+    shear: F4  # (k, n, 2) metres towards x and y per metre over the foot; no knots if nothing moves
+    foot_m: F8  # (n,) height in the window at which an instance does not move; empty if nothing moves
 
     def times(self, t_ns: I8) -> F4:
         """Return ray times 0..1 at UTC instants of any shape, clipped to the span."""
@@ -292,29 +313,41 @@ class InstanceMotion(NamedTuple):
         return np.clip((t_ns - self.start_ns) / self.span_ns, 0.0, 1.0).astype(np.float32)
 
 
-def motion_of(window: Window) -> tuple[InstanceMotion, dict[int, F4]]:
-    """Return the motion of a window's placements.
+_LEAST_M = 1e-3  # height that a flat piece is given for its chord
 
-    Returns
-    -------
-    The motion, and window_T_shape (k, 3, 4) at all knots of each moving placement
+
+def motion_of(window: Window, placement: I8, boxes_m: F8) -> InstanceMotion:
+    """Return the motion of pieces (n,) with boxes (n, 2, 3) in the coordinates of their placements.
+
+    A piece moves as the chord of its placement's curve over the height of its box: a shear about the height
+    at which the chord meets the axis at rest. The chord is off by up to the curvature times the square of the
+    height over 8, and pieces that touch part by twice that: slabs of a crown by some 3 mm per metre of the
+    top's movement.
 
     Raises RunError if a window lasts too long for Embree.
     """
+    n = len(placement)
     if (sway := window.sway) is None:
-        return InstanceMotion(0, 0, np.empty((0, len(window.shape), 2), np.float32), np.empty(0)), {}
-    if len(sway.shear) > _MOST_KNOTS:
-        raise RunError(f"wind: found {len(sway.shear)} knots in a window, Embree takes {_MOST_KNOTS}")
-    shear = np.zeros((len(sway.shear), len(window.shape), 2), np.float32)
-    shear[:, sway.placement] = sway.shear
-    transforms = shear_placements(window.world_T_shape[sway.placement], sway.foot_z_m, sway.shear)
-    transforms[..., 3] -= window.origin_m
-    by_instance = np.ascontiguousarray(transforms.swapaxes(0, 1), np.float32)
-    span_ns = sway.step_ns * (len(sway.shear) - 1)
-    moving = dict(zip(sway.placement.tolist(), by_instance, strict=True))
-    foot_m = np.zeros(len(window.shape))
-    foot_m[sway.placement] = sway.foot_z_m - window.origin_m[2]
-    return InstanceMotion(sway.start_ns, span_ns, shear, foot_m), moving
+        return InstanceMotion(0, 0, np.empty((0, n, 2), np.float32), np.empty(0))
+    knots = len(sway.top_m)
+    if knots > _MOST_KNOTS:
+        raise RunError(f"wind: found {knots} knots in a window, Embree takes {_MOST_KNOTS}")
+    row_of = np.full(len(window.shape), -1)
+    row_of[sway.placement] = np.arange(len(sway.placement))
+    row = row_of[placement]
+    moves = np.flatnonzero(row >= 0)
+    row = row[moves]
+    middle_m, half_m = placed_boxes(window.world_T_shape[placement[moves]], boxes_m[moves])
+    half_z_m = np.maximum(half_m[:, 2], _LEAST_M / 2)
+    low_m = middle_m[:, 2] - half_z_m
+    low_share = sway.shares(row, low_m)
+    slope = (sway.shares(row, middle_m[:, 2] + half_z_m) - low_share) / (2.0 * half_z_m)
+    shear = np.zeros((knots, n, 2), np.float32)
+    shear[:, moves] = sway.top_m[:, row] * slope[:, None]
+    foot_m = np.zeros(n)
+    over_m = np.divide(low_share, slope, out=np.zeros(len(row)), where=slope > 0)
+    foot_m[moves] = low_m - over_m - window.origin_m[2]
+    return InstanceMotion(sway.start_ns, sway.step_ns * (knots - 1), shear, foot_m)
 
 
 @array_kernel

@@ -124,8 +124,8 @@ def target_of(instances: Instances, kept: NDArray[np.bool_] | None = None) -> Ta
         inverses(relative_to_window(window))[placement],
         instances.row,
         instances.buffers,
-        np.ascontiguousarray(motion.shear[:, placement]),
-        motion.foot_m[placement] if motion.span_ns else motion.foot_m,
+        motion.shear,
+        motion.foot_m,
         np.ascontiguousarray(window.surfaces["reflectance"]),
     )
 
@@ -134,6 +134,9 @@ def _by_sectors(azimuth_deg: F8) -> I8:
     """Return starts of packets (k / 8,) by sector: all revolutions pass one sector before the next."""
     sector = (azimuth_deg[::PACKET, 0] / _SECTOR_DEG).astype(np.int64)
     return np.argsort(sector, kind="stable") * PACKET
+
+
+_SolidKey = tuple[ShapeKey, bool]
 
 
 class EmbreeCaster:
@@ -148,7 +151,7 @@ class EmbreeCaster:
     def __init__(self, world: World, workers: Executor) -> None:
         self._world = world
         self._workers = workers
-        self._solids: weakref.WeakValueDictionary[ShapeKey, EmbreeMesh] = weakref.WeakValueDictionary()
+        self._solids: weakref.WeakValueDictionary[_SolidKey, EmbreeMesh] = weakref.WeakValueDictionary()
         self._lock = threading.Lock()
 
     def open(self, window: Window) -> EmbreeGeometry:
@@ -168,21 +171,31 @@ class EmbreeCaster:
     def _start_shapes(self, window: Window) -> list[EmbreeMesh | Future[EmbreeMesh]]:
         """Return the shapes of a window in order, or futures of new shapes."""
         return [
-            self._solids.get(key) or self._workers.submit(self._build_shape, key) for key in window.shapes
+            self._solids.get(key) or self._workers.submit(self._build_shape, *key)
+            for key in _solid_keys(window)
         ]
 
     def _await_shapes(
         self, window: Window, started: Sequence[EmbreeMesh | Future[EmbreeMesh]]
     ) -> list[EmbreeMesh]:
         meshes = [mesh.result() if isinstance(mesh, Future) else mesh for mesh in started]
-        self._solids.update(zip(window.shapes, meshes, strict=True))
+        self._solids.update(zip(_solid_keys(window), meshes, strict=True))
         return meshes
 
     def _instances(self, window: Window, started: Sequence[EmbreeMesh | Future[EmbreeMesh]]) -> Instances:
         meshes = self._await_shapes(window, started)
         return Instances(window, [meshes[shape] for shape in window.shape.tolist()], self._workers)
 
-    def _build_shape(self, key: ShapeKey) -> EmbreeMesh:
+    def _build_shape(self, key: ShapeKey, bends: bool) -> EmbreeMesh:
         name = self._world.shape_name(key)
         world = self._world
-        return EmbreeMesh(recall(name and f"faces {name}", lambda: shape_of(world.shape(key))))
+        kind = "slabs" if bends else "faces"
+        return EmbreeMesh(recall(name and f"{kind} {name}", lambda: shape_of(world.shape(key), bends=bends)))
+
+
+def _solid_keys(window: Window) -> list[_SolidKey]:
+    """Return the keys of the shapes of a window, with True for those that bend in it."""
+    bends = np.zeros(len(window.shapes), np.bool_)
+    if window.sway is not None:
+        bends[window.shape[window.sway.placement]] = True
+    return list(zip(window.shapes, bends.tolist(), strict=True))

@@ -64,7 +64,7 @@ class Target(NamedTuple):
     row: I8  # (n,) per instance: first row of `buffers` of its piece
     buffers: U8  # (b, 2) addresses of the corners of a mesh, and of its triangles in a piece
     shear: F4  # (knots, n, 2) per instance, as in `build.InstanceMotion`
-    foot_m: F8  # (n,) per instance: height in the window of its fixed foot; empty if nothing moves
+    foot_m: F8  # (n,) per instance, as in `build.InstanceMotion`
     reflectance: F4  # (m,) of the surfaces
 
 

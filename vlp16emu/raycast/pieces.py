@@ -3,6 +3,7 @@
 A ray is transformed into the coordinates of every instance whose box it passes, which is a large part of the
 cost, and the rays of a lidar are nearly level: the relevant size of a box is its area seen from the side. So
 stems are separate from the ground, and crowns are cut into horizontal slabs, each as wide as the crown there.
+What bends is always cut, as a piece moves straight.
 """
 
 from collections.abc import Sequence
@@ -30,12 +31,13 @@ def faces_of(mesh: Mesh) -> Faces:
     return np.ascontiguousarray(mesh.vertices_m), np.ascontiguousarray(triangles)  # read by their addresses
 
 
-def split_into_pieces(faces: Sequence[Faces]) -> tuple[tuple[Faces, ...], I8, F8]:
+def split_into_pieces(faces: Sequence[Faces], *, bends: bool = False) -> tuple[tuple[Faces, ...], I8, F8]:
     """Order the triangles of a shape by pieces.
 
     Parameters
     ----------
     faces : faces of each mesh
+    bends : whether slabs become pieces even if they do not pay
 
     Returns
     -------
@@ -46,7 +48,7 @@ def split_into_pieces(faces: Sequence[Faces]) -> tuple[tuple[Faces, ...], I8, F8
     counts = [np.zeros((1, len(faces)), np.int64)]
     boxes = [np.zeros((0, 2, 3))]
     for body in _bodies(faces):
-        slabs, around = _slabs([faces[mesh] for mesh in body])
+        slabs, around = _slabs([faces[mesh] for mesh in body], bends=bends)
         boxes.append(around)
         count = np.zeros((1 + max(int(slab.max()) for slab in slabs), len(faces)), np.int64)
         for mesh, slab in zip(body, slabs, strict=True):
@@ -76,7 +78,7 @@ def _bodies(faces: Sequence[Faces]) -> list[list[int]]:
     return bodies
 
 
-def _slabs(body: Sequence[Faces]) -> tuple[list[I8], F8]:
+def _slabs(body: Sequence[Faces], *, bends: bool) -> tuple[list[I8], F8]:
     """Return the slab (t,) of each triangle, all 0 if slabs do not pay, and the boxes of non-empty slabs."""
     low_m = min(float(vertices_m[:, 2].min()) for vertices_m, _ in body)
     high_m = max(float(vertices_m[:, 2].max()) for vertices_m, _ in body)
@@ -86,7 +88,7 @@ def _slabs(body: Sequence[Faces]) -> tuple[list[I8], F8]:
         _assign_to_slabs(vertices_m, triangles, low_m, slab, boxes)
     boxes = boxes[boxes[:, 1, 2] > -np.inf]
     around = np.array([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
-    if _side_m2(boxes).sum() > _WORTH * _side_m2(around):
+    if not bends and _side_m2(boxes).sum() > _WORTH * _side_m2(around):
         return [np.zeros_like(slab) for slab in slabs], around[None]
     return slabs, boxes
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.kernels.compiler import inline_kernel, kernel
 from vlp16emu.random import Purpose, box_muller, normal_pair, normal_pairs, uniform_pair
+from vlp16emu.returns.clutter import clutter_echo
 from vlp16emu.returns.detector import UnitDetector
 from vlp16emu.returns.echoes import (
     AMPLITUDE,
@@ -32,7 +33,6 @@ from vlp16emu.returns.noise import (
     with_heavy_tails,
 )
 from vlp16emu.returns.settings import DetectorConstants
-from vlp16emu.returns.weather import clutter_echo
 from vlp16emu.sensor.laws import law
 from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, I8, U1, U4, Firings, Hits, PlantPart, Returns, Semantic

@@ -17,7 +17,6 @@ from vlp16emu.returns.noise import (
     sent_codes,
 )
 from vlp16emu.returns.settings import Detector, DetectorConstants, LossRates, Noise, Weather
-from vlp16emu.returns.weather import air_reflectance, extinction_per_m
 from vlp16emu.sensor.laws import law, span
 from vlp16emu.types import F8, I8, U1, ReturnMode
 from vlp16emu.units import INCLUSIVE
@@ -79,7 +78,12 @@ class UnitDetector:
         factors = exp(noise.unit_spread * normal(seed, Purpose.UNIT_NOISE, 0, 2)).tolist()
         least_walk, most_walk = span("range.walk_mm")
         walk_mm = least_walk + (most_walk - least_walk) * float(uniform(seed, Purpose.UNIT_NOISE, 2, 1)[0])
-        air_per_m = extinction_per_m(weather.visibility_m, weather.rain_mm_h)
+        air_per_m = clutter = 0.0
+        if weather.summary:
+            from vlp16emu.returns.weather import air_reflectance, extinction_per_m  # here: not for clear air
+
+            air_per_m = extinction_per_m(weather.visibility_m, weather.rain_mm_h)
+            clutter = air_reflectance(air_per_m, sigma_m)
         constants = DetectorConstants(
             seed=seed,
             strongest_only=mode is ReturnMode.STRONGEST,
@@ -90,7 +94,7 @@ class UnitDetector:
             threshold=least if noise.weak_echoes_lost else 0.0,
             amplitude_noise=amplitude_noise if noise.weak_echoes_lost else 0.0,
             extinction_per_m=air_per_m,
-            clutter=air_reflectance(air_per_m, sigma_m),
+            clutter=clutter,
             least_clutter=least,
             range_noise_m=noise.range_noise_m * factors[0],
             reflectivity_noise=noise.reflectivity_noise * factors[1],

@@ -27,8 +27,8 @@ import numpy as np
 
 from vlp16emu.elementary import exp
 from vlp16emu.kernels.compiler import array_kernel, inline_kernel
+from vlp16emu.returns.clutter import clutter_echo
 from vlp16emu.returns.settings import DetectorConstants
-from vlp16emu.returns.weather import clutter_echo
 from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, NO_SURFACE, U2, U4
 

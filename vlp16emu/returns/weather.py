@@ -1,20 +1,14 @@
-"""Extinction and clutter of fog and rain."""
+"""Extinction and brightness of fog and rain."""
 
 import math
 
-from vlp16emu.elementary import log1p, power
-from vlp16emu.kernels.compiler import array_kernel
-from vlp16emu.random import Purpose, uniform_pair
-from vlp16emu.returns.settings import DetectorConstants
-from vlp16emu.types import F4
+from vlp16emu.elementary import power
 
 _LN10 = 2.302585092994046
 _WAVELENGTH_NM = 903.0  # data sheet of the VLP-16
 _LIDAR_RATIO_SR = 18.2
 """Extinction over backscatter of water droplets, near infrared (1.06 um): Pinnick et al., J. Geophys. Res.
 88, 1983. Assumption: the same for rain drops."""
-_NEAREST_M = 0.05  # least range of clutter: the light leaves the housing there, to a centimetre
-_WEATHER = int(Purpose.WEATHER)
 
 
 def fog_extinction_per_m(visibility_m: float) -> float:
@@ -57,24 +51,3 @@ def air_reflectance(extinction_per_m: float, sigma_m: float) -> float:
     times the pulse's equivalent length.
     """
     return math.pi * extinction_per_m / _LIDAR_RATIO_SR * math.sqrt(2.0 * math.pi) * sigma_m
-
-
-@array_kernel
-def clutter_echo(
-    constants: DetectorConstants, n: int, laser: int, start: int, stop: int, range_m: F4
-) -> tuple[float, float]:
-    """Return range and amplitude of the clutter echo of pulse (n, laser); the air must not be clear.
-
-    One echo per pulse: the air scatters at a range of exponential distribution, with the brightness of the
-    lidar equation times an exponential fluctuation for the random number of drops (assumption). The amplitude
-    is 0 below the threshold of the detector, and behind all hits of the sub-rays start .. stop - 1.
-    """
-    where, how_bright = uniform_pair(constants.seed, _WEATHER, n, laser)
-    air_m = max(-log1p(-where) / constants.extinction_per_m, _NEAREST_M)
-    passed = 1.0 - where  # exp(-extinction * range)
-    amplitude = -log1p(-how_bright) * constants.clutter * passed * passed / (air_m * air_m)
-    if amplitude >= constants.least_clutter:
-        for ray in range(start, stop):
-            if range_m[ray] > air_m:
-                return air_m, amplitude
-    return air_m, 0.0

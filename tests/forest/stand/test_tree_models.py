@@ -84,7 +84,7 @@ def models(path):
 
 def solids(models, trees):
     """All meshes of each tree, placed, by part."""
-    for placed in models.place(trees, is_exact=False):
+    for placed in models.place(trees):
         meshes = models.shape(placed.keys[0])
         for tree, transform in zip(placed.trees, placed.world_T_shape, strict=True):
             by_part = {}
@@ -155,7 +155,7 @@ def test_a_bough_within_the_stems_part_is_no_bole(tmp_path):
     together = np.concatenate([bole, bough]), np.concatenate([faces, more + len(bole)])
     file = write_obj(tmp_path / "oak.obj", {"crown": parts["crown"], "wood": together})
     models = TreeModels([section_of(file, parts=PARTS[:1])], flora())
-    (placed,) = models.place(some_trees(1), is_exact=False)
+    (placed,) = models.place(some_trees(1))
     assert placed.surfaces["part"].tolist() == [[PlantPart.LEAF, PlantPart.STEM, PlantPart.STEM]]
     assert models.far_parts(placed.keys[0]) == (PlantPart.LEAF, EXACT, PlantPart.STEM)
     _, exact, rest = models.shape(placed.keys[0])
@@ -169,7 +169,7 @@ def test_units_and_axes_are_those_of_the_section(path, tmp_path):
     other = write_obj(tmp_path / "turned.obj", turned, factor=100.0)
     one, two = (TreeModels([own], flora()) for own in (section_of(path), section_of(other, "cm", "y")))
     trees = some_trees(1)
-    for a, b in zip(*(m.shape(m.place(trees, is_exact=False)[0].keys[0]) for m in (one, two)), strict=True):
+    for a, b in zip(*(m.shape(m.place(trees)[0].keys[0]) for m in (one, two)), strict=True):
         np.testing.assert_allclose(a.vertices_m, b.vertices_m, atol=1e-5)
         np.testing.assert_array_equal(a.faces, b.faces)
 
@@ -181,11 +181,11 @@ def test_each_tree_has_the_model_that_it_stretches_least(path, tmp_path):
     trees = some_trees(60)
     trees["height_m"], trees["dbh_m"] = 12.0, np.where(np.arange(60) < 30, 0.35, 1.05)
     models = TreeModels([section_of(path), section_of(stout)], flora())
-    found = {placed.keys[0].number: placed.trees["id"] for placed in models.place(trees, is_exact=False)}
+    found = {placed.keys[0].number: placed.trees["id"] for placed in models.place(trees)}
     np.testing.assert_array_equal(found[0], trees["id"][:30])
     np.testing.assert_array_equal(found[1], trees["id"][30:])
     alike = TreeModels([section_of(path), section_of(path)], flora())
-    shares = [len(placed.trees) for placed in alike.place(trees, is_exact=False)]
+    shares = [len(placed.trees) for placed in alike.place(trees)]
     assert sum(shares) == 60
     assert min(shares) > 15
 
@@ -222,7 +222,7 @@ def test_a_tree_too_short_for_its_model_is_refused(models):
     trees = some_trees(1)
     trees["height_m"] = 1.29
     with pytest.raises(GeometryError, match=r"birch\.obj.*no closed section of the stem at 12\.09 m"):
-        models.place(trees, is_exact=False)
+        models.place(trees)
 
 
 @pytest.mark.parametrize("turn", [1, -1])

@@ -114,6 +114,7 @@ class DevicePackets:
             yield second * S_NS + self._delay_ns, partial(self._sentence, second * S_NS)
 
     def _sentence(self, second_ns: int) -> Packet:
+        assert self._receiver is not None  # or no sentence is among the kinds
         return Packet(PacketKind.NMEA, second_ns + self._delay_ns, rmc(self._receiver.fix(second_ns)))
 
     def _pulses(self, numbers: range) -> Iterator[_DuePacket]:

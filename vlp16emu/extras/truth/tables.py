@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from vlp16emu.elementary import matvec
 from vlp16emu.engine import Engine
 from vlp16emu.engine.build import Sampler
+from vlp16emu.engine.engine import make_receiver
 from vlp16emu.errors import InputError
 from vlp16emu.inputs import open_input, parsing
 from vlp16emu.motion.gnss import Receiver, to_geodetic
@@ -202,7 +203,8 @@ def inertial_samples(engine: Engine) -> Samples | None:
 
 def fix_samples(engine: Engine) -> Samples:
     """Return the samples of the receiver of a run; sample i is the UTC second i."""
-    return Samples(FIXES, partial(_fix_rows, engine.receiver, engine.scenario.gps), 0, 1)
+    receiver = engine.receiver or make_receiver(engine.scenario, engine.parts, engine.windows)
+    return Samples(FIXES, partial(_fix_rows, receiver, engine.scenario.gps), 0, 1)
 
 
 def _inertial_rows(table: Table, imu: Sampler, first: int, count: int) -> Rows:

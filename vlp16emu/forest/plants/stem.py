@@ -5,7 +5,7 @@ the mesh's cross-section there has exactly the area of a circle of the recorded 
 closed part of the stem's mesh that begins within the first leader; its tip is the mesh's last vertex.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -422,10 +422,11 @@ _STEP_M = 1e-3  # height difference for the slope of an axis
 
 @dataclass(frozen=True, slots=True)
 class StemKey:
-    """Key of the shape of a single stem, in the frame of its tile."""
+    """Key of the shape of a layer of a single stem, relative to its foot."""
 
     tile: TileKey
     number: int  # among the trees of the tile
+    layer: int  # from 0, which ends at the top of the flare
 
 
 def lean_rotation(lean_deg: F8, towards_deg: F8) -> F8:
@@ -462,6 +463,30 @@ def stem_meshes(
         root = Mesh((root_m + foot_m[stem]).astype(np.float32), pipe_faces(ROOT_SIDES, ROOT_RINGS))
         meshes[len(STEM_PARTS) * stem] = merge(meshes[len(STEM_PARTS) * stem], root)
     return meshes
+
+
+STEM_LAYERS = 1 + len(_BUTT_M) - _BUTT_M.index(FLARE_TOP_M) + len(_UPPER)
+"""Layers of a stem, between rings, with the root flare as the lowest: each is straight, so that a stem bends
+where its mesh does."""
+
+
+def stem_layers(
+    tree: Trees, meshes: Sequence[Mesh], foot_m: F8, *, table: Table | None = None
+) -> list[tuple[Mesh, ...]]:
+    """Cut the meshes of `STEM_PARTS` of a tree (1,) into layers, relative to its foot (3,).
+
+    A face belongs to the layer of its middle: faces between two rings stay together, also in a leaning stem.
+    """
+    rings_m = Stems(tree, table=table).above_ground_m[0, Stems.flare_rings - 1 :]
+    layers: list[list[Mesh]] = [[] for _ in range(STEM_LAYERS)]
+    for mesh in meshes:
+        corners_m = mesh.vertices_m.astype(np.float64) - foot_m
+        middle_m = corners_m[mesh.faces, 2].sum(axis=1) / mesh.faces.shape[1]
+        layer_of = np.searchsorted(rings_m, middle_m)
+        for layer, parts in enumerate(layers):
+            used, faces = np.unique(mesh.faces[layer_of == layer], return_inverse=True)
+            parts.append(Mesh(corners_m[used].astype(np.float32), faces.reshape(-1, 3).astype(np.uint32)))
+    return [tuple(parts) for parts in layers]
 
 
 def stems_above_ground(trees: Trees, *, table: Table | None = None) -> list[Mesh]:

@@ -5,7 +5,7 @@ Tiles and shapes are cached.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from typing import Self, TypeVar
 
@@ -16,7 +16,7 @@ from vlp16emu.foliage.tiles import FarTile, TiledWindow
 from vlp16emu.forest.plants import prototypes
 from vlp16emu.forest.plants.foliage import IvyKey, ivy_meshes, ivy_tops_m
 from vlp16emu.forest.plants.species import Trees
-from vlp16emu.forest.plants.stem import STEM_PARTS, StemKey, stem_meshes
+from vlp16emu.forest.plants.stem import STEM_LAYERS, STEM_PARTS, StemKey, stem_layers, stem_meshes
 from vlp16emu.forest.settings import Woods
 from vlp16emu.forest.stand.floor_shapes import FloorKey, floor_meshes
 from vlp16emu.forest.stand.given_stand import GivenStand
@@ -26,9 +26,10 @@ from vlp16emu.forest.stand.points import Land
 from vlp16emu.forest.stand.scatter import layers_of
 from vlp16emu.forest.stand.stand import TREE, Stand, foot_discs
 from vlp16emu.forest.stand.tree_models import ModelKey, TreeModels
-from vlp16emu.forest.tiles import TILE_M, TileKey, around, ground_mesh, tile_origin_m, tiles_within
+from vlp16emu.forest.tiles import TILE_M, GroundKey, TileKey, around, ground_mesh, tile_origin_m, tiles_within
 from vlp16emu.store import recall
 from vlp16emu.types import F8, FIRST_FREE_INSTANCE, I8, Mesh, PlantPart, ShapeKey
+from vlp16emu.world.vectors import places_m
 
 _NUMBERS_PER_TILE = 8192  # numbers reserved for the trees and things of a tile
 _MOST_TILES = (FIRST_FREE_INSTANCE - 1) // _NUMBERS_PER_TILE
@@ -43,6 +44,7 @@ _OVERHANG_M = 10.0  # greatest reach of crowns beyond the tile of their stem
 _MARGIN_M = 80.0
 """Margin of the region around the reach of the path whose tiles are numbered first: overhang of crowns, half
 a tile's diagonal, one tile, since voxels of a tile also depend on the tiles around it, and 35 m to stray."""
+_STEMS_IN_GROWTH = 64  # stems whose layers are kept until all are taken
 T = TypeVar("T")
 
 
@@ -64,8 +66,6 @@ class ForestWorld:
     Parameters
     ----------
     reach_m : range of the sensor
-    loose_stems : True if each stem has its own shape and so can be moved; else stems belong to the tile's
-        shape
     name, plants_name : digests of all inputs of the forest, with seed and path, and of the plants; empty if
         nothing is cached
     """
@@ -77,7 +77,6 @@ class ForestWorld:
         land: Land,
         *,
         reach_m: float,
-        loose_stems: bool = False,
         near_m: float = math.inf,
         name: str = "",
         plants_name: str = "",
@@ -90,7 +89,6 @@ class ForestWorld:
         self.name = name
         self._plants_name = plants_name
         self.models = TreeModels(section.tree_models, self.plants, section.season)
-        self._loose_stems = loose_stems
         self._reach_m = reach_m
         self._layers = layers_of(section, land, stems.species)
         per_ha = stems.per_ha + sum(layer.pattern.per_ha for layer in self._layers if not layer.is_ground)
@@ -105,7 +103,10 @@ class ForestWorld:
         self.far_tile = lru_cache(maxsize=kept)(_by_tile("FarTile", name, self._far_tile))
         self._trees = lru_cache(maxsize=kept)(stems.trees)
         self._crown = cache(stems.crown)
-        self._stem_meshes = lru_cache(maxsize=_TILES_IN_GROWTH)(self._grow_stems)
+        self._stem_meshes = lru_cache(maxsize=_TILES_IN_GROWTH)(
+            _by_tile("Stems", name, lambda ix, iy: self._grow_stems(TileKey(ix, iy)))
+        )
+        self._stem_layers = lru_cache(maxsize=_STEMS_IN_GROWTH)(self._cut_stem)
         self._ivy_meshes = lru_cache(maxsize=_TILES_IN_GROWTH)(self._grow_ivy)
         self._discs = lru_cache(maxsize=kept)(
             lambda ix, iy: foot_discs(self._trees(ix, iy), table=self.plants.trees)
@@ -163,11 +164,13 @@ class ForestWorld:
         """
         if not self.name:
             return ""
-        is_of_forest = isinstance(key, TileKey | StemKey | IvyKey)
+        if isinstance(key, StemKey):
+            return ""  # the stems of its tile are kept
+        is_of_forest = isinstance(key, TileKey | GroundKey | IvyKey)
         return f"{self.name if is_of_forest else f'{self.seed} {self._plants_name}'} {key!r}"
 
     def _far_tile(self, ix: int, iy: int) -> FarTile:
-        """Describe a tile for the far medium, without swaying trees."""
+        """Describe a tile for the far medium."""
         tile = self._tile(ix, iy)
         origin_m = tile_origin_m(ix, iy, self.height_m)
         corner_m = np.array([origin_m[0], origin_m[1], 2.0 * np.round(origin_m[2] / 2.0)])
@@ -185,7 +188,7 @@ class ForestWorld:
             for key, row, end in zip(keys, some, ends, strict=True)
         ]
         trees = self._grown_trees(ix, iy)
-        stems = far_stems(trees[:0] if self._loose_stems else trees, 1, table=self.plants.trees)
+        stems = far_stems(trees, 1, table=self.plants.trees)
         modelled = self.models.far_stems(
             [keys[i] for i in shape], tile.world_T_shape[far], tile.first_surface[far]
         )
@@ -205,11 +208,11 @@ class ForestWorld:
         """Return the meshes of a tile (ground, then its stems), of a crown, or of a thing."""
         match key:
             case TileKey():
-                stems = [] if self._loose_stems else self._grow_stems(key)
-                return (ground_mesh(key, self.height_m), *stems)
+                return (ground_mesh(key, self.height_m), *self._grow_stems(key))
+            case GroundKey():
+                return (ground_mesh(key, self.height_m),)
             case StemKey():
-                first = len(STEM_PARTS) * key.number
-                return tuple(self._stem_meshes(key.tile)[first : first + len(STEM_PARTS)])
+                return self._stem_layers(key.tile, key.number)[key.layer]
             case IvyKey():
                 return (self._ivy_meshes(key.tile)[key.number],)
             case ModelKey():
@@ -238,21 +241,13 @@ class ForestWorld:
         number += len(trees)
         is_modelled = self.models.has(trees)
         grown = trees[~is_modelled]
-        modelled = self.models.place(trees[is_modelled], is_exact=self._loose_stems)
+        modelled = self.models.place(trees[is_modelled])
         crowns = [self._crown(*name) for name in grown[["cohort", "crown_class", "crown_variant"]].tolist()]
         world_T = prototypes.crown_placements(grown, crowns)
         rows = plant_surfaces(grown, prototypes.CROWN_PARTS, self.plants)
-        placed = PlacedThings(crowns, world_T, rows, grown, is_exact=self._loose_stems)
-        groups = [placed, *modelled]
-        rooted = grown
-        if self._loose_stems:
-            stems = self._in_tile(StemKey, key, np.arange(len(grown)), grown, STEM_PARTS)
-            groups = [stems, *groups]
-            rooted = grown[:0]
+        groups = [PlacedThings(crowns, world_T, rows, grown), *modelled]
         if self.section.ivy.share:
-            groups.append(
-                self._in_tile(IvyKey, key, np.flatnonzero(self._ivy_m(grown)), grown, (PlantPart.LEAF,))
-            )
+            groups.append(self._place_ivy(key, grown))
         trunks = around(ix, iy, self._discs) if self._layers else np.zeros((0, 3))
         for layer in self._layers:
             groups.append(placed := layer.place(ix, iy, trunks))
@@ -263,7 +258,7 @@ class ForestWorld:
             if len(placed.trees):
                 placed.trees["id"] = numbers
             number += len(placed.keys)
-        tile = tile_of(key, tile_origin_m(ix, iy, self.height_m), rooted, groups, self.plants)
+        tile = tile_of(key, tile_origin_m(ix, iy, self.height_m), grown, groups, self.plants)
         is_leaf = tile.surfaces["part"] == PlantPart.LEAF
         tile.surfaces["texture"] = np.where(is_leaf, 0.0, self.section.texture)
         tile.surfaces["roughness"] = np.where(is_leaf, self.section.leaf_roughness or 0.0, 0.0)
@@ -279,6 +274,14 @@ class ForestWorld:
             self._grown_trees(key.ix, key.iy), origin_m, self.height_m, table=self.plants.trees
         )
 
+    def _cut_stem(self, key: TileKey, number: int) -> list[tuple[Mesh, ...]]:
+        """Return the meshes of the layers of a tile's stem, relative to its foot."""
+        first = len(STEM_PARTS) * number
+        meshes = self._stem_meshes(key.ix, key.iy)[first : first + len(STEM_PARTS)]
+        tree = self._grown_trees(key.ix, key.iy)[number : number + 1]
+        foot_m = places_m(tree)[0] - tile_origin_m(key.ix, key.iy, self.height_m)
+        return stem_layers(tree, meshes, foot_m, table=self.plants.trees)
+
     def _grow_ivy(self, key: TileKey) -> list[Mesh]:
         trees = self._grown_trees(key.ix, key.iy)
         origin_m = tile_origin_m(key.ix, key.iy, self.height_m)
@@ -289,20 +292,46 @@ class ForestWorld:
     def _ivy_m(self, trees: Trees) -> F8:
         return ivy_tops_m(trees, self.section.ivy.share, self.section.ivy.height_m, seed=self.seed)
 
-    def _in_tile(
-        self,
-        kind: type[StemKey | IvyKey],
-        key: TileKey,
-        numbers: I8,
-        trees: Trees,
-        parts: tuple[PlantPart, ...],
-    ) -> PlacedThings:
+    def _place_ivy(self, key: TileKey, trees: Trees) -> PlacedThings:
+        numbers = np.flatnonzero(self._ivy_m(trees))
         world_T_tile = np.column_stack([np.eye(3), tile_origin_m(key.ix, key.iy, self.height_m)])
         return PlacedThings(
-            [kind(key, number) for number in numbers.tolist()],
+            [IvyKey(key, number) for number in numbers.tolist()],
             np.repeat(world_T_tile[None], len(numbers), axis=0),
-            plant_surfaces(trees[numbers], parts, self.plants),
-            is_exact=self._loose_stems,
+            plant_surfaces(trees[numbers], (PlantPart.LEAF,), self.plants),
+        )
+
+    def with_loose_stems(self, window: TiledWindow, ids: I8) -> TiledWindow:
+        """Return a window whose stems can be moved: those of trees with the numbers `ids` (n,) in layers.
+
+        Each layer is a placement of its own, by near light alone, with the surfaces that its stem has in the
+        tile's own shape. The other stems are left out: near light does not reach them.
+        """
+        keys = list[ShapeKey]()
+        feet_m = [np.zeros((0, 3))]
+        rows = list[int]()
+        for ix, iy, row in window.tiles:
+            trees = self._trees(ix, iy)
+            is_grown = ~self.models.has(trees)
+            first = 1 + self._region.number(ix, iy) * _NUMBERS_PER_TILE
+            numbers = np.flatnonzero(np.isin(first + np.flatnonzero(is_grown), ids))
+            feet_m.append(np.repeat(places_m(trees[is_grown][numbers]), STEM_LAYERS, axis=0))
+            for number in numbers.tolist():
+                keys += [StemKey(TileKey(ix, iy), number, layer) for layer in range(STEM_LAYERS)]
+                rows += [row + 1 + len(STEM_PARTS) * number] * STEM_LAYERS
+        count = len(keys)
+        world_T_stem = np.repeat(np.eye(3, 4)[None], count, axis=0)
+        world_T_stem[:, :, 3] = np.concatenate(feet_m)
+        bare = (GroundKey(key.ix, key.iy) if isinstance(key, TileKey) else key for key in window.shapes)
+        more = window.with_more(count)
+        return replace(
+            window,
+            shapes=(*bare, *keys),
+            shape=np.append(window.shape, len(window.shapes) + np.arange(count)).astype(np.int32),
+            world_T_shape=np.concatenate([window.world_T_shape, world_T_stem]),
+            first_surface=np.append(window.first_surface, rows).astype(np.uint32),
+            far=more["far"],
+            low=np.append(window.low, np.ones(count, np.bool_)),
         )
 
 

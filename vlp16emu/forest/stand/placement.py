@@ -26,7 +26,6 @@ class PlacedThings:
     trees: NDArray[np.void] = field(default_factory=lambda: np.zeros(0, TREE))
     """(n,) `TREE` with id still 0 if the things are trees, else (0,)."""
     is_ground: bool = False  # True for things that are part of the ground
-    is_exact: bool = False  # True if they are cast as faces at any distance and are not part of the `FarTile`
 
 
 def in_range(limits: tuple[float, float], draw: F8) -> F8:
@@ -94,8 +93,8 @@ def tile_of(key: TileKey, origin_m: F8, trees: Trees, groups: Sequence[PlacedThi
     rows = np.concatenate([ground, plant_surfaces(trees, STEM_PARTS, plants).ravel()])
     groups = [PlacedThings([key], own_T[None], rows[None]), *groups]
     keys, shape = distinct([key for placed in groups for key in placed.keys])
-    kinds = [(placed.is_ground, placed.is_exact, placed.surfaces.shape[1]) for placed in groups]
-    is_low, is_exact, parts = np.repeat(kinds, [len(placed.keys) for placed in groups], axis=0).T
+    kinds = [(placed.is_ground, placed.surfaces.shape[1]) for placed in groups]
+    is_low, parts = np.repeat(kinds, [len(placed.keys) for placed in groups], axis=0).T
     placed_trees = np.concatenate([placed.trees for placed in groups])
     return Tile(
         trees=placed_trees[np.argsort(placed_trees["id"], kind="stable")],
@@ -104,7 +103,7 @@ def tile_of(key: TileKey, origin_m: F8, trees: Trees, groups: Sequence[PlacedThi
         world_T_shape=np.concatenate([placed.world_T_shape for placed in groups]),
         first_surface=np.cumsum(parts) - parts,
         surfaces=np.concatenate([placed.surfaces.ravel() for placed in groups]),
-        far=(is_low + is_exact) == 0,
+        far=is_low == 0,
         low=is_low > 0,
     )
 

@@ -360,16 +360,14 @@ class TreeModels:
         """Return a mask (n,) of the trees that have a model."""
         return np.isin(trees["species"], self._species)
 
-    def place(self, trees: Trees, *, is_exact: bool) -> list[PlacedThings]:
-        """Place trees (n,) that all have models, grouped by model; `is_exact` as in `PlacedThings`."""
+    def place(self, trees: Trees) -> list[PlacedThings]:
+        """Place trees (n,) that all have models, grouped by model."""
         placed = []
         for i, trees_of in self._by_model(trees):
             model = self._models[i]
             keys = [ModelKey(i, model.content)] * len(trees_of)
             rows = plant_surfaces(trees_of, model.parts, self._plants)
-            placed.append(
-                PlacedThings(keys, model.world_T_model(trees_of), rows, trees_of, is_exact=is_exact)
-            )
+            placed.append(PlacedThings(keys, model.world_T_model(trees_of), rows, trees_of))
         return placed
 
     def shape(self, key: ModelKey) -> tuple[Mesh, ...]:

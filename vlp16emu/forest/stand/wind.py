@@ -1,4 +1,4 @@
-"""Gusts over a stand, and the response of trees that sway about their foot.
+"""Gusts over a stand, and the response of trees that bend in them.
 
 Both are sums of spectral lines, for any time. A gust is a sum of cosines of time with the energies of
 Kaimal's spectrum. It is carried downwind with the mean speed (Taylor's frozen turbulence). Each line also has
@@ -6,10 +6,10 @@ a random wave number across the wind, drawn from a Cauchy distribution, which gi
 coherence across the wind. A damped oscillator responds to a cosine with a cosine, so its state at any time is
 also a sum and no time steps are needed.
 
-A tree sways as a rigid shear: every point moves horizontally in proportion to its height over the foot. So
-the foot stays, level sections keep their area, the DBH is unchanged, and a transform describes it. A real
-stem bends: with a straight lean breast height moves by 1.3 m / height of the tip's motion, for a cantilever
-under a load at its tip by about 3/2 (1.3 m / height)^2. Saplings and everything under the trees stay still.
+A tree bends as a cantilever of its own taper under the drag on its crown, in one mode: the curve of the static
+deflection (`vlp16emu.forest.plants.bending`). All of it moves level, by the curve at its height; branches and
+leaves ride on the stem. So the foot stays, and level sections keep their area. The sides of a crown neither
+rise nor fall. Saplings and everything under the trees stay still, and so does what is beyond `world.near_m`.
 """
 
 import math
@@ -20,7 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import atan2, cos, hypot, power, sin, tan
+from vlp16emu.foliage.polyline import distance_m
+from vlp16emu.foliage.tiles import TiledWindow
 from vlp16emu.forest.plants.allometry import taper_radius_m
+from vlp16emu.forest.plants.bending import SHARES, STEPS, bent
 from vlp16emu.forest.plants.species import Flora, tapers
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import Season, Wind
@@ -58,7 +61,18 @@ _GREEN_WOOD_KG_M3 = 900.0  # density of stems with bark and sap; assumption, fre
 _CROWN_MASS = 0.3
 """Mass of branches and leaves over the stem's (IPCC Good Practice Guidance 2003, table 3A.1.10: biomass
 expansion factors of 1.3 for conifers, 1.4 for broadleaved trees)."""
-_SECTIONS = 16  # of a stem, for its moment of inertia
+_THINNEST = 0.1
+"""Least diameter over the DBH with which a stem bends, so that its tip is no hook: twigs and needles stiffen
+the leader; assumption."""
+_ROOM = 0.5
+"""Limit of a top's movement over the crown's width: crowns clash with their neighbours, which takes half of
+the energy of swaying trees (Milne, Tree Physiol 9, 1991); the amount is an assumption."""
+_HIGHEST_BASE = (
+    0.95  # greatest height of a crown's base over the tree's for its drag, for trees without crown
+)
+_ASIDE_M = 3.0
+"""Distance beyond `world.near_m` and the crown's width at whose feet trees are at rest: what a sensor strays
+from its track, and what stems lean and bend."""
 
 
 class Lines(NamedTuple):
@@ -139,14 +153,22 @@ def _follow(lines: Lines, s_per_m: float, trees: Trees, cosine: F8, sine: F8, ou
                 motion[k] += a * cosine[line, k] - b * sine[line, k]
 
 
-def mechanics(trees: Stand, plants: Flora, season: Season) -> tuple[F8, F8]:
-    """Return undamped frequencies (n,) in Hz, and leans (n,) per Pa of shear stress on the canopy.
+class Mechanics(NamedTuple):
+    """How n trees bend."""
 
-    A lean is a tangent. Frequency: 0.0766 + 3.1219 DBH / height^2, in cm and m (Moore and Maguire, Trees 18,
-    195-203, 2004; 602 conifers), lower in leaf. Drag: the canopy absorbs the wind's shear stress, each tree
-    over the ground under its crown, acting halfway up the crown (the roughness method of Gardiner, Peltola
-    and Kellomaki, Ecol Modell 129, 2000). Stiffness: the value that gives the mass of stem and crown that
-    frequency about the foot.
+    frequency_hz: F8  # (n,) undamped natural frequencies
+    top_m_per_pa: F8  # (n,) static movement of the top per shear stress on the canopy
+    curve: F8  # (n, STEPS + 1) movement over the top's, as from `bent`
+
+
+def mechanics(trees: Stand, plants: Flora, season: Season) -> Mechanics:
+    """Return how trees (n,) bend.
+
+    Frequency: 0.0766 + 3.1219 DBH / height^2, in cm and m (Moore and Maguire, Trees 18, 195-203, 2004; 602
+    conifers), lower in leaf. Drag: the canopy absorbs the wind's shear stress, each tree over the ground
+    under its crown (the roughness method of Gardiner, Peltola and Kellomaki, Ecol Modell 129, 2000); along
+    the crown it falls linearly to 0 at the tip, as the width of a cone, and so does the crown's mass.
+    Stiffness: the value that gives the masses of stem and crown, moved along the curve, that frequency.
     """
     foliage = {species.number: species.foliage for species in plants.trees.values()}
     kinds = np.array(
@@ -156,25 +178,26 @@ def mechanics(trees: Stand, plants: Flora, season: Season) -> tuple[F8, F8]:
     bare = (kinds != "shoot") & ~in_leaf
     dbh_m = trees["dbh_m"]
     height_m = trees["height_m"]
-    base_m = trees["crown_base_m"]
     frequency_hz = (0.0766 + 3.1219 * 100.0 * dbh_m / np.square(height_m)) * np.where(in_leaf, _IN_LEAF, 1.0)
-    middle_m = (base_m + height_m) / 2
-    share = (np.arange(_SECTIONS) + 0.5) / _SECTIONS
-    at_m = height_m[:, None] * share
+    at_m = height_m[:, None] * SHARES
     radius_m = taper_radius_m(tapers(trees, table=plants.trees), dbh_m, height_m, at_m)
-    pieces_kg = _GREEN_WOOD_KG_M3 * np.pi * np.square(radius_m) * (height_m / _SECTIONS)[:, None]
-    crown_kg = _CROWN_MASS * pieces_kg.sum(axis=1)
-    inertia_kg_m2 = (pieces_kg * np.square(at_m)).sum(axis=1) + crown_kg * np.square(middle_m)
+    in_crown = at_m >= np.minimum(trees["crown_base_m"], _HIGHEST_BASE * height_m)[:, None]
+    load = np.where(in_crown, 1.0 - SHARES, 0.0)
+    load /= load.sum(axis=1)[:, None]
+    curve = bent(np.maximum(radius_m, _THINNEST / 2 * dbh_m[:, None]), load)
+    stem_kg = _GREEN_WOOD_KG_M3 * np.pi * np.square(radius_m) * (height_m / STEPS)[:, None]
+    crown_kg = _CROWN_MASS * stem_kg.sum(axis=1)
+    mode_kg = ((stem_kg + crown_kg[:, None] * load) * np.square(curve)).sum(axis=1)
     drag_m2 = np.pi / 4 * np.square(trees["crown_width_m"]) * np.where(bare, _BARE, 1.0)
     drag_m2 *= np.where(trees["storey"] > 0, _SHELTERED, 1.0)
-    return frequency_hz, drag_m2 * middle_m / (inertia_kg_m2 * np.square(2.0 * np.pi * frequency_hz))
+    force_m2 = drag_m2 * (load * curve).sum(axis=1)
+    return Mechanics(frequency_hz, force_m2 / (mode_kg * np.square(2.0 * np.pi * frequency_hz)), curve)
 
 
 class TreeSway:
     """Moves the trees of windows; the motion of a tree at a time is the same in every window.
 
-    The wind's speed must exceed 0, each tree of the forest must have its own shape; the run's first pulse is
-    at `start_ns`.
+    The wind's speed must exceed 0; the run's first pulse is at `start_ns`.
     """
 
     def __init__(self, section: Wind, *, forest: ForestWorld, start_ns: int) -> None:
@@ -186,33 +209,53 @@ class TreeSway:
         self._axes = np.array([[east, north], [-north, east]])
         self._lines = [gust_lines(section, forest.seed, component) for component in (ALONG, ACROSS)]
 
-    def shear(self, trees: Stand, t_ns: I8) -> F8:
-        """Lean (k, m, 2) of trees (m,) at UTC times (k,): metres east and north per metre over the foot.
+    def mechanics(self, trees: Stand) -> Mechanics:
+        """Return how trees (m,) of the forest bend."""
+        return mechanics(trees, self._forest.plants, self._forest.section.season)
 
-        Drag grows with the square of the speed; the mean and the term linear in the gusts are kept.
+    def top_m(self, trees: Stand, t_ns: I8) -> F8:
+        """Return the movement (k, m, 2) of the tops of trees (m,), east and north, at UTC times (k,).
+
+        Drag grows with the square of the speed; the mean and the term linear in the gusts are kept. Neighbours
+        hold a crown that moves far.
         """
-        frequency_hz, lean_per_stress = mechanics(trees, self._forest.plants, self._forest.section.season)
+        frequency_hz, top_m_per_pa, _ = self.mechanics(trees)
         along_m, across_m = (trees["x_m"] * east + trees["y_m"] * north for east, north in self._axes)
         oscillators = Trees(2.0 * math.pi * frequency_hz, self._section.damping_ratio, along_m, across_m)
         mean_m_s = self._section.speed_m_s
         t_s = np.asarray((t_ns - self._start_ns) * 1e-9, np.float64)
         along, across = (swings(lines, mean_m_s, oscillators, t_s) for lines in self._lines)
-        per_speed2 = _AIR_KG_M3 * _FRICTION_SHARE * _FRICTION_SHARE * lean_per_stress
+        per_speed2 = _AIR_KG_M3 * _FRICTION_SHARE * _FRICTION_SHARE * top_m_per_pa
         downwind = per_speed2 * mean_m_s * (mean_m_s + 2.0 * along)
         aside = per_speed2 * mean_m_s * across
-        east, north = (downwind * a + aside * b for a, b in self._axes.T)
+        limit_m = _ROOM * trees["crown_width_m"]
+        held = 1.0 / np.sqrt(1.0 + (downwind * downwind + aside * aside) / (limit_m * limit_m))
+        east, north = (held * (downwind * a + aside * b) for a, b in self._axes.T)
         return np.stack([east, north], axis=-1)
 
     def with_sway(self, window: Window, track_m: F8, start_ns: int, stop_ns: int) -> Window:
-        """Return the window around positions (n, 3) with the sway of its trees over a span, UTC."""
+        """Return the window around positions (n, 3) with the sway of its near trees over a span, UTC."""
+        assert isinstance(window, TiledWindow)  # forests have no others
         trees = self._forest.trees(track_m)
         trees = trees[trees["storey"] != REGENERATION]
+        foot_m = np.column_stack([trees["x_m"], trees["y_m"]])
+        reach_m = self._forest.near_m + _ASIDE_M + trees["crown_width_m"]
+        trees = trees[distance_m(foot_m, track_m[:, :2]) <= reach_m]
         trees = trees[np.argsort(trees["id"], kind="stable")]
+        window = self._forest.with_loose_stems(window, trees["id"])
         instance = window.surfaces["instance"][window.first_surface]
         placement = np.flatnonzero(np.isin(instance, trees["id"]))
         rows = np.searchsorted(trees["id"], instance[placement])
         # Knots are at the same times in all windows.
         first, last = (start_ns - self._start_ns) // KNOT_NS, -((self._start_ns - stop_ns) // KNOT_NS)
         t_ns = self._start_ns + KNOT_NS * np.arange(first, last + 1)
-        shear = self.shear(trees, t_ns)[:, rows]
-        return replace(window, sway=Sway(int(t_ns[0]), KNOT_NS, placement, trees["z_m"][rows].copy(), shear))
+        sway = Sway(
+            int(t_ns[0]),
+            KNOT_NS,
+            placement,
+            trees["z_m"][rows].copy(),
+            trees["height_m"][rows].astype(np.float64),
+            self.mechanics(trees).curve[rows],
+            self.top_m(trees, t_ns)[:, rows],
+        )
+        return replace(window, sway=sway)
