@@ -78,6 +78,24 @@ def test_leaves_that_hide_each_other_count_once():
         assert kept == pytest.approx(left, rel=0.06)
 
 
+@pytest.mark.parametrize(("twigs_x_m", "left"), [(0.2, 0.0), (0.35, 0.5)])
+def test_a_twig_behind_leaves_counts_as_it_is_seen(twigs_x_m, left):
+    """Of twigs between two sheets of leaves nothing is left, and of twigs behind both of them half: from one
+    side they are in front. What the sheets lose is what these twigs hide."""
+
+    def sheet(x_m):
+        return np.array([[x_m, y, z] for y, z in ((0.1, 0.1), (0.4, 0.1), (0.4, 0.4), (0.1, 0.4))])
+
+    twigs = np.array([[twigs_x_m, y, z] for y, z in ((0.2, 0.1), (0.22, 0.1), (0.22, 0.4), (0.2, 0.4))])
+    along_x = np.array([sheet(0.15), sheet(0.25), twigs])
+    corners = np.concatenate([along_x, along_x[:, :, [1, 0, 2]]])[[0, 1, 3, 4, 2, 5]]
+    kept = kept_share(corners, np.array([0, 4, 6]), np.ones(2, np.float32))
+    hidden = 0.3 * 0.3 / VOXEL_M**2
+    leaves, twig = kept[0] * 2 * 0.3 * 0.3, kept[4] * 0.02 * 0.3
+    assert leaves + twig == pytest.approx(-np.log(1 - hidden) * VOXEL_M**2, rel=0.05)
+    assert kept[4] * hidden / -np.log(1 - hidden) == pytest.approx(left, abs=0.03)
+
+
 def test_a_cloud_is_where_its_faces_are(monkeypatch):
     """Where nothing is hidden, cells add up to the area of each mesh, and their middle is that of the
     faces, to a millimetre."""

@@ -17,7 +17,7 @@ from vlp16emu.elementary import cos, log, norm
 from vlp16emu.foliage.tiles import EXACT
 from vlp16emu.foliage.voxel import KNOTS, QUANTILES, VOXEL_M
 from vlp16emu.kernels.compiler import inline_kernel, kernel
-from vlp16emu.types import F4, F8, I8, U1, U4, Mesh, PlantPart
+from vlp16emu.types import F4, F8, I8, U1, Mesh, PlantPart
 
 TILTS = 64  # classes of faces by the sine of their normal's elevation
 _PIXELS = 32  # pixels along a voxel's edge in which faces are rasterized, 16 mm each
@@ -131,7 +131,7 @@ def _angular_law(weight: F8) -> tuple[F8, F8]:
 
 def _cells(corners_m: F8, mesh_of: I8, area_m2: F8) -> tuple[F4, F4, U1]:
     """Sum faces in cells of `_CELL_M` by mesh and position; return positions, areas and mesh indices."""
-    middle_m = 0.25 * (corners_m[:, 0] + corners_m[:, 1] + corners_m[:, 2] + corners_m[:, 3])
+    middle_m = _middles_m(corners_m)
     at = np.floor(middle_m / _CELL_M).astype(np.int64)
     at -= at.min(axis=0)
     _, ny, nz = (at.max(axis=0) + 1).tolist()
@@ -145,12 +145,18 @@ def _cells(corners_m: F8, mesh_of: I8, area_m2: F8) -> tuple[F4, F4, U1]:
     return place_m.astype(np.float32), total.astype(np.float32), mesh_of[some].astype(np.uint8)
 
 
+def _middles_m(corners_m: F8) -> F8:
+    """Return the middles (f, 3) of faces (f, 4, 3)."""
+    return 0.25 * (corners_m[:, 0] + corners_m[:, 1] + corners_m[:, 2] + corners_m[:, 3])
+
+
 def kept_share(corners_m: F8, first: I8, share: F4) -> F8:
     """Return the share (f,) of each face's area that hides as much when placed at random.
 
-    The faces of each mesh are rasterized along x and along y, voxel by voxel. Randomly placed leaves that
-    hide the same part of a voxel's side have an area of -log(1 - hidden) times that side (Beer's law);
-    clumped leaves have more area than that.
+    All faces are rasterized along x and along y, voxel by voxel. Randomly placed faces that hide the same
+    part of a voxel's side have an area of -log(1 - hidden) times that side (Beer's law); clumped faces have
+    more area than that. Meshes have parts of it as they are in front, seen from both sides: twigs amid their
+    own leaves are hardly seen.
 
     Parameters
     ----------
@@ -160,81 +166,101 @@ def kept_share(corners_m: F8, first: I8, share: F4) -> F8:
     low, high = (limit(corners_m.reshape(-1, 3), axis=0) / VOXEL_M for limit in (np.min, np.max))
     low = np.floor(low)
     size = (np.ceil(high) - low + 1).astype(int)
-    out = np.ones(len(corners_m))
-    drawn = np.zeros((*size, _PIXELS), np.uint32)
-    edges = np.empty((4, 4))
-    for mesh in range(len(share)):
-        begin = first[mesh]
-        stop = first[mesh + 1]
-        factor = np.zeros(size)
-        total = np.zeros(size, np.int64)
-        for axis in (0, 1):
-            _draw(corners_m, begin, stop, low, axis, edges, drawn, total)
-            _count(drawn, total, factor)
-        _share(corners_m, begin, stop, low, size, factor.ravel(), total.ravel(), float(share[mesh]), out)
-    return out
+    middle = _middles_m(corners_m) / VOXEL_M - low
+    mesh_of = np.repeat(np.arange(len(share)), np.diff(first))
+    factor = np.zeros((len(share), *size))
+    total = np.zeros((len(share), *size), np.int64)
+    for axis in (0, 1):
+        slab = middle[:, axis].astype(np.int64)
+        order = np.argsort(slab, kind="stable")
+        begin = np.searchsorted(slab[order], np.arange(size[axis] + 1))
+        view = _View(
+            np.full((2, size[1 - axis], size[2], _PIXELS, _PIXELS), np.inf, np.float32),
+            np.zeros((2, size[1 - axis], size[2], _PIXELS, _PIXELS), np.uint8),
+            np.empty((5, 4)),
+        )
+        _look(corners_m, mesh_of, low, axis, order, begin, view, factor, total)
+    at = np.ravel_multi_index((mesh_of, *middle.astype(np.int64).T), factor.shape)
+    drawn = total.ravel()[at]
+    kept = factor.ravel()[at] / (np.maximum(drawn, 1) * share[mesh_of])
+    return np.where(drawn > 0, kept, 1.0)
+
+
+class _View(NamedTuple):
+    """What is nearest in the pixels of a slab of voxels, from the front and from behind; empty between slabs."""
+
+    depth: F4  # (2, a, z, pixels, pixels) in voxels, the second one negative
+    mesh: U1  # likewise: mesh that is seen, counted from 1; 0 for none
+    edges: F8  # (5, 4)
 
 
 @kernel
-def _count(drawn: U4, total: I8, factor: F8) -> None:
-    """Add the area of randomly placed leaves that hide as many pixels of each voxel, and clear the pixels."""
-    nx, ny, nz = total.shape
-    for i in range(nx):
-        for j in range(ny):
-            for k in range(nz):
-                if total[i, j, k]:
-                    bits = 0
-                    for line in range(_PIXELS):
-                        left = drawn[i, j, k, line]
-                        drawn[i, j, k, line] = 0
-                        while left:
-                            left &= left - np.uint32(1)
-                            bits += 1
-                    hidden = min(bits / (_PIXELS * _PIXELS), 1.0 - 0.5 / (_PIXELS * _PIXELS))
-                    factor[i, j, k] -= log(1.0 - hidden) * (_PIXELS * _PIXELS)
-
-
-@kernel
-def _share(
-    corners_m: F8, begin: int, stop: int, low: F8, size: I8, factor: F8, total: I8, share: float, out: F8
+def _look(
+    corners_m: F8, mesh_of: I8, low: F8, axis: int, order: I8, begin: I8, view: _View, factor: F8, total: I8
 ) -> None:
-    """Fill the share of each face from the voxel of its centre."""
-    for f in range(begin, stop):
-        at = 0
-        for axis in range(3):
-            at = at * size[axis] + _voxel(corners_m[f], low, axis)
-        if total[at] > 0:
-            out[f] = factor[at] / (total[at] * share)
-
-
-@inline_kernel
-def _voxel(corners_m: F8, low: F8, axis: int) -> int:
-    at = low[axis]
-    first_two = (corners_m[0, axis] / VOXEL_M - at) + (corners_m[1, axis] / VOXEL_M - at)
-    return int(0.25 * (first_two + (corners_m[2, axis] / VOXEL_M - at) + (corners_m[3, axis] / VOXEL_M - at)))
-
-
-@kernel
-def _draw(corners_m: F8, begin: int, stop: int, low: F8, axis: int, edges: F8, drawn: U4, total: I8) -> None:
-    """Rasterize faces along an axis into the voxels at their depth; count all pixels, overlaps too.
+    """Look through slab after slab along an axis; add to the effective areas and to the pixels of meshes.
 
     Parameters
     ----------
-    edges : (4, 4) scratch
+    order, begin : faces by slab, and the place of each slab's first one among them
+    factor, total : (meshes, x, y, z) in pixels
     """
-    u, v = edges[0], edges[1]
-    for f in range(begin, stop):
-        depth = _voxel(corners_m[f], low, axis)
-        _turn_edges(corners_m[f], low, 1 - axis, edges)
-        left, right = math.floor(min(u[0], u[1], u[2], u[3])), math.floor(max(u[0], u[1], u[2], u[3]))
-        lower, upper = math.floor(min(v[0], v[1], v[2], v[3])), math.floor(max(v[0], v[1], v[2], v[3]))
-        for q in range(lower, upper + 1):
-            first, last = _row(edges, q + 0.5, left, right)
-            for p in range(first, last + 1):
-                a, b = p // _PIXELS, q // _PIXELS
-                i, j = (depth, a) if axis == 0 else (a, depth)
-                drawn[i, j, b, q % _PIXELS] |= np.uint32(1) << np.uint32(p % _PIXELS)
-                total[i, j, b] += 1
+    for slab in range(len(begin) - 1):
+        if begin[slab] == begin[slab + 1]:
+            continue
+        for number in range(begin[slab], begin[slab + 1]):
+            face = order[number]
+            _draw(corners_m[face], mesh_of[face], slab, low, axis, view, total)
+        for a in range(view.mesh.shape[1]):
+            for z in range(view.mesh.shape[2]):
+                x, y = (slab, a) if axis == 0 else (a, slab)
+                if total[:, x, y, z].any():
+                    _count(view.mesh[:, a, z], factor[:, x, y, z])
+                    view.depth[:, a, z] = np.inf
+                    view.mesh[:, a, z] = 0
+
+
+@inline_kernel
+def _count(seen: U1, factor: F8) -> None:
+    """Add the area of randomly placed faces that hide as many pixels of a voxel, to each mesh its part."""
+    hidden = 0
+    for row in range(_PIXELS):
+        for pixel in range(_PIXELS):
+            hidden += seen[0, row, pixel] > 0
+    if hidden == 0:
+        return
+    share = min(hidden / (_PIXELS * _PIXELS), 1.0 - 0.5 / (_PIXELS * _PIXELS))
+    weight = -log(1.0 - share) * (_PIXELS * _PIXELS) / (2 * hidden)
+    for side in range(2):
+        for row in range(_PIXELS):
+            for pixel in range(_PIXELS):
+                mesh = seen[side, row, pixel]
+                if mesh > 0:
+                    factor[mesh - 1] += weight
+
+
+@inline_kernel
+def _draw(corners_m: F8, mesh: int, slab: int, low: F8, axis: int, view: _View, total: I8) -> None:
+    """Rasterize a face along an axis into the voxels of its slab; count all pixels, overlaps too."""
+    edges = view.edges
+    _turn_edges(corners_m, low, 1 - axis, edges)
+    u, v, depth = edges[0], edges[1], edges[4]
+    for c in range(4):
+        depth[c] = corners_m[c, axis] / VOXEL_M - low[axis]
+    middle = 0.25 * (depth[0] + depth[1] + depth[2] + depth[3])
+    left, right = math.floor(min(u[0], u[1], u[2], u[3])), math.floor(max(u[0], u[1], u[2], u[3]))
+    lower, upper = math.floor(min(v[0], v[1], v[2], v[3])), math.floor(max(v[0], v[1], v[2], v[3]))
+    for q in range(lower, upper + 1):
+        first, last = _row(edges, q + 0.5, left, right)
+        for p in range(first, last + 1):
+            a, z = p // _PIXELS, q // _PIXELS
+            x, y = (slab, a) if axis == 0 else (a, slab)
+            total[mesh, x, y, z] += 1
+            for side in range(2):
+                at = middle if side == 0 else -middle
+                if at < view.depth[side, a, z, q % _PIXELS, p % _PIXELS]:
+                    view.depth[side, a, z, q % _PIXELS, p % _PIXELS] = at
+                    view.mesh[side, a, z, q % _PIXELS, p % _PIXELS] = mesh + 1
 
 
 @inline_kernel
