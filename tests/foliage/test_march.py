@@ -82,7 +82,8 @@ class Twin:
             if not bits >> column & 1:
                 continue
             leaf = int(room._LEAF_OF[main, variant, column])
-            facets = [int(32 * (own[a] + middle_m / VOXEL_M * d[a])) & 3 for a in (one, two)]
+            place = [8 * (own[a] + middle_m / VOXEL_M * d[a]) for a in (one, two)]
+            facets = int(4 * place[0]) & 3, int(2 * place[1]) & 1
             along = cell[main] + ((int(room._PLACE[variant, leaf, main]) ^ mirror[main] << 5) + 0.5) / 256
             at_m = (along - own[main]) / d[main] * VOXEL_M
             if at_m >= M.near_m:
@@ -93,12 +94,12 @@ class Twin:
 
     def owner(self, first, h, leaf, facets, tile):
         """Surface of a facet of a leaf of a voxel of a tile, by the voxel's first owner."""
-        quarter = 2 * (facets[0] >> 1) + (facets[1] >> 1)
+        quarter = 2 * (facets[0] >> 1) + facets[1]
         own = (h + (4 * leaf + quarter) * 0x9E3779B1 & M32) * 0x85EBCA77 & M32
         own = (own ^ own >> 15) * 0xC2B2AE3D & M32
         own ^= own >> 16
         owner = first
-        drawn = own + 97 * (4 * facets[0] + facets[1]) & 255
+        drawn = own + 97 * (2 * facets[0] + facets[1]) & 255
         while int(self.M.owner[owner]) >> 56 < drawn:
             owner += 1
         own = int(self.M.owner[owner])

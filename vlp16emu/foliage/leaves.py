@@ -5,9 +5,9 @@ axes, so that a leaf has the same position from every direction. The first n of 
 the share of the light that foliage of that density intercepts over the length of the slab (Beer's law). The
 voxel's square, its mirroring, and the rounding of n follow from a hash of the voxel's position in the world.
 
-A column is 62.5 mm wide, about a small twig with its leaves. It consists of 4 x 4 facets, each with an owner of
-its own: a beam meets thin wood amid leaves in more pulses, and in fewer sub-rays of each, than it would meet
-whole columns of wood.
+A column is 62.5 mm wide, about a small twig with its leaves. It consists of 4 x 2 facets of 16 x 31 mm, each with
+an owner of its own: a beam meets thin wood amid leaves in more pulses, and in fewer sub-rays of each, than it
+would meet whole columns of wood.
 """
 
 from typing import NamedTuple
@@ -36,7 +36,6 @@ _COVER_STEPS = 64
 _COVER_MOST = 16
 f4 = np.float32
 u4 = np.uint32
-_FACETS = f4(4.0)  # along the edge of a column: 16 mm
 _SPREAD = u4(97)  # step of the draw of an owner from facet to facet, of 256
 _Three = tuple[int, int, int]
 _Whose = tuple[np.uint32, tuple[int, int], int]
@@ -211,10 +210,10 @@ def _column(line: F4, lane: int, middle_m: np.float32, r1: np.int32, r2: np.int3
 
 @inline_kernel
 def _facet(line: F4, lane: int, middle_m: np.float32) -> np.uint32:
-    """Return the facet of a column (of 4 x 4) that a lane meets in the middle of a slab."""
-    a = np.int32(_FACETS * (line[lane] + line[LANES + lane] * middle_m)) & np.int32(3)
-    b = np.int32(_FACETS * (line[2 * LANES + lane] + line[3 * LANES + lane] * middle_m)) & np.int32(3)
-    return u4(4 * a + b)
+    """Return the facet of a column (of 4 x 2) that a lane meets in the middle of a slab."""
+    a = np.int32(f4(4.0) * (line[lane] + line[LANES + lane] * middle_m)) & np.int32(3)
+    b = np.int32(f4(2.0) * (line[2 * LANES + lane] + line[3 * LANES + lane] * middle_m)) & np.int32(1)
+    return u4(2 * a + b)
 
 
 @numba.extending.intrinsic
@@ -285,7 +284,7 @@ def _take_leaf(
     Owners divide the facets of a leaf in proportion, so that a beam meets twigs as thin as they are.
     """
     number, tile, knot = whose
-    quarter = (facet >> u4(3) & u4(1)) << u4(1) | (facet >> u4(1) & u4(1))
+    quarter = (facet >> u4(2)) << u4(1) | (facet & u4(1))
     mixed = u4(u4(h + (u4(4 * leaf) | quarter) * u4(0x9E3779B1)) * u4(0x85EBCA77))
     mixed = u4(mixed ^ u4(mixed >> u4(15)))
     mixed = u4(mixed * u4(0xC2B2AE3D))
