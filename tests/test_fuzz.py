@@ -2,6 +2,8 @@
 
 import pytest
 
+NOTHING = [word for kind in ("scenes", "files", "options", "plugins") for word in (f"--{kind}", "0")]
+
 
 @pytest.fixture(scope="module")
 def fuzz(tool_named):
@@ -39,10 +41,7 @@ def test_a_case_that_fails_is_kept(fuzz, cases, reader, said, tmp_path, capsys, 
     monkeypatch.setattr(fuzz, "Cases", lambda _seed, _folder, *, files: cases)
     monkeypatch.setattr(fuzz, "MOST_BYTES", 100_000_000)
     monkeypatch.setattr(fuzz, "read", lambda *_: reader())
-    monkeypatch.setattr(
-        "sys.argv",
-        ["fuzz", "--scenes", "0", "--files", "0", "--captures", "1", "--out", str(tmp_path / "out")],
-    )
+    monkeypatch.setattr("sys.argv", ["fuzz", *NOTHING, "--captures", "1", "--out", str(tmp_path / "out")])
     if reader is spin:  # only that should end by time, however busy the machine is
         monkeypatch.setattr(fuzz, "MOST_S", 0.5)
     assert fuzz.main() == 1

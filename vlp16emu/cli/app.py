@@ -27,6 +27,8 @@ from vlp16emu.output import is_ending
 
 _LEFT_S = 0.8  # time that an interrupted command has to remove unfinished output
 
+_SHOWN_NAME = 60  # characters of a name that is too long for a file
+
 _OF_WRITING = errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EIO, errno.EPIPE
 """Errors of a write to standard output; errors of files carry their names, as `output.py` opens them."""
 
@@ -98,6 +100,12 @@ def run(arguments: Sequence[str]) -> int:
         context = getattr(error, "ctx", None)
         message = error.format_message().rstrip(".")
         _print_error(f"{message}; see `{context.command_path if context else 'vlp16emu'} --help`")
+        return 2
+    except OSError as error:
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        name = str(error.filename)
+        _print_error(f"{name[:_SHOWN_NAME]}...: a name of {len(name)} characters; expected a path of a file")
         return 2
     except MemoryError as error:
         _print_error(f"out of memory: {error}" if str(error) else "out of memory")
