@@ -17,7 +17,7 @@ from vlp16emu.elementary import cos, log, norm
 from vlp16emu.foliage.tiles import EXACT
 from vlp16emu.foliage.voxel import KNOTS, QUANTILES, VOXEL_M
 from vlp16emu.kernels.compiler import inline_kernel, kernel
-from vlp16emu.types import F4, F8, I8, U1, Mesh, PlantPart
+from vlp16emu.types import F4, F8, I4, I8, U1, Mesh, PlantPart
 
 TILTS = 64  # classes of faces by the sine of their normal's elevation
 _PIXELS = 32  # pixels along a voxel's edge in which faces are rasterized, 16 mm each
@@ -49,7 +49,7 @@ class Cloud:
     projection: F4
     """Projected area over area (meshes, knots), averaged over azimuth: the angular law of the shape's
     parts."""
-    cosine: F4  # (meshes, knots, QUANTILES) quantiles of the cosine of incidence
+    cosine: F4  # (meshes, knots, QUANTILES) quantiles of the cosine of incidence, of what is in view
     radius_m: float  # greatest distance of a corner from the shape's origin
 
 
@@ -83,7 +83,9 @@ def cloud_of(meshes: Sequence[Mesh], parts: U1) -> Cloud:
         cells = np.zeros((0, 3), np.float32), np.zeros(0, np.float32), np.zeros(0, np.uint8)
         kept = corners_m.astype(np.float32), mesh_of.astype(np.uint8)
     else:
-        cells = _cells(corners_m, mesh_of, area_m2 * (share[mesh_of] * kept_share(corners_m, first, share)))
+        kept_of, seen = look_through(corners_m, first, share)
+        cells = _cells(corners_m, mesh_of, area_m2 * (share[mesh_of] * kept_of))
+        cosine = _as_seen(cosine, seen)
         kept = np.zeros((0, 4, 3), np.float32), np.zeros(0, np.uint8)
     radius_m = float(norm(corners_m).max(initial=0.0))
     return Cloud(*cells, *kept, share, projection.astype(np.float32), cosine.astype(np.float32), radius_m)
@@ -91,13 +93,18 @@ def cloud_of(meshes: Sequence[Mesh], parts: U1) -> Cloud:
 
 def _face_areas(corners_m: F8, mesh_of: I8, meshes: int) -> tuple[F8, F8]:
     """Return areas (f,) of faces (f, 4, 3), and their sums (meshes, `TILTS`) by tilt of the normal."""
-    ax, ay, az = (corners_m[:, 2] - corners_m[:, 0]).T
-    bx, by, bz = (corners_m[:, 3] - corners_m[:, 1]).T
-    nx, ny, nz = 0.5 * (ay * bz - az * by), 0.5 * (az * bx - ax * bz), 0.5 * (ax * by - ay * bx)
+    nx, ny, nz = _normals_m2(corners_m)
     area_m2 = np.sqrt(nx * nx + ny * ny + nz * nz)
     tilt = np.minimum((np.abs(nz) / np.maximum(area_m2, 1e-12) * TILTS).astype(np.int64), TILTS - 1)
     weight = np.bincount(mesh_of * TILTS + tilt, area_m2, meshes * TILTS)  # sums in the order of faces
     return area_m2, weight.reshape(meshes, TILTS)  # type: ignore[return-value]  # its stubs know no weights
+
+
+def _normals_m2(corners_m: F8) -> tuple[F8, F8, F8]:
+    """Return the normals of faces (f, 4, 3) as x, y, z (f,), each as long as its face is large."""
+    ax, ay, az = (corners_m[:, 2] - corners_m[:, 0]).T
+    bx, by, bz = (corners_m[:, 3] - corners_m[:, 1]).T
+    return 0.5 * (ay * bz - az * by), 0.5 * (az * bx - ax * bz), 0.5 * (ax * by - ay * bx)
 
 
 @cache
@@ -150,8 +157,11 @@ def _middles_m(corners_m: F8) -> F8:
     return 0.25 * (corners_m[:, 0] + corners_m[:, 1] + corners_m[:, 2] + corners_m[:, 3])
 
 
-def kept_share(corners_m: F8, first: I8, share: F4) -> F8:
-    """Return the share (f,) of each face's area that hides as much when placed at random.
+def look_through(corners_m: F8, first: I8, share: F4) -> tuple[F8, F8]:
+    """Look through a shape along x and along y.
+
+    Returns the share (f,) of each face's area that hides as much when placed at random, and the light
+    (meshes, `TILTS`) that each mesh has in view by its cosine of incidence.
 
     All faces are rasterized along x and along y, voxel by voxel. Randomly placed faces that hide the same
     part of a voxel's side have an area of -log(1 - hidden) times that side (Beer's law); clumped faces have
@@ -170,63 +180,97 @@ def kept_share(corners_m: F8, first: I8, share: F4) -> F8:
     mesh_of = np.repeat(np.arange(len(share)), np.diff(first))
     factor = np.zeros((len(share), *size))
     total = np.zeros((len(share), *size), np.int64)
+    seen = np.zeros((len(share), TILTS))
     for axis in (0, 1):
         slab = middle[:, axis].astype(np.int64)
         order = np.argsort(slab, kind="stable")
         begin = np.searchsorted(slab[order], np.arange(size[axis] + 1))
         view = _View(
             np.full((2, size[1 - axis], size[2], _PIXELS, _PIXELS), np.inf, np.float32),
-            np.zeros((2, size[1 - axis], size[2], _PIXELS, _PIXELS), np.uint8),
+            np.full((2, size[1 - axis], size[2], _PIXELS, _PIXELS), -1, np.int32),
             np.empty((5, 4)),
         )
-        _look(corners_m, mesh_of, low, axis, order, begin, view, factor, total)
+        facing = _mesh_and_facing(corners_m, mesh_of, axis)
+        _look(corners_m, facing, low, axis, order, begin, view, factor, total, seen)
     at = np.ravel_multi_index((mesh_of, *middle.astype(np.int64).T), factor.shape)
     drawn = total.ravel()[at]
     kept = factor.ravel()[at] / (np.maximum(drawn, 1) * share[mesh_of])
-    return np.where(drawn > 0, kept, 1.0)
+    return np.where(drawn > 0, kept, 1.0), seen
+
+
+def _mesh_and_facing(corners_m: F8, mesh_of: I8, axis: int) -> I8:
+    """Return the mesh of each face, and the class of its cosine of incidence for light along an axis, (f, 2)."""
+    normal = np.stack(_normals_m2(corners_m))
+    cosine = np.abs(normal[axis]) / np.maximum(np.sqrt((normal * normal).sum(axis=0)), 1e-12)
+    return np.column_stack([mesh_of, np.minimum((cosine * TILTS).astype(np.int64), TILTS - 1)])
+
+
+def _as_seen(cosine: F8, seen: F8) -> F8:
+    """Return quantiles of the cosine of incidence of what is in view, for light up to 17 degrees steep.
+
+    Faces that light meets at a slant are hidden more often by others. The shift is that of level light.
+    """
+    shown = cosine.copy()
+    wanted = (np.arange(QUANTILES) + 0.5) / QUANTILES
+    for mesh in np.flatnonzero(seen.any(axis=1)).tolist():
+        so_far = np.cumsum(seen[mesh])
+        level = _SINE[np.searchsorted(so_far, wanted * so_far[-1])]
+        shown[mesh, :2] = np.clip(cosine[mesh, :2] + (level - cosine[mesh, 0]), 0.0, 1.0)
+    return shown
 
 
 class _View(NamedTuple):
     """What is nearest in the pixels of a slab of voxels, from the front and from behind; empty between slabs."""
 
     depth: F4  # (2, a, z, pixels, pixels) in voxels, the second one negative
-    mesh: U1  # likewise: mesh that is seen, counted from 1; 0 for none
+    face: I4  # likewise: face that is seen; -1 for none
     edges: F8  # (5, 4)
 
 
 @kernel
 def _look(
-    corners_m: F8, mesh_of: I8, low: F8, axis: int, order: I8, begin: I8, view: _View, factor: F8, total: I8
+    corners_m: F8,
+    facing: I8,
+    low: F8,
+    axis: int,
+    order: I8,
+    begin: I8,
+    view: _View,
+    factor: F8,
+    total: I8,
+    seen: F8,
 ) -> None:
     """Look through slab after slab along an axis; add to the effective areas and to the pixels of meshes.
 
     Parameters
     ----------
+    facing : as from `_mesh_and_facing`
     order, begin : faces by slab, and the place of each slab's first one among them
     factor, total : (meshes, x, y, z) in pixels
+    seen : (meshes, `TILTS`) in pixels
     """
     for slab in range(len(begin) - 1):
         if begin[slab] == begin[slab + 1]:
             continue
         for number in range(begin[slab], begin[slab + 1]):
             face = order[number]
-            _draw(corners_m[face], mesh_of[face], slab, low, axis, view, total)
-        for a in range(view.mesh.shape[1]):
-            for z in range(view.mesh.shape[2]):
+            _draw(corners_m[face], face, facing[face, 0], slab, low, axis, view, total)
+        for a in range(view.face.shape[1]):
+            for z in range(view.face.shape[2]):
                 x, y = (slab, a) if axis == 0 else (a, slab)
                 if total[:, x, y, z].any():
-                    _count(view.mesh[:, a, z], factor[:, x, y, z])
+                    _count(view.face[:, a, z], facing, factor[:, x, y, z], seen)
                     view.depth[:, a, z] = np.inf
-                    view.mesh[:, a, z] = 0
+                    view.face[:, a, z] = -1
 
 
 @inline_kernel
-def _count(seen: U1, factor: F8) -> None:
+def _count(face: I4, facing: I8, factor: F8, seen: F8) -> None:
     """Add the area of randomly placed faces that hide as many pixels of a voxel, to each mesh its part."""
     hidden = 0
     for row in range(_PIXELS):
         for pixel in range(_PIXELS):
-            hidden += seen[0, row, pixel] > 0
+            hidden += face[0, row, pixel] >= 0
     if hidden == 0:
         return
     share = min(hidden / (_PIXELS * _PIXELS), 1.0 - 0.5 / (_PIXELS * _PIXELS))
@@ -234,13 +278,14 @@ def _count(seen: U1, factor: F8) -> None:
     for side in range(2):
         for row in range(_PIXELS):
             for pixel in range(_PIXELS):
-                mesh = seen[side, row, pixel]
-                if mesh > 0:
-                    factor[mesh - 1] += weight
+                shown = face[side, row, pixel]
+                if shown >= 0:
+                    factor[facing[shown, 0]] += weight
+                    seen[facing[shown, 0], facing[shown, 1]] += weight
 
 
 @inline_kernel
-def _draw(corners_m: F8, mesh: int, slab: int, low: F8, axis: int, view: _View, total: I8) -> None:
+def _draw(corners_m: F8, face: int, mesh: int, slab: int, low: F8, axis: int, view: _View, total: I8) -> None:
     """Rasterize a face along an axis into the voxels of its slab; count all pixels, overlaps too."""
     edges = view.edges
     _turn_edges(corners_m, low, 1 - axis, edges)
@@ -260,7 +305,7 @@ def _draw(corners_m: F8, mesh: int, slab: int, low: F8, axis: int, view: _View, 
                 at = middle if side == 0 else -middle
                 if at < view.depth[side, a, z, q % _PIXELS, p % _PIXELS]:
                     view.depth[side, a, z, q % _PIXELS, p % _PIXELS] = at
-                    view.mesh[side, a, z, q % _PIXELS, p % _PIXELS] = mesh + 1
+                    view.face[side, a, z, q % _PIXELS, p % _PIXELS] = face
 
 
 @inline_kernel
