@@ -101,7 +101,7 @@ def test_a_cloud_is_where_its_faces_are(monkeypatch):
     faces, to a millimetre."""
 
     def all_in_view(corners, *_):
-        return np.ones(len(corners)), np.zeros((2, TILTS))
+        return np.ones(len(corners)), np.zeros((2, 2, TILTS))
 
     monkeypatch.setattr(clouds_room, "look_through", all_in_view)
     meshes = lab.Tiles().shape("crown")

@@ -83,9 +83,9 @@ def cloud_of(meshes: Sequence[Mesh], parts: U1) -> Cloud:
         cells = np.zeros((0, 3), np.float32), np.zeros(0, np.float32), np.zeros(0, np.uint8)
         kept = corners_m.astype(np.float32), mesh_of.astype(np.uint8)
     else:
-        kept_of, seen = look_through(corners_m, first, share)
-        cells = _cells(corners_m, mesh_of, area_m2 * (share[mesh_of] * kept_of))
-        cosine = _as_seen(cosine, seen)
+        kept, light = look_through(corners_m, first, share)
+        cells = _cells(corners_m, mesh_of, area_m2 * (share[mesh_of] * kept))
+        cosine = _as_seen(cosine, light)
         kept = np.zeros((0, 4, 3), np.float32), np.zeros(0, np.uint8)
     radius_m = float(norm(corners_m).max(initial=0.0))
     return Cloud(*cells, *kept, share, projection.astype(np.float32), cosine.astype(np.float32), radius_m)
@@ -161,7 +161,7 @@ def look_through(corners_m: F8, first: I8, share: F4) -> tuple[F8, F8]:
     """Look through a shape along x and along y.
 
     Returns the share (f,) of each face's area that hides as much when placed at random, and the light
-    (meshes, `TILTS`) that each mesh has in view by its cosine of incidence.
+    (meshes, 2, `TILTS`) of each mesh by its cosine of incidence: what is in view, and all.
 
     All faces are rasterized along x and along y, voxel by voxel. Randomly placed faces that hide the same
     part of a voxel's side have an area of -log(1 - hidden) times that side (Beer's law); clumped faces have
@@ -180,7 +180,7 @@ def look_through(corners_m: F8, first: I8, share: F4) -> tuple[F8, F8]:
     mesh_of = np.repeat(np.arange(len(share)), np.diff(first))
     factor = np.zeros((len(share), *size))
     total = np.zeros((len(share), *size), np.int64)
-    seen = np.zeros((len(share), TILTS))
+    light = np.zeros((len(share), 2, TILTS))
     for axis in (0, 1):
         slab = middle[:, axis].astype(np.int64)
         order = np.argsort(slab, kind="stable")
@@ -191,11 +191,11 @@ def look_through(corners_m: F8, first: I8, share: F4) -> tuple[F8, F8]:
             np.empty((5, 4)),
         )
         facing = _mesh_and_facing(corners_m, mesh_of, axis)
-        _look(corners_m, facing, low, axis, order, begin, view, factor, total, seen)
+        _look(corners_m, facing, low, axis, order, begin, view, factor, total, light)
     at = np.ravel_multi_index((mesh_of, *middle.astype(np.int64).T), factor.shape)
     drawn = total.ravel()[at]
     kept = factor.ravel()[at] / (np.maximum(drawn, 1) * share[mesh_of])
-    return np.where(drawn > 0, kept, 1.0), seen
+    return np.where(drawn > 0, kept, 1.0), light
 
 
 def _mesh_and_facing(corners_m: F8, mesh_of: I8, axis: int) -> I8:
@@ -205,17 +205,15 @@ def _mesh_and_facing(corners_m: F8, mesh_of: I8, axis: int) -> I8:
     return np.column_stack([mesh_of, np.minimum((cosine * TILTS).astype(np.int64), TILTS - 1)])
 
 
-def _as_seen(cosine: F8, seen: F8) -> F8:
+def _as_seen(cosine: F8, light: F8) -> F8:
     """Return quantiles of the cosine of incidence of what is in view, for light up to 17 degrees steep.
 
-    Faces that light meets at a slant are hidden more often by others. The shift is that of level light.
+    Faces that light meets at a slant are hidden more often by others, so what is in view has a greater mean.
+    The difference is that of level light.
     """
+    mean = (light * _SINE).sum(axis=2) / np.maximum(light.sum(axis=2), 1e-12)
     shown = cosine.copy()
-    wanted = (np.arange(QUANTILES) + 0.5) / QUANTILES
-    for mesh in np.flatnonzero(seen.any(axis=1)).tolist():
-        so_far = np.cumsum(seen[mesh])
-        level = _SINE[np.searchsorted(so_far, wanted * so_far[-1])]
-        shown[mesh, :2] = np.clip(cosine[mesh, :2] + (level - cosine[mesh, 0]), 0.0, 1.0)
+    shown[:, :2] = np.clip(cosine[:, :2] + (mean[:, 0] - mean[:, 1])[:, None, None], 0.0, 1.0)
     return shown
 
 
@@ -238,7 +236,7 @@ def _look(
     view: _View,
     factor: F8,
     total: I8,
-    seen: F8,
+    light: F8,
 ) -> None:
     """Look through slab after slab along an axis; add to the effective areas and to the pixels of meshes.
 
@@ -247,25 +245,25 @@ def _look(
     facing : as from `_mesh_and_facing`
     order, begin : faces by slab, and the place of each slab's first one among them
     factor, total : (meshes, x, y, z) in pixels
-    seen : (meshes, `TILTS`) in pixels
+    light : (meshes, 2, `TILTS`) in pixels, as `look_through` returns it
     """
     for slab in range(len(begin) - 1):
         if begin[slab] == begin[slab + 1]:
             continue
         for number in range(begin[slab], begin[slab + 1]):
             face = order[number]
-            _draw(corners_m[face], face, facing[face, 0], slab, low, axis, view, total)
+            _draw(corners_m[face], face, facing[face], slab, low, axis, view, total, light)
         for a in range(view.face.shape[1]):
             for z in range(view.face.shape[2]):
                 x, y = (slab, a) if axis == 0 else (a, slab)
                 if total[:, x, y, z].any():
-                    _count(view.face[:, a, z], facing, factor[:, x, y, z], seen)
+                    _count(view.face[:, a, z], facing, factor[:, x, y, z], light)
                     view.depth[:, a, z] = np.inf
                     view.face[:, a, z] = -1
 
 
 @inline_kernel
-def _count(face: I4, facing: I8, factor: F8, seen: F8) -> None:
+def _count(face: I4, facing: I8, factor: F8, light: F8) -> None:
     """Add the area of randomly placed faces that hide as many pixels of a voxel, to each mesh its part."""
     hidden = 0
     for row in range(_PIXELS):
@@ -281,15 +279,19 @@ def _count(face: I4, facing: I8, factor: F8, seen: F8) -> None:
                 shown = face[side, row, pixel]
                 if shown >= 0:
                     factor[facing[shown, 0]] += weight
-                    seen[facing[shown, 0], facing[shown, 1]] += weight
+                    light[facing[shown, 0], 0, facing[shown, 1]] += weight
 
 
 @inline_kernel
-def _draw(corners_m: F8, face: int, mesh: int, slab: int, low: F8, axis: int, view: _View, total: I8) -> None:
+def _draw(
+    corners_m: F8, face: int, facing: I8, slab: int, low: F8, axis: int, view: _View, total: I8, light: F8
+) -> None:
     """Rasterize a face along an axis into the voxels of its slab; count all pixels, overlaps too."""
     edges = view.edges
     _turn_edges(corners_m, low, 1 - axis, edges)
-    u, v, depth = edges[0], edges[1], edges[4]
+    u = edges[0]
+    v = edges[1]
+    depth = edges[4]
     for c in range(4):
         depth[c] = corners_m[c, axis] / VOXEL_M - low[axis]
     middle = 0.25 * (depth[0] + depth[1] + depth[2] + depth[3])
@@ -298,9 +300,11 @@ def _draw(corners_m: F8, face: int, mesh: int, slab: int, low: F8, axis: int, vi
     for q in range(lower, upper + 1):
         first, last = _row(edges, q + 0.5, left, right)
         for p in range(first, last + 1):
-            a, z = p // _PIXELS, q // _PIXELS
+            a = p // _PIXELS
+            z = q // _PIXELS
             x, y = (slab, a) if axis == 0 else (a, slab)
-            total[mesh, x, y, z] += 1
+            total[facing[0], x, y, z] += 1
+            light[facing[0], 1, facing[1]] += 1.0
             for side in range(2):
                 at = middle if side == 0 else -middle
                 if at < view.depth[side, a, z, q % _PIXELS, p % _PIXELS]:
