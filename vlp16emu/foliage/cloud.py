@@ -83,8 +83,8 @@ def cloud_of(meshes: Sequence[Mesh], parts: U1) -> Cloud:
         cells = np.zeros((0, 3), np.float32), np.zeros(0, np.float32), np.zeros(0, np.uint8)
         kept = corners_m.astype(np.float32), mesh_of.astype(np.uint8)
     else:
-        kept, light = look_through(corners_m, first, share)
-        cells = _cells(corners_m, mesh_of, area_m2 * (share[mesh_of] * kept))
+        effective, light = look_through(corners_m, first, share)
+        cells = _cells(corners_m, mesh_of, area_m2 * (share[mesh_of] * effective))
         cosine = _as_seen(cosine, light)
         kept = np.zeros((0, 4, 3), np.float32), np.zeros(0, np.uint8)
     radius_m = float(norm(corners_m).max(initial=0.0))
