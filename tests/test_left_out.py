@@ -158,8 +158,8 @@ def test_without_canopy_loss_nobody_looks_at_the_sky(caplog, setting):
 
 @pytest.mark.usefixtures("kept_woods")
 def test_still_air_moves_nothing():
-    """Without wind no placement of a window sways, and each tile's stems are one shape; in wind layers of near
-    stems are on their own."""
+    """Without wind no placement of a window sways, and each tile's stems are one shape; in wind layers of
+    near stems are on their own."""
     still, blown = (
         window_of(emulator.parts, emulator.scenario.start_ns, emulator.engine.batching, 0)
         for emulator in (Emulator(birch(*wind), threads=1) for wind in ([], ["wind.speed_m_s=3"]))
@@ -197,9 +197,9 @@ are loaded by now."""
 def test_commands_load_no_library_they_do_not_need(tmp_path, monkeypatch):
     """What is wrong with a scene is found before kernels and their compiler are loaded.
 
-    A walk in still air imports nothing of wind. A static, single-ray recording imports nothing that draws, reads meshes or grids, makes curves or talks; a
-    stream builds no frames, and waits neither for the lint nor for scipy, be its path and woods made for it
-    or kept from before.
+    A walk in still air imports nothing of wind. A static, single-ray recording imports nothing that draws,
+    reads meshes or grids, makes curves or talks; a stream builds no frames, and waits neither for the lint
+    nor for scipy, be its path and woods made for it or kept from before.
     """
     monkeypatch.setenv("VLP16EMU_CACHE_DIR", str(tmp_path / "world"))
     wrong, json_ = ("birch_walk", "--set", "sensor.rpm=17"), "--json"

@@ -60,8 +60,8 @@ def test_swaying_stems_are_where_the_formula_has_them_at_each_pulse():
 
 
 def diameters_m(*settings):
-    """Diameters by circle fits between 1.2 and 1.4 m above the foot, from a walk of four seconds with an ideal
-    sensor, by the numbers of the trees."""
+    """Diameters by circle fits between 1.2 and 1.4 m above the foot, from a walk of four seconds with an
+    ideal sensor, by the numbers of the trees."""
     scenario = load("birch_walk", ["sensor.max_range_m=12.0", *settings], ideal=True)
     emulator = Emulator(scenario)
     points = {}
@@ -86,7 +86,7 @@ def diameters_m(*settings):
 
 
 def test_a_breeze_changes_no_diameter():
-    """Diameters at breast height from a walk in a wind of 5 m/s are those from still air to 2 mm, tree by tree."""
+    """Diameters at breast height from a walk in a wind of 5 m/s are those of still air to 2 mm, by tree."""
     still, blown = (diameters_m(*wind) for wind in ([], ["wind.speed_m_s=5.0"]))
     both = sorted(still.keys() & blown.keys())
     assert len(both) >= 6

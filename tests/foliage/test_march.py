@@ -82,19 +82,25 @@ class Twin:
             if not bits >> column & 1:
                 continue
             leaf = int(room._LEAF_OF[main, variant, column])
+            place = [8 * (own[a] + middle_m / VOXEL_M * d[a]) for a in (one, two)]
+            facets = int(4 * place[0]) & 3, int(2 * place[1]) & 1
             along = cell[main] + ((int(room._PLACE[variant, leaf, main]) ^ mirror[main] << 5) + 0.5) / 256
             at_m = (along - own[main]) / d[main] * VOXEL_M
             if at_m >= M.near_m:
-                return at_m, self.owner(int(M.first_owner[voxel]), h, leaf, (x // COLUMNS, y // COLUMNS))
+                return at_m, self.owner(
+                    int(M.first_owner[voxel]), h, leaf, facets, (x // COLUMNS, y // COLUMNS)
+                )
         return MISS
 
-    def owner(self, first, h, leaf, tile):
-        """Surface of a leaf of a voxel of a tile, by the voxel's first owner."""
-        own = (h + leaf * 0x9E3779B1 & M32) * 0x85EBCA77 & M32
+    def owner(self, first, h, leaf, facets, tile):
+        """Surface of a facet of a leaf of a voxel of a tile, by the voxel's first owner."""
+        quarter = 2 * (facets[0] >> 1) + facets[1]
+        own = (h + (4 * leaf + quarter) * 0x9E3779B1 & M32) * 0x85EBCA77 & M32
         own = (own ^ own >> 15) * 0xC2B2AE3D & M32
         own ^= own >> 16
         owner = first
-        while int(self.M.owner[owner]) >> 56 < own & 255:
+        drawn = own + 97 * (2 * facets[0] + facets[1]) & 255
+        while int(self.M.owner[owner]) >> 56 < drawn:
             owner += 1
         own = int(self.M.owner[owner])
         return int(self.M.surface[tile][own >> 52 & 15]) + (own & M32)
@@ -224,7 +230,8 @@ def test_rays_meet_what_they_meet_by_the_slow_twin(stand, towards):
             seen.add((int(window.surfaces["semantic"][surface]), int(window.surfaces["part"][surface])))
     assert hits > (10 if towards == "z" else 50)
     assert {(2, 1), (2, 4)} <= seen
-    assert towards == "z" or {(1, 0), (4, 0)} <= seen
+    assert towards == "z" or (1, 0) in seen
+    assert towards in ("x", "z") or (4, 0) in seen
     # A cone that is met steeply is found in too few steps: see the radius of a stem in `march`.
     assert good >= len(origin_m) - (2 if "z" in towards else 1)
 

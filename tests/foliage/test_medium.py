@@ -9,7 +9,7 @@ import pytest
 from raycast import lab
 
 from vlp16emu.foliage import cloud as clouds_room
-from vlp16emu.foliage.cloud import Library, cloud_of, kept_share
+from vlp16emu.foliage.cloud import TILTS, Library, cloud_of, look_through
 from vlp16emu.foliage.medium import Block, Shelf, block_of
 from vlp16emu.foliage.voxel import COLUMNS, KNOTS, QUANTILES, SHARE_BIT, TAU_PER_M, TILE_BIT, VOXEL_M
 from vlp16emu.types import Mesh, PlantPart
@@ -74,14 +74,36 @@ def test_leaves_that_hide_each_other_count_once():
     apart = np.array([leaf_m + [0.1, y, 0] for y in (0.0, 0.1, 0.2, 0.3)])
     for leaves_m, left in ((behind, 0.25), (apart, 1.0)):
         corners = np.concatenate([leaves_m, leaves_m[:, :, [1, 0, 2]]])  # as many seen along y
-        kept = kept_share(corners, np.array([0, 8]), np.ones(1, np.float32))
+        kept = look_through(corners, np.array([0, 8]), np.ones(1, np.float32))[0]
         assert kept == pytest.approx(left, rel=0.06)
+
+
+@pytest.mark.parametrize(("twigs_x_m", "left"), [(0.2, 0.0), (0.35, 0.5)])
+def test_a_twig_behind_leaves_counts_as_it_is_seen(twigs_x_m, left):
+    """Of twigs between two sheets of leaves nothing is left, and of twigs behind both of them half: from one
+    side they are in front. What the sheets lose is what these twigs hide."""
+
+    def sheet(x_m):
+        return np.array([[x_m, y, z] for y, z in ((0.1, 0.1), (0.4, 0.1), (0.4, 0.4), (0.1, 0.4))])
+
+    twigs = np.array([[twigs_x_m, y, z] for y, z in ((0.2, 0.1), (0.22, 0.1), (0.22, 0.4), (0.2, 0.4))])
+    along_x = np.array([sheet(0.15), sheet(0.25), twigs])
+    corners = np.concatenate([along_x, along_x[:, :, [1, 0, 2]]])[[0, 1, 3, 4, 2, 5]]
+    kept = look_through(corners, np.array([0, 4, 6]), np.ones(2, np.float32))[0]
+    hidden = 0.3 * 0.3 / VOXEL_M**2
+    leaves, twig = kept[0] * 2 * 0.3 * 0.3, kept[4] * 0.02 * 0.3
+    assert leaves + twig == pytest.approx(-np.log(1 - hidden) * VOXEL_M**2, rel=0.05)
+    assert kept[4] * hidden / -np.log(1 - hidden) == pytest.approx(left, abs=0.03)
 
 
 def test_a_cloud_is_where_its_faces_are(monkeypatch):
     """Where nothing is hidden, cells add up to the area of each mesh, and their middle is that of the
     faces, to a millimetre."""
-    monkeypatch.setattr(clouds_room, "kept_share", lambda corners, *_: np.ones(len(corners)))
+
+    def all_in_view(corners, *_):
+        return np.ones(len(corners)), np.zeros((2, 2, TILTS))
+
+    monkeypatch.setattr(clouds_room, "look_through", all_in_view)
     meshes = lab.Tiles().shape("crown")
     cloud = cloud_of(meshes, PARTS)
     assert len(cloud.corners_m) == 0

@@ -17,7 +17,7 @@ from vlp16emu.elementary import cos, log, norm
 from vlp16emu.foliage.tiles import EXACT
 from vlp16emu.foliage.voxel import KNOTS, QUANTILES, VOXEL_M
 from vlp16emu.kernels.compiler import inline_kernel, kernel
-from vlp16emu.types import F4, F8, I8, U1, U4, Mesh, PlantPart
+from vlp16emu.types import F4, F8, I4, I8, U1, Mesh, PlantPart
 
 TILTS = 64  # classes of faces by the sine of their normal's elevation
 _PIXELS = 32  # pixels along a voxel's edge in which faces are rasterized, 16 mm each
@@ -49,7 +49,7 @@ class Cloud:
     projection: F4
     """Projected area over area (meshes, knots), averaged over azimuth: the angular law of the shape's
     parts."""
-    cosine: F4  # (meshes, knots, QUANTILES) quantiles of the cosine of incidence
+    cosine: F4  # (meshes, knots, QUANTILES) quantiles of the cosine of incidence, of what is in view
     radius_m: float  # greatest distance of a corner from the shape's origin
 
 
@@ -83,7 +83,9 @@ def cloud_of(meshes: Sequence[Mesh], parts: U1) -> Cloud:
         cells = np.zeros((0, 3), np.float32), np.zeros(0, np.float32), np.zeros(0, np.uint8)
         kept = corners_m.astype(np.float32), mesh_of.astype(np.uint8)
     else:
-        cells = _cells(corners_m, mesh_of, area_m2 * (share[mesh_of] * kept_share(corners_m, first, share)))
+        effective, light = look_through(corners_m, first, share)
+        cells = _cells(corners_m, mesh_of, area_m2 * (share[mesh_of] * effective))
+        cosine = _as_seen(cosine, light)
         kept = np.zeros((0, 4, 3), np.float32), np.zeros(0, np.uint8)
     radius_m = float(norm(corners_m).max(initial=0.0))
     return Cloud(*cells, *kept, share, projection.astype(np.float32), cosine.astype(np.float32), radius_m)
@@ -91,13 +93,18 @@ def cloud_of(meshes: Sequence[Mesh], parts: U1) -> Cloud:
 
 def _face_areas(corners_m: F8, mesh_of: I8, meshes: int) -> tuple[F8, F8]:
     """Return areas (f,) of faces (f, 4, 3), and their sums (meshes, `TILTS`) by tilt of the normal."""
-    ax, ay, az = (corners_m[:, 2] - corners_m[:, 0]).T
-    bx, by, bz = (corners_m[:, 3] - corners_m[:, 1]).T
-    nx, ny, nz = 0.5 * (ay * bz - az * by), 0.5 * (az * bx - ax * bz), 0.5 * (ax * by - ay * bx)
+    nx, ny, nz = _normals_m2(corners_m)
     area_m2 = np.sqrt(nx * nx + ny * ny + nz * nz)
     tilt = np.minimum((np.abs(nz) / np.maximum(area_m2, 1e-12) * TILTS).astype(np.int64), TILTS - 1)
     weight = np.bincount(mesh_of * TILTS + tilt, area_m2, meshes * TILTS)  # sums in the order of faces
     return area_m2, weight.reshape(meshes, TILTS)  # type: ignore[return-value]  # its stubs know no weights
+
+
+def _normals_m2(corners_m: F8) -> tuple[F8, F8, F8]:
+    """Return the normals of faces (f, 4, 3) as x, y, z (f,), each as long as its face is large."""
+    ax, ay, az = (corners_m[:, 2] - corners_m[:, 0]).T
+    bx, by, bz = (corners_m[:, 3] - corners_m[:, 1]).T
+    return 0.5 * (ay * bz - az * by), 0.5 * (az * bx - ax * bz), 0.5 * (ax * by - ay * bx)
 
 
 @cache
@@ -131,7 +138,7 @@ def _angular_law(weight: F8) -> tuple[F8, F8]:
 
 def _cells(corners_m: F8, mesh_of: I8, area_m2: F8) -> tuple[F4, F4, U1]:
     """Sum faces in cells of `_CELL_M` by mesh and position; return positions, areas and mesh indices."""
-    middle_m = 0.25 * (corners_m[:, 0] + corners_m[:, 1] + corners_m[:, 2] + corners_m[:, 3])
+    middle_m = _middles_m(corners_m)
     at = np.floor(middle_m / _CELL_M).astype(np.int64)
     at -= at.min(axis=0)
     _, ny, nz = (at.max(axis=0) + 1).tolist()
@@ -145,12 +152,21 @@ def _cells(corners_m: F8, mesh_of: I8, area_m2: F8) -> tuple[F4, F4, U1]:
     return place_m.astype(np.float32), total.astype(np.float32), mesh_of[some].astype(np.uint8)
 
 
-def kept_share(corners_m: F8, first: I8, share: F4) -> F8:
-    """Return the share (f,) of each face's area that hides as much when placed at random.
+def _middles_m(corners_m: F8) -> F8:
+    """Return the middles (f, 3) of faces (f, 4, 3)."""
+    return 0.25 * (corners_m[:, 0] + corners_m[:, 1] + corners_m[:, 2] + corners_m[:, 3])
 
-    The faces of each mesh are rasterized along x and along y, voxel by voxel. Randomly placed leaves that
-    hide the same part of a voxel's side have an area of -log(1 - hidden) times that side (Beer's law);
-    clumped leaves have more area than that.
+
+def look_through(corners_m: F8, first: I8, share: F4) -> tuple[F8, F8]:
+    """Look through a shape along x and along y.
+
+    Returns the share (f,) of each face's area that hides as much when placed at random, and the light
+    (meshes, 2, `TILTS`) of each mesh by its cosine of incidence: what is in view, and all.
+
+    All faces are rasterized along x and along y, voxel by voxel. Randomly placed faces that hide the same
+    part of a voxel's side have an area of -log(1 - hidden) times that side (Beer's law); clumped faces have
+    more area than that. Meshes have parts of it as they are in front, seen from both sides: twigs amid their
+    own leaves are hardly seen.
 
     Parameters
     ----------
@@ -160,81 +176,140 @@ def kept_share(corners_m: F8, first: I8, share: F4) -> F8:
     low, high = (limit(corners_m.reshape(-1, 3), axis=0) / VOXEL_M for limit in (np.min, np.max))
     low = np.floor(low)
     size = (np.ceil(high) - low + 1).astype(int)
-    out = np.ones(len(corners_m))
-    drawn = np.zeros((*size, _PIXELS), np.uint32)
-    edges = np.empty((4, 4))
-    for mesh in range(len(share)):
-        begin = first[mesh]
-        stop = first[mesh + 1]
-        factor = np.zeros(size)
-        total = np.zeros(size, np.int64)
-        for axis in (0, 1):
-            _draw(corners_m, begin, stop, low, axis, edges, drawn, total)
-            _count(drawn, total, factor)
-        _share(corners_m, begin, stop, low, size, factor.ravel(), total.ravel(), float(share[mesh]), out)
-    return out
+    middle = _middles_m(corners_m) / VOXEL_M - low
+    mesh_of = np.repeat(np.arange(len(share)), np.diff(first))
+    factor = np.zeros((len(share), *size))
+    total = np.zeros((len(share), *size), np.int64)
+    light = np.zeros((len(share), 2, TILTS))
+    for axis in (0, 1):
+        slab = middle[:, axis].astype(np.int64)
+        order = np.argsort(slab, kind="stable")
+        begin = np.searchsorted(slab[order], np.arange(size[axis] + 1))
+        view = _View(
+            np.full((2, size[1 - axis], size[2], _PIXELS, _PIXELS), np.inf, np.float32),
+            np.full((2, size[1 - axis], size[2], _PIXELS, _PIXELS), -1, np.int32),
+            np.empty((5, 4)),
+        )
+        facing = _mesh_and_facing(corners_m, mesh_of, axis)
+        _look(corners_m, facing, low, axis, order, begin, view, factor, total, light)
+    at = np.ravel_multi_index((mesh_of, *middle.astype(np.int64).T), factor.shape)
+    drawn = total.ravel()[at]
+    kept = factor.ravel()[at] / (np.maximum(drawn, 1) * share[mesh_of])
+    return np.where(drawn > 0, kept, 1.0), light
+
+
+def _mesh_and_facing(corners_m: F8, mesh_of: I8, axis: int) -> I8:
+    """Return the mesh and the class of the cosine of incidence along an axis of each face, (f, 2)."""
+    normal = np.stack(_normals_m2(corners_m))
+    cosine = np.abs(normal[axis]) / np.maximum(np.sqrt((normal * normal).sum(axis=0)), 1e-12)
+    return np.column_stack([mesh_of, np.minimum((cosine * TILTS).astype(np.int64), TILTS - 1)])
+
+
+def _as_seen(cosine: F8, light: F8) -> F8:
+    """Return quantiles of the cosine of incidence of what is in view, for light up to 17 degrees steep.
+
+    Faces that light meets at a slant are hidden more often by others, so what is in view has a greater mean.
+    The difference is that of level light.
+    """
+    mean = (light * _SINE).sum(axis=2) / np.maximum(light.sum(axis=2), 1e-12)
+    shown = cosine.copy()
+    shown[:, :2] = np.clip(cosine[:, :2] + (mean[:, 0] - mean[:, 1])[:, None, None], 0.0, 1.0)
+    return shown
+
+
+class _View(NamedTuple):
+    """Nearest things in the pixels of a slab of voxels, from front and behind; empty between slabs."""
+
+    depth: F4  # (2, a, z, pixels, pixels) in voxels, the second one negative
+    face: I4  # likewise: face that is seen; -1 for none
+    edges: F8  # (5, 4)
 
 
 @kernel
-def _count(drawn: U4, total: I8, factor: F8) -> None:
-    """Add the area of randomly placed leaves that hide as many pixels of each voxel, and clear the pixels."""
-    nx, ny, nz = total.shape
-    for i in range(nx):
-        for j in range(ny):
-            for k in range(nz):
-                if total[i, j, k]:
-                    bits = 0
-                    for line in range(_PIXELS):
-                        left = drawn[i, j, k, line]
-                        drawn[i, j, k, line] = 0
-                        while left:
-                            left &= left - np.uint32(1)
-                            bits += 1
-                    hidden = min(bits / (_PIXELS * _PIXELS), 1.0 - 0.5 / (_PIXELS * _PIXELS))
-                    factor[i, j, k] -= log(1.0 - hidden) * (_PIXELS * _PIXELS)
-
-
-@kernel
-def _share(
-    corners_m: F8, begin: int, stop: int, low: F8, size: I8, factor: F8, total: I8, share: float, out: F8
+def _look(
+    corners_m: F8,
+    facing: I8,
+    low: F8,
+    axis: int,
+    order: I8,
+    begin: I8,
+    view: _View,
+    factor: F8,
+    total: I8,
+    light: F8,
 ) -> None:
-    """Fill the share of each face from the voxel of its centre."""
-    for f in range(begin, stop):
-        at = 0
-        for axis in range(3):
-            at = at * size[axis] + _voxel(corners_m[f], low, axis)
-        if total[at] > 0:
-            out[f] = factor[at] / (total[at] * share)
-
-
-@inline_kernel
-def _voxel(corners_m: F8, low: F8, axis: int) -> int:
-    at = low[axis]
-    first_two = (corners_m[0, axis] / VOXEL_M - at) + (corners_m[1, axis] / VOXEL_M - at)
-    return int(0.25 * (first_two + (corners_m[2, axis] / VOXEL_M - at) + (corners_m[3, axis] / VOXEL_M - at)))
-
-
-@kernel
-def _draw(corners_m: F8, begin: int, stop: int, low: F8, axis: int, edges: F8, drawn: U4, total: I8) -> None:
-    """Rasterize faces along an axis into the voxels at their depth; count all pixels, overlaps too.
+    """Look through slab after slab along an axis; add to the effective areas and to the pixels of meshes.
 
     Parameters
     ----------
-    edges : (4, 4) scratch
+    facing : as from `_mesh_and_facing`
+    order, begin : faces by slab, and the place of each slab's first one among them
+    factor, total : (meshes, x, y, z) in pixels
+    light : (meshes, 2, `TILTS`) in pixels, as `look_through` returns it
     """
-    u, v = edges[0], edges[1]
-    for f in range(begin, stop):
-        depth = _voxel(corners_m[f], low, axis)
-        _turn_edges(corners_m[f], low, 1 - axis, edges)
-        left, right = math.floor(min(u[0], u[1], u[2], u[3])), math.floor(max(u[0], u[1], u[2], u[3]))
-        lower, upper = math.floor(min(v[0], v[1], v[2], v[3])), math.floor(max(v[0], v[1], v[2], v[3]))
-        for q in range(lower, upper + 1):
-            first, last = _row(edges, q + 0.5, left, right)
-            for p in range(first, last + 1):
-                a, b = p // _PIXELS, q // _PIXELS
-                i, j = (depth, a) if axis == 0 else (a, depth)
-                drawn[i, j, b, q % _PIXELS] |= np.uint32(1) << np.uint32(p % _PIXELS)
-                total[i, j, b] += 1
+    for slab in range(len(begin) - 1):
+        if begin[slab] == begin[slab + 1]:
+            continue
+        for number in range(begin[slab], begin[slab + 1]):
+            face = order[number]
+            _draw(corners_m[face], face, facing[face], slab, low, axis, view, total, light)
+        for a in range(view.face.shape[1]):
+            for z in range(view.face.shape[2]):
+                x, y = (slab, a) if axis == 0 else (a, slab)
+                if total[:, x, y, z].any():
+                    _count(view.face[:, a, z], facing, factor[:, x, y, z], light)
+                    view.depth[:, a, z] = np.inf
+                    view.face[:, a, z] = -1
+
+
+@inline_kernel
+def _count(face: I4, facing: I8, factor: F8, light: F8) -> None:
+    """Add the area of randomly placed faces that hide as many pixels of a voxel, to each mesh its part."""
+    hidden = 0
+    for row in range(_PIXELS):
+        for pixel in range(_PIXELS):
+            hidden += face[0, row, pixel] >= 0
+    if hidden == 0:
+        return
+    share = min(hidden / (_PIXELS * _PIXELS), 1.0 - 0.5 / (_PIXELS * _PIXELS))
+    weight = -log(1.0 - share) * (_PIXELS * _PIXELS) / (2 * hidden)
+    for side in range(2):
+        for row in range(_PIXELS):
+            for pixel in range(_PIXELS):
+                shown = face[side, row, pixel]
+                if shown >= 0:
+                    factor[facing[shown, 0]] += weight
+                    light[facing[shown, 0], 0, facing[shown, 1]] += weight
+
+
+@inline_kernel
+def _draw(
+    corners_m: F8, face: int, facing: I8, slab: int, low: F8, axis: int, view: _View, total: I8, light: F8
+) -> None:
+    """Rasterize a face along an axis into the voxels of its slab; count all pixels, overlaps too."""
+    edges = view.edges
+    _turn_edges(corners_m, low, 1 - axis, edges)
+    u = edges[0]
+    v = edges[1]
+    depth = edges[4]
+    for c in range(4):
+        depth[c] = corners_m[c, axis] / VOXEL_M - low[axis]
+    middle = 0.25 * (depth[0] + depth[1] + depth[2] + depth[3])
+    left, right = math.floor(min(u[0], u[1], u[2], u[3])), math.floor(max(u[0], u[1], u[2], u[3]))
+    lower, upper = math.floor(min(v[0], v[1], v[2], v[3])), math.floor(max(v[0], v[1], v[2], v[3]))
+    for q in range(lower, upper + 1):
+        first, last = _row(edges, q + 0.5, left, right)
+        for p in range(first, last + 1):
+            a = p // _PIXELS
+            z = q // _PIXELS
+            x, y = (slab, a) if axis == 0 else (a, slab)
+            total[facing[0], x, y, z] += 1
+            light[facing[0], 1, facing[1]] += 1.0
+            for side in range(2):
+                at = middle if side == 0 else -middle
+                if at < view.depth[side, a, z, q % _PIXELS, p % _PIXELS]:
+                    view.depth[side, a, z, q % _PIXELS, p % _PIXELS] = at
+                    view.face[side, a, z, q % _PIXELS, p % _PIXELS] = face
 
 
 @inline_kernel

@@ -18,8 +18,8 @@ EVEN = np.ones_like(SHARES)
     ids=["even", "falling"],
 )
 def test_a_cylinder_bends_as_the_handbook_has_it(load, form):
-    """A cantilever of one section has the deflections of Timoshenko and Gere, appendix: 0.011 of the tip's at 1.3
-    m of 17 m under an even load, and not the 0.076 of a straight line."""
+    """A cantilever of one section has the deflections of Timoshenko and Gere, appendix: 0.011 of the tip's at
+    1.3 m of 17 m under an even load, and not the 0.076 of a straight line."""
     (curve,) = bent(EVEN[None], load[None])
     assert np.abs(curve - form(SHARES)).max() < 2e-4
     if load is EVEN:
@@ -28,8 +28,8 @@ def test_a_cylinder_bends_as_the_handbook_has_it(load, form):
 
 @pytest.mark.parametrize("thin", [0.5, 0.2])
 def test_a_tapering_stem_bends_as_a_general_solver_has_it(thin):
-    """A cone cut off at a share of its width, with a load on its upper half: scipy's boundary value problem of
-    the same beam (fixed foot, free tip) gives the same curve to 0.3 % of the tip's movement."""
+    """A cone cut off at a share of its width, with a load on its upper half: scipy's boundary value problem
+    of the same beam (fixed foot, free tip) gives the same curve to 0.3 % of the tip's movement."""
     radius_m = 1 - (1 - thin) * SHARES
     load = np.where(SHARES >= 0.5, 1 - SHARES, 0.0)
 

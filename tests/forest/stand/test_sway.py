@@ -129,8 +129,8 @@ def test_sitka_spruce_sways_as_measured():
 
 @pytest.mark.parametrize("dbh_m", [0.16, 0.24, 0.4])
 def test_stems_are_as_stiff_as_green_wood(dbh_m):
-    """The tip of a spruce moves under the drag on its crown as that of a beam of its taper with a modulus of 3 to 9
-    GPa, as green softwood has, though its stiffness comes from frequency and mass alone."""
+    """The tip of a spruce moves under the drag on its crown as that of a beam of its taper with a modulus of
+    3 to 9 GPa, as green softwood has, though its stiffness comes from frequency and mass alone."""
     height_m = 21.0 * (dbh_m / 0.24) ** 0.5
     one = trees_of(
         ["norway_spruce"], dbh_m=dbh_m, height_m=height_m, crown_base_m=9.0, crown_width_m=12.0 * dbh_m
@@ -151,8 +151,8 @@ def test_stems_are_as_stiff_as_green_wood(dbh_m):
 
 
 def test_layers_of_a_stem_are_the_stem(full_forest, track_m):
-    """Layers of loose stems are the faces of the stem in the tile's own shape, each once, at the same place to 1
-    um, and with its surfaces; each layer is between two rings."""
+    """Layers of loose stems are the faces of the stem in the tile's own shape, each once, at the same place
+    to 1 um, and with its surfaces; each layer is between two rings."""
     still = full_forest.window(track_m)
     ids = full_forest.trees(track_m)["id"][:60].astype(np.int64)
     loose = full_forest.with_loose_stems(still, ids)
@@ -237,7 +237,7 @@ def test_a_tree_is_at_one_place_whatever_window_it_is_in(make_wind, full_forest,
 
 
 def test_stands_lean_with_the_wind(make_wind, full_forest, track_m):
-    """Over ten minutes the mean movement is downwind and that of the stress; the spread across is the smaller."""
+    """Over ten minutes the mean movement is downwind and that of the stress; the spread across is smaller."""
     trees = full_forest.trees(track_m)[:40]
     trees = trees[trees["storey"] != REGENERATION]
     t_ns = START_NS + 500_000_000 * np.arange(1200)

@@ -465,7 +465,8 @@ def stem_meshes(
     return meshes
 
 
-STEM_LAYERS = 1 + len(_BUTT_M) - _BUTT_M.index(FLARE_TOP_M) + len(_UPPER)
+_RINGS_TO_BREAST = 3  # at the top of the root flare, below breast height, and at breast height
+STEM_LAYERS = 1 + _RINGS_TO_BREAST + len(_UPPER)
 """Layers of a stem, between rings, with the root flare as the lowest: each is straight, so that a stem bends
 where its mesh does."""
 

@@ -6,10 +6,11 @@ a random wave number across the wind, drawn from a Cauchy distribution, which gi
 coherence across the wind. A damped oscillator responds to a cosine with a cosine, so its state at any time is
 also a sum and no time steps are needed.
 
-A tree bends as a cantilever of its own taper under the drag on its crown, in one mode: the curve of the static
-deflection (`vlp16emu.forest.plants.bending`). All of it moves level, by the curve at its height; branches and
-leaves ride on the stem. So the foot stays, and level sections keep their area. The sides of a crown neither
-rise nor fall. Saplings and everything under the trees stay still, and so does what is beyond `world.near_m`.
+A tree bends as a cantilever of its own taper under the drag on its crown, in one mode: the curve of the
+static deflection (`vlp16emu.forest.plants.bending`). All of it moves level, by the curve at its height;
+branches and leaves ride on the stem. So the foot stays, and level sections keep their area. The sides of a
+crown neither rise nor fall. Saplings and everything under the trees stay still, and so does what is beyond
+`world.near_m`.
 """
 
 import math
@@ -216,8 +217,8 @@ class TreeSway:
     def top_m(self, trees: Stand, t_ns: I8) -> F8:
         """Return the movement (k, m, 2) of the tops of trees (m,), east and north, at UTC times (k,).
 
-        Drag grows with the square of the speed; the mean and the term linear in the gusts are kept. Neighbours
-        hold a crown that moves far.
+        Drag grows with the square of the speed; the mean and the term linear in the gusts are kept.
+        Neighbours hold a crown that moves far.
         """
         frequency_hz, top_m_per_pa, _ = self.mechanics(trees)
         along_m, across_m = (trees["x_m"] * east + trees["y_m"] * north for east, north in self._axes)
