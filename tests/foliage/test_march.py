@@ -25,6 +25,14 @@ def hashed(a, b, c, seed):
     return h ^ h >> 16
 
 
+def between_knots(up):
+    """Shares of the knots in the projected area for light whose direction has the sine `up`."""
+    lower = 0 if up < KNOTS[1] else 1
+    part = (up - KNOTS[lower]) / (KNOTS[lower + 1] - KNOTS[lower])
+    upper_share = part * (1 + 2 * part) / 3 if lower == 0 else part * (3 + part) / 4
+    return np.array([(1 - upper_share, upper_share, 0), (0, 1 - upper_share, upper_share)][lower])
+
+
 class Twin:
     """One ray after the other, every slab of voxels, every stem, all of the ground; float64."""
 
@@ -70,7 +78,7 @@ class Twin:
                 continue
             voxel = int(M.brick[place][1]) + (word & (1 << bit) - 1).bit_count()
             code = int(M.record[voxel])
-            tau = np.interp(up, KNOTS, TAU_PER_M[[code & 127, code >> 7 & 127, code >> 14 & 127]])
+            tau = between_knots(up) @ TAU_PER_M[[code & 127, code >> 7 & 127, code >> 14 & 127]]
             if code & (1 << 21) - 1 == 0:
                 continue
             h = hashed(*(int(c) + k for c, k in zip(cell, M.corner, strict=True)), M.seed)

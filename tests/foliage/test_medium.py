@@ -78,6 +78,19 @@ def test_leaves_that_hide_each_other_count_once():
         assert kept == pytest.approx(left, rel=0.06)
 
 
+@pytest.mark.parametrize(("part", "left"), [(PlantPart.LEAF, 0.25), (PlantPart.STEM, 0.5)])
+def test_leaves_of_a_sapling_hide_each_other_as_those_of_a_crown(part, left):
+    """Of four leaves behind one another, in a shape with few faces, an area like that of one is left; closed
+    bodies, which do not hide each other here, keep half of their surface."""
+    leaf_m = np.array([[0.0, 0.1, 0.1], [0.0, 0.16, 0.1], [0.0, 0.16, 0.16], [0.0, 0.1, 0.16]])
+    behind = np.array([leaf_m + [x, 0, 0] for x in (0.1, 0.15, 0.2, 0.25)])
+    corners_m = np.concatenate([behind, behind[:, :, [1, 0, 2]]])
+    mesh = Mesh(corners_m.reshape(-1, 3).astype("f4"), np.arange(32, dtype="u4").reshape(8, 4))
+    cloud = cloud_of([mesh], np.array([part], "u1"))
+    assert len(cloud.corners_m) == 8
+    assert cloud.corner_share == pytest.approx(left, rel=0.06)
+
+
 @pytest.mark.parametrize(("twigs_x_m", "left"), [(0.2, 0.0), (0.35, 0.5)])
 def test_a_twig_behind_leaves_counts_as_it_is_seen(twigs_x_m, left):
     """Of twigs between two sheets of leaves nothing is left, and of twigs behind both of them half: from one

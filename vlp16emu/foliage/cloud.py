@@ -1,7 +1,7 @@
 """Clouds: the projected area of shapes in cells of 0.25 m, or face by face for shapes with few faces.
 
-A shape is measured once, with the mutual occlusion of its faces subtracted, and its cloud is placed at each
-instance (`vlp16emu.foliage.medium`).
+A shape is measured once, with the mutual occlusion of its leaves and wood subtracted, and its cloud is placed
+at each instance (`vlp16emu.foliage.medium`).
 """
 
 import math
@@ -23,8 +23,8 @@ TILTS = 64  # classes of faces by the sine of their normal's elevation
 _PIXELS = 32  # pixels along a voxel's edge in which faces are rasterized, 16 mm each
 _CELL_M = 0.25
 _FEW_FACES = 2000
-"""Shapes with at most this many faces are kept face by face: stones, logs and tufts, which are stretched when
-placed."""
+"""Shapes with at most this many faces are kept face by face: saplings, and stones, logs and tufts, which are
+stretched when placed."""
 
 
 _SINE = (np.arange(TILTS) + 0.5) / TILTS
@@ -45,7 +45,9 @@ class Cloud:
     """Faces (f, 4, 3) of a shape with few faces, triangles with their last corner twice; empty for other
     shapes."""
     corner_mesh: U1  # (f,) index of the shape's mesh
-    share: F4  # (meshes,) share of a face's area that counts: 1 for leaves, 0.5 for closed bodies
+    corner_share: F4
+    """(f,) share of the face's area that counts: 0.5 of closed bodies, and of leaves and wood as much as is
+    in view."""
     projection: F4
     """Projected area over area (meshes, knots), averaged over azimuth: the angular law of the shape's
     parts."""
@@ -79,16 +81,20 @@ def cloud_of(meshes: Sequence[Mesh], parts: U1) -> Cloud:
     cosine = np.ones((len(meshes), len(KNOTS), QUANTILES))
     for number in np.flatnonzero(weight.any(axis=1)).tolist():
         projection[number], cosine[number] = _angular_law(weight[number])
-    if len(corners_m) <= _FEW_FACES:
-        cells = np.zeros((0, 3), np.float32), np.zeros(0, np.float32), np.zeros(0, np.uint8)
-        kept = corners_m.astype(np.float32), mesh_of.astype(np.uint8)
-    else:
+    counted = share[mesh_of]
+    few = len(corners_m) <= _FEW_FACES
+    if not few or (parts == PlantPart.LEAF).any():
         effective, light = look_through(corners_m, first, share)
-        cells = _cells(corners_m, mesh_of, area_m2 * (share[mesh_of] * effective))
+        counted = (counted * effective).astype(np.float32)
         cosine = _as_seen(cosine, light)
-        kept = np.zeros((0, 4, 3), np.float32), np.zeros(0, np.uint8)
+    if few:
+        cells = np.zeros((0, 3), np.float32), np.zeros(0, np.float32), np.zeros(0, np.uint8)
+        kept = corners_m.astype(np.float32), mesh_of.astype(np.uint8), counted
+    else:
+        cells = _cells(corners_m, mesh_of, area_m2 * counted)
+        kept = np.zeros((0, 4, 3), np.float32), np.zeros(0, np.uint8), np.zeros(0, np.float32)
     radius_m = float(norm(corners_m).max(initial=0.0))
-    return Cloud(*cells, *kept, share, projection.astype(np.float32), cosine.astype(np.float32), radius_m)
+    return Cloud(*cells, *kept, projection.astype(np.float32), cosine.astype(np.float32), radius_m)
 
 
 def _face_areas(corners_m: F8, mesh_of: I8, meshes: int) -> tuple[F8, F8]:
@@ -364,8 +370,8 @@ class Library(NamedTuple):
     first_face: I8  # (shapes + 1,)
     corners_m: F4
     corner_mesh: U1
+    corner_share: F4
     first_law: I8  # (shapes + 1,) law of each shape's first mesh
-    share: F4
     projection: F4
     radius_m: F8  # (shapes,)
 
@@ -376,11 +382,11 @@ class Library(NamedTuple):
         def first(arrays: Sequence[F4]) -> I8:
             return np.cumsum([0, *(len(array) for array in arrays)])
 
-        joined = ("place_m", "area_m2", "mesh", "corners_m", "corner_mesh", "share", "projection")
+        joined = ("place_m", "area_m2", "mesh", "corners_m", "corner_mesh", "corner_share", "projection")
         return cls(
             first_cell=first([cloud.place_m for cloud in clouds]),
             first_face=first([cloud.corners_m for cloud in clouds]),
-            first_law=first([cloud.share for cloud in clouds]),
+            first_law=first([cloud.projection for cloud in clouds]),
             radius_m=np.array([cloud.radius_m for cloud in clouds]),
             **{name: np.concatenate([getattr(cloud, name) for cloud in clouds]) for name in joined},
         )

@@ -81,7 +81,7 @@ def fill_block(
             law = library.first_law[s] + mesh
             whose = (tile_of[p], row[p] + mesh, law)
             corners_m = library.corners_m[f]
-            used = _add_face(voxels, used, T, corners_m, library.share[law], whose, add, projection)
+            used = _add_face(voxels, used, T, corners_m, library.corner_share[f], whose, add, projection)
     flags = np.zeros(head.shape, np.uint32)
     _mark_ground(flags, ground_m, low_m)
     return _pack(head, flags, node, area, used)

@@ -101,9 +101,18 @@ class Weights(NamedTuple):
 
 @inline_kernel
 def weights_of(up: np.float32, length: np.float32) -> Weights:
-    """Weigh the knots for light whose direction has the sine `up`, through slabs of a length."""
+    """Weigh the knots for light whose direction has the sine `up`, through slabs of a length.
+
+    Between knots the projected area of leaves is a convex function of the sine: that of upright leaves
+    changes with its square, that of level ones with the sine itself. With these mixtures of both it is within
+    1.4 % below the middle knot and 5.2 % above it for the inclinations of all broadleaves and shrubs in
+    `species.toml`; straight lines are up to 10.7 % and 8.1 % too high.
+    """
     low_knot = u4(0) if up < f4(0.3) else u4(7)
-    share = up / f4(0.3) if up < f4(0.3) else (up - f4(0.3)) / f4(0.7)
+    part = up / f4(0.3) if up < f4(0.3) else (up - f4(0.3)) / f4(0.7)
+    share = part * (f4(1.0) + f4(2.0) * part) / f4(3.0)
+    if up >= f4(0.3):
+        share = part * (f4(3.0) + part) / f4(4.0)
     w_low, w_high = (f4(1.0) - share) * length, share * length
     knot = 0 if up < f4(0.15) else (1 if up < f4(0.65) else 2)
     return Weights(low_knot, w_low, w_high, knot)
