@@ -78,15 +78,16 @@ def test_leaves_that_hide_each_other_count_once():
         assert kept == pytest.approx(left, rel=0.06)
 
 
-@pytest.mark.parametrize(("part", "left"), [(PlantPart.LEAF, 0.25), (PlantPart.STEM, 0.5)])
-def test_leaves_of_a_sapling_hide_each_other_as_those_of_a_crown(part, left):
-    """Of four leaves behind one another, in a shape with few faces, an area like that of one is left; closed
-    bodies, which do not hide each other here, keep half of their surface."""
+@pytest.mark.parametrize(("parts", "left"), [(PARTS, 0.25), (PARTS[1:], 1.0)])
+def test_leaves_of_a_sapling_hide_each_other_as_those_of_a_crown(parts, left):
+    """Of four leaves behind one another, in a shape of wood and leaves with few faces, an area like that of
+    one is left; ferns, which have leaves alone, keep all."""
     leaf_m = np.array([[0.0, 0.1, 0.1], [0.0, 0.16, 0.1], [0.0, 0.16, 0.16], [0.0, 0.1, 0.16]])
     behind = np.array([leaf_m + [x, 0, 0] for x in (0.1, 0.15, 0.2, 0.25)])
     corners_m = np.concatenate([behind, behind[:, :, [1, 0, 2]]])
-    mesh = Mesh(corners_m.reshape(-1, 3).astype("f4"), np.arange(32, dtype="u4").reshape(8, 4))
-    cloud = cloud_of([mesh], np.array([part], "u1"))
+    leaves = Mesh(corners_m.reshape(-1, 3).astype("f4"), np.arange(32, dtype="u4").reshape(8, 4))
+    no_wood = Mesh(np.zeros((0, 3), "f4"), np.zeros((0, 4), "u4"))
+    cloud = cloud_of([no_wood, leaves][-len(parts) :], parts)
     assert len(cloud.corners_m) == 8
     assert cloud.corner_share == pytest.approx(left, rel=0.06)
 

@@ -23,8 +23,8 @@ TILTS = 64  # classes of faces by the sine of their normal's elevation
 _PIXELS = 32  # pixels along a voxel's edge in which faces are rasterized, 16 mm each
 _CELL_M = 0.25
 _FEW_FACES = 2000
-"""Shapes with at most this many faces are kept face by face: saplings, and stones, logs and tufts, which are
-stretched when placed."""
+"""Shapes with at most this many faces are kept face by face: saplings, whose leaves hide each other as those
+of crowns do, and stones, logs, ferns and tufts, which are stretched when placed."""
 
 
 _SINE = (np.arange(TILTS) + 0.5) / TILTS
@@ -46,8 +46,8 @@ class Cloud:
     shapes."""
     corner_mesh: U1  # (f,) index of the shape's mesh
     corner_share: F4
-    """(f,) share of the face's area that counts: 0.5 of closed bodies, and of leaves and wood as much as is
-    in view."""
+    """(f,) share of the face's area that counts: 1 of leaves, 0.5 of closed bodies, and of saplings as much
+    of these as is in view."""
     projection: F4
     """Projected area over area (meshes, knots), averaged over azimuth: the angular law of the shape's
     parts."""
@@ -83,7 +83,8 @@ def cloud_of(meshes: Sequence[Mesh], parts: U1) -> Cloud:
         projection[number], cosine[number] = _angular_law(weight[number])
     counted = share[mesh_of]
     few = len(corners_m) <= _FEW_FACES
-    if not few or (parts == PlantPart.LEAF).any():
+    is_leaf = parts == PlantPart.LEAF
+    if not few or (is_leaf.any() and not is_leaf.all()):
         effective, light = look_through(corners_m, first, share)
         counted = (counted * effective).astype(np.float32)
         cosine = _as_seen(cosine, light)
