@@ -51,6 +51,17 @@ def test_the_projected_area_of_a_cloud_is_that_of_its_faces(crown, knot):
         assert ours_m2 == pytest.approx(true_m2, rel=0.01)
 
 
+@pytest.mark.parametrize("tilt_deg", [3.0, 8.0, 20.0, 60.0])
+def test_level_light_meets_a_leaf_in_proportion_to_the_sine_of_its_tilt(tilt_deg):
+    """Over all azimuths, level light meets 2 / pi sin(tilt) of a leaf's area (Ross 1981), to 7 %, also where
+    it lies nearly level."""
+    tilt = math.radians(tilt_deg)
+    along, across = np.array([math.cos(tilt), 0, math.sin(tilt)]) * 0.05, np.array([0, 0.05, 0])
+    leaf = Mesh(np.stack([along, across, -along, -across]).astype("f4"), np.arange(4, dtype="u4")[None])
+    cloud = cloud_of([leaf], PARTS[1:])
+    assert cloud.projection[0, 0] == pytest.approx(2 / np.pi * math.sin(tilt), rel=0.07)
+
+
 @pytest.mark.parametrize("knot", range(3))
 def test_cosines_of_a_cloud_are_those_with_which_light_meets_its_faces(crown, knot):
     """Quantiles of the cosine of incidence equal those of all faces, weighted by projected area, to 0.02."""

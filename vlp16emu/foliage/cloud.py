@@ -19,7 +19,9 @@ from vlp16emu.foliage.voxel import KNOTS, QUANTILES, VOXEL_M
 from vlp16emu.kernels.compiler import inline_kernel, kernel
 from vlp16emu.types import F4, F8, I4, I8, U1, Mesh, PlantPart
 
-TILTS = 64  # classes of faces by the sine of their normal's elevation
+TILTS = 64
+"""Number of classes of faces by their tilt, and of light by its cosine of incidence. Classes of tilt are
+narrow for faces that lie nearly level: level light meets these in proportion to their tilt."""
 _PIXELS = 32  # pixels along a voxel's edge in which faces are rasterized, 16 mm each
 _CELL_M = 0.25
 _FEW_FACES = 2000
@@ -27,7 +29,8 @@ _FEW_FACES = 2000
 of crowns do, and stones, logs, ferns and tufts, which are stretched when placed."""
 
 
-_SINE = (np.arange(TILTS) + 0.5) / TILTS
+_COSINE = (np.arange(TILTS) + 0.5) / TILTS
+_SINE = 1.0 - np.square(_COSINE)  # of the elevation of a normal, by class of tilt
 _LEVEL = np.sqrt(1.0 - np.square(KNOTS))[:, None] * np.sqrt(1.0 - np.square(_SINE))
 _AZIMUTH = (np.arange(256) + 0.5) * (np.pi / 256)
 PROJECTION: F8 = np.abs(_LEVEL[..., None] * cos(_AZIMUTH) + (KNOTS[:, None] * _SINE)[..., None]).mean(axis=-1)
@@ -102,7 +105,8 @@ def _face_areas(corners_m: F8, mesh_of: I8, meshes: int) -> tuple[F8, F8]:
     """Return areas (f,) of faces (f, 4, 3), and their sums (meshes, `TILTS`) by tilt of the normal."""
     nx, ny, nz = _normals_m2(corners_m)
     area_m2 = np.sqrt(nx * nx + ny * ny + nz * nz)
-    tilt = np.minimum((np.abs(nz) / np.maximum(area_m2, 1e-12) * TILTS).astype(np.int64), TILTS - 1)
+    sine = np.minimum(np.abs(nz) / np.maximum(area_m2, 1e-12), 1.0)
+    tilt = np.minimum((np.sqrt(1.0 - sine) * TILTS).astype(np.int64), TILTS - 1)
     weight = np.bincount(mesh_of * TILTS + tilt, area_m2, meshes * TILTS)  # sums in the order of faces
     return area_m2, weight.reshape(meshes, TILTS)  # type: ignore[return-value]  # its stubs know no weights
 
@@ -117,12 +121,11 @@ def _normals_m2(corners_m: F8) -> tuple[F8, F8, F8]:
 @cache
 def _incidence() -> list[tuple[NDArray[np.intp], F8]]:
     """Return, for each knot, the order that sorts the incidence cosines (`TILTS` x 64), and them sorted."""
-    at = (np.arange(TILTS) + 0.5) / TILTS
     azimuth = (np.arange(64) + 0.5) * (np.pi / 64)
     found = []
     for up in KNOTS:
         level = math.sqrt(1.0 - up * up)
-        met = np.abs(level * np.sqrt(1.0 - np.square(at))[:, None] * cos(azimuth) + up * at[:, None])
+        met = np.abs(level * np.sqrt(1.0 - np.square(_SINE))[:, None] * cos(azimuth) + up * _SINE[:, None])
         order = np.argsort(met, axis=None, kind="stable")
         found.append((order, met.ravel()[order]))
     return found
@@ -218,7 +221,7 @@ def _as_seen(cosine: F8, light: F8) -> F8:
     Faces that light meets at a slant are hidden more often by others, so what is in view has a greater mean.
     The difference is that of level light.
     """
-    mean = (light * _SINE).sum(axis=2) / np.maximum(light.sum(axis=2), 1e-12)
+    mean = (light * _COSINE).sum(axis=2) / np.maximum(light.sum(axis=2), 1e-12)
     shown = cosine.copy()
     shown[:, :2] = np.clip(cosine[:, :2] + (mean[:, 0] - mean[:, 1])[:, None, None], 0.0, 1.0)
     return shown

@@ -175,7 +175,7 @@ def _add_face(
     double = math.sqrt(x * x + y * y + z * z)
     if double <= 0.0:
         return used
-    tilt = min(int(abs(z) / double * TILTS), TILTS - 1)
+    tilt = min(int(math.sqrt(1.0 - min(abs(z) / double, 1.0)) * TILTS), TILTS - 1)
     for knot in range(3):
         add[knot] = 0.5 * double * share * projection[knot, tilt] / (n * n)
     for p in range(n):
