@@ -218,7 +218,8 @@ def _ground(stand: Survey, path: Polyline) -> Iterator[tuple[F8, Mesh]]:
     quads = quads[inside[quads].all(axis=1)]
     places_m = np.column_stack([x_m, y_m, z_m]).astype(np.float32)
     gap_m = path.distance_m(places_m[quads].mean(axis=1, dtype=np.float64)[:, :2])
-    band = np.rint(gap_m / stand.radius_m / _EDGE_SHARE * _FADES)
+    inner = np.floor((1.0 - _EDGE_SHARE) / _EDGE_SHARE * _FADES)  # the last band that does not fade
+    band = np.maximum(np.rint(gap_m / stand.radius_m / _EDGE_SHARE * _FADES), inner)
     for number in np.unique(band):
         used, faces = np.unique(quads[band == number], return_inverse=True)
         middle_m = np.array([number * stand.radius_m * _EDGE_SHARE / _FADES])
