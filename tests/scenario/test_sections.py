@@ -142,6 +142,7 @@ def test_gaits_are_what_their_names_say():
         "none": set(),
         "paper": {"vertical_m", "sideways_m"},
         "natural": AMPLITUDES,
+        "uneven": AMPLITUDES,
         "strong": AMPLITUDES,
     }
     assert (Gait(preset="paper").step_hz, Gait(preset="paper").variation) == (1.8, 0.0)
