@@ -146,11 +146,11 @@ BIRCHES = (
 
 
 def leaf(r, g, b):
-    return (r > b + 60) & (g > b + 60) & (g > 120)
+    return (r > b + 25) & (g > b + 20) & (g > 120)
 
 
 def stem(r, g, b):
-    return (abs(r - b) < 12) & (abs(g - r) < 12) & (r > 90) & (r < 190)
+    return (abs(r - b) < 12) & (abs(g - r) < 12) & (r > 90) & (r < 205)
 
 
 @pytest.mark.usefixtures("kept_woods")

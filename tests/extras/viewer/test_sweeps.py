@@ -5,6 +5,7 @@ from contextlib import closing
 import dpkt
 import numpy as np
 import pytest
+import trimesh
 from woods import LINES, THIN
 
 from vlp16emu import Emulator
@@ -17,7 +18,8 @@ from vlp16emu.types import Mesh
 pytest.importorskip("viser", reason="the extra viewer is not installed")
 
 from vlp16emu.extras.viewer.layers import LAYERS, colours_of, layers_of_scan
-from vlp16emu.extras.viewer.stand import fewer_faces, pieces_of, slim_stem
+from vlp16emu.extras.viewer.simplify import clumps, fewer_faces, slim_stem
+from vlp16emu.extras.viewer.stand import pieces_of
 from vlp16emu.extras.viewer.sweeps import CaptureSweeps, SceneSweeps
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
@@ -127,7 +129,7 @@ def test_a_unit_of_a_rig_turns_at_its_own_speed():
 
 
 def test_fewer_leaves_have_the_area_of_all():
-    """A thousand equal leaves become a hundred of the same total area; unequal ones keep the largest as
+    """A thousand equal leaves become two hundred of the same total area; unequal ones keep the largest as
     they are."""
     corner_m = np.random.default_rng(1).random((1000, 1, 3))
     leaf_m = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]])
@@ -138,10 +140,26 @@ def test_fewer_leaves_have_the_area_of_all():
         a, b, c = mesh.vertices_m[mesh.faces].transpose(1, 0, 2)
         return np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
 
-    few = fewer_faces(mesh, 100, keeps_area=True)
-    assert len(few.faces) == 100
+    few = fewer_faces(mesh, 200, keeps_area=True)
+    assert len(few.faces) == 200
     assert area_m2(few) == pytest.approx(area_m2(mesh), rel=1e-3)
     assert area_m2(fewer_faces(mesh, 100, keeps_area=False)) == pytest.approx(area_m2(mesh) / 10, rel=1e-3)
+
+
+def test_clumps_of_foliage_fill_the_crown():
+    """The clumps of ten thousand leaves in a ball are bodies with outward faces, spread as the leaves are,
+    of a tenth to a half of the ball's volume: gaps let light through."""
+    rng = np.random.default_rng(1)
+    middle_m = rng.normal(size=(10_000, 1, 3))
+    middle_m *= 2.0 * rng.random((10_000, 1, 1)) ** (1 / 3) / np.linalg.norm(middle_m, axis=-1, keepdims=True)
+    leaf_m = np.array([[0, 0, 0], [0.05, 0, 0], [0.05, 0.05, 0], [0, 0.05, 0]])
+    faces = np.arange(40_000, dtype=np.uint32).reshape(-1, 4)
+    crown = clumps(Mesh((middle_m + leaf_m).reshape(-1, 3).astype(np.float32), faces), 64)
+    bodies = trimesh.Trimesh(crown.vertices_m, crown.faces, process=False).split()
+    assert len(bodies) == 64
+    assert min(body.volume for body in bodies) > 0.0
+    assert 0.1 < sum(body.volume for body in bodies) / (4 / 3 * np.pi * 2.0**3) < 0.5
+    np.testing.assert_allclose(np.std(crown.vertices_m, axis=0), np.std(middle_m[:, 0], axis=0), rtol=0.25)
 
 
 def tube(sides, rings):
@@ -167,6 +185,17 @@ def test_a_slim_stem_stands_where_the_stem_stands():
     np.testing.assert_allclose(np.hypot(*foot_m[:, :2].T), 0.151, atol=1e-3)
     corners = set(map(tuple, stem.vertices_m.tolist()))
     assert set(map(tuple, slim.vertices_m.tolist())) <= corners
+
+
+def test_the_stand_fades_towards_its_edge():
+    """Ground far from the path is lighter than at the path, and no edge is darker than its neighbour."""
+    seen = survey(load("birch_walk", [*LINES, "duration_s=2.0"]), 10.0)
+    shades = [
+        int(piece["batched_colors"].sum()) for name, piece in pieces_of(seen) if name.startswith("ground")
+    ]
+    assert shades == sorted(shades)
+    assert shades[0] < 600
+    assert shades[-1] > 650
 
 
 def test_stems_are_drawn_with_their_crowns_only():

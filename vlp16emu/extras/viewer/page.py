@@ -32,15 +32,23 @@ from vlp16emu.extras.viewer.layers import colours_of, html_box, layers_of_scan, 
 from vlp16emu.extras.viewer.stand import pieces_of
 from vlp16emu.extras.viewer.sweeps import CaptureSweeps, SceneSweeps, Sweep
 from vlp16emu.extras.walk.settings import Walk
+from vlp16emu.foliage.polyline import distance_m
 from vlp16emu.hosts import free_address, is_address, is_wildcard, place_of
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.types import F8, U1
 from vlp16emu.units import count_text
+from vlp16emu.world.vectors import places_m
 
 LOOPBACK = frozenset({"127.0.0.1", "localhost"})
 _MOST_SWEEPS = 50  # sweeps drawn together: 1.2 million points
 _LISTED = 6  # greatest number of faults listed for a sweep
 _PATH_RGB = (220, 60, 40)
+_AMBIENT = 1.4  # light from everywhere, so that no side of a stem is black
+_BEHIND_M = 6.0  # first place of the camera, seen from the sensor
+_ABOVE_M = 2.5
+_ASIDE_DEG = (0, 10, -10, 20, -20, 30, -30, 40, -40, 50, -50)
+"""Bearings of the camera from straight behind: the first of those with the freest view is taken."""
+_FREE_M = 0.6  # a view with more room beside it is no better
 
 
 @contextmanager
@@ -123,7 +131,7 @@ def scene_page(
     stand = _stand_of(emulator, radius_m)
     page = Page(server, sweeps, stand.species, _draw_stand(server, stand))
     path_m = stand.path_m
-    _look_from(server, path_m[0], path_m[min(len(path_m) - 1, 60)] - path_m[0])
+    _look_from(server, path_m[0], path_m[min(len(path_m) - 1, 60)] - path_m[0], stand)
     if not isinstance(open_scene.scenario.motion, Walk):
         if len(path_m) > 1:
             segments_m = np.stack([path_m[:-1], path_m[1:]], axis=1)
@@ -168,11 +176,12 @@ def _draw_stand(server: viser.ViserServer, stand: Survey) -> viser.FrameHandle:
     scene.remove_by_name("/stand")
     root = scene.add_frame("/stand", show_axes=False)
     scene.configure_default_lights(enabled=True, cast_shadow=False)
-    scene.configure_environment_map(None)  # image-based light is slow; two lamps are enough for a stand
+    scene.configure_environment_map(None)  # image-based light is slow; two lamps and grey light are enough
+    scene.add_light_ambient("/stand/light", intensity=_AMBIENT)
     look: dict[str, Any] = {
         "lod": "off",
         "flat_shading": True,
-        "material": "toon5",
+        "material": "standard",
         "cast_shadow": False,
         "receive_shadow": False,
         "side": "double" if stand.hall is None else "front",  # a hall is seen through its ceiling
@@ -182,12 +191,33 @@ def _draw_stand(server: viser.ViserServer, stand: Survey) -> viser.FrameHandle:
     return root
 
 
-def _look_from(server: viser.ViserServer, place_m: F8, ahead_m: F8) -> None:
+def _look_from(server: viser.ViserServer, place_m: F8, ahead_m: F8, stand: Survey | None = None) -> None:
+    """Let the camera begin behind the sensor, where no tree hides it."""
     away_m = math.hypot(*ahead_m[:2])
-    east, north = ahead_m[:2] / away_m if away_m > 0 else (1.0, 0.0)
+    ahead = ahead_m[:2] / away_m if away_m > 0 else np.array([1.0, 0.0])
+    aside = np.radians(_ASIDE_DEG)
+    behind_m = -_BEHIND_M * np.column_stack(
+        [
+            ahead[0] * np.cos(aside) - ahead[1] * np.sin(aside),
+            ahead[0] * np.sin(aside) + ahead[1] * np.cos(aside),
+        ]
+    )
+    cameras_m = place_m + np.column_stack([behind_m, np.full(len(aside), _ABOVE_M)])
+    rooms_m = np.array([_room_m(camera_m, place_m, stand) for camera_m in cameras_m])
     camera = server.initial_camera
-    camera.position = (place_m[0] - 22 * east, place_m[1] - 22 * north, place_m[2] + 16)
-    camera.look_at = (place_m[0] + 6 * east, place_m[1] + 6 * north, place_m[2])
+    camera.position = tuple(cameras_m[np.minimum(rooms_m, _FREE_M).argmax()])
+    camera.look_at = (*(place_m[:2] + _BEHIND_M * ahead), place_m[2])
+
+
+def _room_m(camera_m: F8, place_m: F8, stand: Survey | None) -> float:
+    """Return the room beside the line from a camera to a place: to the nearest stem, or low crown."""
+    if stand is None or not len(stand.near):
+        return math.inf
+    trees = stand.near
+    is_low = trees["z_m"] + trees["crown_base_m"] < camera_m[2] + 1.0
+    radius_m = np.where(is_low, trees["crown_width_m"], trees["dbh_m"]) / 2
+    gap_m = distance_m(places_m(trees, "xy"), np.stack([camera_m[:2], place_m[:2]]))
+    return float((gap_m - radius_m).min())
 
 
 def draw_points(
@@ -247,7 +277,7 @@ class Page:
             self._play = gui.add_checkbox("play", initial_value=False)
             self._layer = gui.add_dropdown("colour by", self._layers, initial_value=self._layers[0])
             self._legend = gui.add_html("")
-            self._size = gui.add_slider("point, cm", 1.0, 20.0, 1.0, 5.0)
+            self._size = gui.add_slider("point, cm", 1.0, 20.0, 1.0, 6.0)
             self._stand = gui.add_checkbox("stand", initial_value=True, visible=root is not None)
             self._together = gui.add_slider(
                 "sweeps", 1, _MOST_SWEEPS, 1, 1, hint="how many stay as they are played"
