@@ -17,6 +17,31 @@ from vlp16emu.extras.camera.folder import ImageFolder
 from vlp16emu.extras.truth.folder import TruthFolder
 from vlp16emu.output import OutputFile, write_json
 
+SIGNALS = """
+import signal
+import sys
+from vlp16emu.output import SignalEvent
+
+event = SignalEvent()
+signal.signal(signal.SIGUSR1, lambda *_: event.set())
+count = 0
+
+def trace(frame, what, _):
+    global count
+    if what == "line" and frame.f_code.co_name == "wait":
+        count += 1
+        if count == line:
+            signal.raise_signal(signal.SIGUSR1)
+    return trace
+
+for line in range(1, 12):
+    event.clear()
+    count = 0
+    sys.settrace(trace)
+    event.wait(0.01)
+    sys.settrace(None)
+    print(line, event.is_set(), flush=True)
+"""
 CHILD = """
 import sys
 from pathlib import Path
@@ -250,3 +275,14 @@ def test_a_file_that_is_left_has_no_final_name(tmp_path):
         output.leave()
     assert (tmp_path / "x").read_bytes() == b"earlier"
     assert Path(output.place).read_bytes() == b"half"
+
+
+def test_a_signal_handler_may_set_what_its_thread_waits_for():
+    """A signal at any line of a wait sets the event, and the wait ends; `threading.Event` waits for ever at
+    some."""
+    done = subprocess.run(
+        [sys.executable, "-c", SIGNALS], capture_output=True, text=True, timeout=120, check=True
+    )
+    lines = done.stdout.splitlines()
+    assert len(lines) == 11
+    assert lines[:3] == ["1 True", "2 True", "3 True"]

@@ -14,11 +14,13 @@ import select
 import shutil
 import stat
 import sys
+import time
 import weakref
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, Future
 from contextlib import contextmanager, suppress
 from io import BufferedWriter, FileIO
+from math import inf
 from pathlib import Path
 from threading import Event, Thread
 from typing import TYPE_CHECKING, BinaryIO, Self, TypeVar, cast
@@ -31,7 +33,41 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-is_ending = Event()
+_POLL_S = 0.05  # interval at which what waits checks if the run ends
+
+
+class SignalEvent(Event):
+    """An event that a signal handler may set.
+
+    `Event.set` takes a lock: it waits for ever in a handler that interrupts a `wait` of this thread which holds
+    the lock.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._has_come = False
+
+    def is_set(self) -> bool:
+        """Return whether it has been set."""
+        return self._has_come
+
+    def set(self) -> None:
+        """Set it; what waits for it goes on within 50 ms."""
+        self._has_come = True
+
+    def clear(self) -> None:
+        """Make it as new."""
+        self._has_come = False
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait until it is set, or for a time in s; return whether it is set."""
+        end_s = inf if timeout is None else time.monotonic() + timeout
+        while not self._has_come and (left_s := end_s - time.monotonic()) > 0:
+            time.sleep(min(left_s, _POLL_S))  # resumed after a signal (PEP 475)
+        return self._has_come
+
+
+is_ending = SignalEvent()
 """Set by the first signal that ends the run: Python resumes calls that a signal interrupts (PEP 475)."""
 
 STDOUT = Path("-")  # stands for standard output, as for tcpdump and tshark
@@ -41,7 +77,6 @@ _RIGHTS = 0o777
 # Arguments of renameat2(2). Source: linux/fcntl.h and linux/fs.h.
 _AT_FDCWD = -100
 _RENAME_EXCHANGE = 2
-_POLL_S = 0.05  # interval at which what waits checks if the run ends
 _PATIENCE_S = 0.4  # time that a reader has, once the run ends, to take what is written last
 
 _log = logging.getLogger(__name__)

@@ -11,7 +11,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Self
 
 from vlp16emu.errors import printable
-from vlp16emu.output import is_ending
+from vlp16emu.output import SignalEvent, is_ending
 from vlp16emu.run.options import Span
 from vlp16emu.trees import Tree
 
@@ -31,7 +31,7 @@ def stop_on_ctrl_c() -> Iterator[threading.Event]:
     An exception in place of the event could arise between writing a packet and counting it: report and file
     would then differ.
     """
-    stop = threading.Event()
+    stop = SignalEvent()
     is_ending.clear()  # set by a run before
     handlers = {number: signal.getsignal(number) for number in ENDINGS}
     if handlers[signal.SIGHUP] is signal.SIG_IGN:  # by nohup
