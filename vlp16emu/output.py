@@ -39,8 +39,7 @@ _POLL_S = 0.05  # interval at which what waits checks if the run ends
 class SignalEvent(Event):
     """An event that a signal handler may set.
 
-    `Event.set` takes a lock: it waits for ever in a handler that interrupts a `wait` of this thread which holds
-    the lock.
+    `Event.set` takes a lock: in a handler that interrupts a `wait` of its thread it may wait for ever.
     """
 
     def __init__(self) -> None:
