@@ -110,8 +110,8 @@ def _walk(loc: tuple[int | str, ...], schema: Node) -> tuple[list[int | str], No
         if isinstance(part, int):
             ahead = node["prefixItems"][part] if "prefixItems" in node else node["items"]
         else:
-            ahead = node["properties"].get(part, {})
-        node = resolved(ahead, schema)
+            ahead = node.get("properties", {}).get(part) or node.get("additionalProperties")
+        node = resolved(ahead if isinstance(ahead, dict) else {}, schema)
     return keys, parent, node
 
 

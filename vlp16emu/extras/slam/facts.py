@@ -18,6 +18,7 @@ TIME_NAMES = ("time", "t", "timestamp", "time_stamp", "timestamps", "stamps", "o
 """Names of the time field in the programs of the table."""
 SECTORS = 72  # of a turn, for the part of it that a message covers
 _EXPECTED = "a bag: .mcap, .bag or a folder of ROS 2"
+_ROS1_HEAD = b"#ROSBAG V"  # wiki.ros.org/Bags/Format/2.0
 _LONGEST_METADATA_BYTES = 10_000_000
 _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # of sensor_msgs/PointField
 _CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -124,7 +125,10 @@ def read_facts(path: Path) -> Facts:
 
 
 def _check_files(path: Path) -> None:
-    """Raise CaptureError if a bag, or a file of a folder, is no regular file: rosbags waits for a FIFO."""
+    """Raise CaptureError if a bag, or a file of a folder, is no regular file or begins as no bag.
+
+    rosbags waits for a FIFO, and reads the first line of a `.bag` however long it is.
+    """
     names = [path]
     if path.is_dir():
         with parsing(path, _EXPECTED, CaptureError):
@@ -132,8 +136,10 @@ def _check_files(path: Path) -> None:
     for name in names:
         most_bytes = _LONGEST_METADATA_BYTES if name.suffix == ".yaml" else None
         if name is path or name.suffix in (".yaml", ".mcap", ".db3", ".zstd"):
-            with open_input(name, _EXPECTED, CaptureError, most_bytes=most_bytes):
-                pass
+            with open_input(name, _EXPECTED, CaptureError, most_bytes=most_bytes) as file:
+                head = file.peek(len(_ROS1_HEAD))[: len(_ROS1_HEAD)]
+            if name.suffix == ".bag" and head != _ROS1_HEAD:
+                raise CaptureError(str(name), f"no bag: it begins with {head.hex(' ')}", _EXPECTED)
 
 
 def _topic(reader: Any, message_type: str, ending: str) -> str:
