@@ -91,8 +91,8 @@ def test_leaves_that_hide_each_other_count_once():
 
 @pytest.mark.parametrize(("parts", "left"), [(PARTS, 0.25), (PARTS[1:], 1.0)])
 def test_leaves_of_a_sapling_hide_each_other_as_those_of_a_crown(parts, left):
-    """Of four leaves behind one another, in a shape of wood and leaves with few faces, an area like that of
-    one is left; ferns, which have leaves alone, keep all."""
+    """Four leaves behind one another count like one in a shape of wood and leaves with few faces; ferns,
+    which have leaves alone, keep all."""
     leaf_m = np.array([[0.0, 0.1, 0.1], [0.0, 0.16, 0.1], [0.0, 0.16, 0.16], [0.0, 0.1, 0.16]])
     behind = np.array([leaf_m + [x, 0, 0] for x in (0.1, 0.15, 0.2, 0.25)])
     corners_m = np.concatenate([behind, behind[:, :, [1, 0, 2]]])
@@ -105,8 +105,8 @@ def test_leaves_of_a_sapling_hide_each_other_as_those_of_a_crown(parts, left):
 
 @pytest.mark.parametrize(("twigs_x_m", "left"), [(0.2, 0.0), (0.35, 0.5)])
 def test_a_twig_behind_leaves_counts_as_it_is_seen(twigs_x_m, left):
-    """Of twigs between two sheets of leaves nothing is left, and of twigs behind both of them half: from one
-    side they are in front. What the sheets lose is what these twigs hide."""
+    """Twigs between two sheets of leaves are hidden, and twigs behind both of them count half: from one side
+    they are in front. What the sheets lose is what these twigs hide."""
 
     def sheet(x_m):
         return np.array([[x_m, y, z] for y, z in ((0.1, 0.1), (0.4, 0.1), (0.4, 0.4), (0.1, 0.4))])
