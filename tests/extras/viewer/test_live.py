@@ -1,6 +1,7 @@
 """The page beside a stream: it shows what was sent, sets the sensor, and no packet waits for it, whatever
 happens to it."""
 
+import asyncio
 import os
 import pickle
 import re
@@ -20,6 +21,8 @@ from kit import data_payloads
 from listening import Listener
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
+
+from viser._messages import GuiUpdateMessage
 
 import vlp16emu
 from vlp16emu import Emulator
@@ -312,25 +315,40 @@ def wait_until(is_so):
         time.sleep(0.01)
 
 
-def test_controls_set_the_sensor_and_show_what_others_set(server):
+@pytest.fixture
+def panel(server, monkeypatch):
+    """Controls of a sensor on a page with one client."""
+    monkeypatch.setattr(server.gui, "_resolve_client", lambda client_id: SimpleNamespace(id=client_id))
+    panel = SettingsPanel(server)
+    yield panel
+    panel.end()
+
+
+def move(panel, index, value):
+    """Move a control, as a browser does."""
+    gui = panel._controls[index].handle._impl.gui_api
+    message = GuiUpdateMessage(panel._controls[index].handle._impl.uuid, {"value": value})
+    asyncio.run_coroutine_threadsafe(gui._handle_gui_updates(1, message), panel._loop).result()
+
+
+def connect(panel, live):
+    """Control the sensor of a stream, and wait until its settings can be moved."""
+    host, port = live.http.removeprefix("http://").rstrip("/").split(":")
+    panel.connect((host, int(port)))
+    wait_until(lambda: not panel._controls[0].handle.disabled)
+
+
+def test_controls_set_the_sensor_and_show_what_others_set(panel):
     """A moved control arrives in the packets; a refused value gives its reason; a setting of another
     client moves the control."""
-    panel = SettingsPanel(server)
     rpm = panel._controls[0].handle
     assert rpm.disabled
-
-    def move(index, value):
-        """Move a control, as a browser does."""
-        panel._touch(SimpleNamespace(client_id=1, target=SimpleNamespace(value=value)), index)
-
     with vlp16emu.stream("static_bench", {"duration_s": 3000.0}, truth=False) as live:
-        host, port = live.http.removeprefix("http://").rstrip("/").split(":")
-        panel.connect((host, int(port)))
-        wait_until(lambda: not rpm.disabled)
-        move(1, "Last")
+        connect(panel, live)
+        move(panel, 1, "Last")
         wait_until(lambda: live.packets(10)[-1][MODE_AT] == 0x38)
         for index, value in ((2, False), (3, 90), (4, 270), (5, True), (6, 45.0)):
-            move(index, value)
+            move(panel, index, value)
         wait_until(
             lambda: (
                 panel._ask("GET", "/cgi/settings.json")["phaselock"] == {"enabled": "On", "offset": "4500"}
@@ -340,12 +358,28 @@ def test_controls_set_the_sensor_and_show_what_others_set(server):
         assert (settings["laser"], settings["fov"]) == ("Off", {"start": 90, "end": 270})
         live.set(rpm=1200)
         wait_until(lambda: rpm.value == "1200")
-        move(0, "601")
+        move(panel, 0, "601")
         wait_until(lambda: "601" in panel._text.content)
-        assert rpm.value == "1200"
-    move(0, "600")
+        wait_until(lambda: rpm.value == "1200")
+    move(panel, 0, "600")
     wait_until(lambda: "does not answer" in panel._text.content)
-    panel.end()
+
+
+def test_a_moved_control_survives_a_reading_of_the_settings(panel, server):
+    """While all threads of viser's pool are busy, a control is moved and the sensor's settings are read with
+    the value of before; then the sensor gets the moved value."""
+    with vlp16emu.stream("static_bench", {"duration_s": 3000.0}, truth=False) as live:
+        connect(panel, live)
+        free = threading.Event()
+        pool = server._thread_executor
+        busy = [pool.submit(free.wait) for _ in range(pool._max_workers)]
+        values = [control.handle.value for control in panel._controls]
+        move(panel, 1, "Dual")
+        panel._loop.call_soon_threadsafe(panel._show, values)
+        free.set()
+        assert all(task.result() for task in busy)
+        wait_until(lambda: live.packets(10)[-1][MODE_AT] == 0x39)
+        assert panel._controls[1].handle.value == "Dual"
 
 
 def is_dual_at_1200_rpm(payload):

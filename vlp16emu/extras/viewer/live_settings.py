@@ -7,6 +7,7 @@ import json
 import time
 from collections.abc import Callable
 from contextlib import closing
+from functools import partial
 from html import escape
 from http import HTTPStatus
 from http.client import HTTPConnection, HTTPException
@@ -41,6 +42,11 @@ class _Control(NamedTuple):
     to_form: Callable[[Any], str]  # converts a value of the control to the text of the form
     to_control: Callable[[Any], Any]  # converts a value of the document to that of the control
 
+    def value_in(self, settings: Tree) -> Any:
+        """Return the control's value in a document of settings."""
+        table = settings[self.table] if self.table else settings
+        return self.to_control(table[self.key])
+
 
 def _switch_text(is_on: bool) -> str:
     return "on" if is_on else "off"
@@ -72,6 +78,7 @@ class SettingsPanel:
         """Values of controls that a user has moved, by the index of the control."""
         self._wake = Event()
         self._over = False
+        self._loop = server.get_event_loop()
         gui = server.gui
         with gui.add_folder("Sensor settings"):
             rpm = gui.add_dropdown("rpm", _RPM, initial_value="600")
@@ -93,7 +100,7 @@ class SettingsPanel:
         )
         for index, control in enumerate(self._controls):
             control.handle.disabled = True
-            control.handle.on_update(lambda event, index=index: self._touch(event, index))
+            control.handle.on_update(partial(self._touch, index))
         self._say("settings are fixed: this stream has no web interface")
         self._thread = Thread(target=self._run, name="settings", daemon=True)
         self._thread.start()
@@ -115,7 +122,12 @@ class SettingsPanel:
             self._say(f"set over http://{address[0]}:{address[1]}/, as any client does")
         self._wake.set()
 
-    def _touch(self, event: viser.GuiEvent[Any], index: int) -> None:
+    async def _touch(self, index: int, event: viser.GuiEvent[Any]) -> None:
+        """Keep the value of a control for the sensor, if a client has moved it.
+
+        As a coroutine it runs in the event loop of the page, right where the control gets the value, and so
+        does `_show`: a setting that is shown never replaces a moved value that is not kept yet.
+        """
         if event.client_id is not None:  # not by `_show`
             self._touched[index] = event.target.value
             self._wake.set()
@@ -145,8 +157,9 @@ class SettingsPanel:
             refusal = answer.get("ignored") or answer.get("error")
             self._say(str(refusal) if refusal else f"set {control.table} {body}")
         settings = self._ask("GET", "/cgi/settings.json")
+        values = [control.value_in(settings) for control in self._controls]
         if not self._wake.is_set():  # else a control is being moved
-            self._show(settings)
+            self._loop.call_soon_threadsafe(self._show, values)
 
     def _ask(self, method: str, path: str, body: str | None = None) -> Tree:
         assert self._address is not None
@@ -158,12 +171,11 @@ class SettingsPanel:
         tree: Tree = {} if answer.status == HTTPStatus.NO_CONTENT else json.loads(content)
         return tree
 
-    def _show(self, settings: Tree) -> None:
-        for index, control in enumerate(self._controls):
-            if index in self._touched:
-                continue
-            table = settings[control.table] if control.table else settings
-            control.handle.value = control.to_control(table[control.key])
+    def _show(self, values: list[Any]) -> None:
+        """Move the controls that no user has moved to the values that the sensor has."""
+        for index, (control, value) in enumerate(zip(self._controls, values, strict=True)):
+            if index not in self._touched:
+                control.handle.value = value
 
     def _say(self, line: str) -> None:
         self._text.content = html_box([escape(line)])
