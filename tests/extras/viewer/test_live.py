@@ -375,7 +375,7 @@ def test_a_moved_control_survives_a_reading_of_the_settings(panel, server):
         busy = [pool.submit(free.wait) for _ in range(pool._max_workers)]
         values = [control.handle.value for control in panel._controls]
         move(panel, 1, "Dual")
-        panel._loop.call_soon_threadsafe(panel._show, values)
+        panel._show(values)
         free.set()
         assert all(task.result() for task in busy)
         wait_until(lambda: live.packets(10)[-1][MODE_AT] == 0x39)
