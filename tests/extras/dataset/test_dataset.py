@@ -5,6 +5,7 @@ import multiprocessing
 import os
 import re
 import threading
+import tracemalloc
 from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from vlp16emu.errors import InputError, OutputError, RunError, ScenarioError
 from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.extras.dataset import estimate_dataset, make_dataset
 from vlp16emu.extras.dataset.layouts import LAYOUTS
+from vlp16emu.extras.dataset.manifest import check_manifest, write_manifest
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
@@ -114,6 +116,31 @@ def test_what_is_not_listed_is_not_touched(tmp_path, strange):
     assert error.value.exit_code == 2
     assert sorted(out.rglob("*")) == before
     assert (out / strange).read_text() == "mine"
+
+
+@pytest.mark.parametrize("head", [b"", b'{"written_by": "vlp16emu 0.1.0", "walks": ['])
+def test_a_hole_in_the_place_of_a_manifest_is_refused_unread(tmp_path, head):
+    """A sparse file of 3 GB is refused for its last bytes, with less than 1 MB of memory, also if it begins
+    as a manifest does."""
+    path = tmp_path / "manifest.json"
+    with path.open("wb") as file:
+        file.write(head)
+        file.truncate(3_000_000_000)
+    tracemalloc.start()
+    with pytest.raises(OutputError, match="is none of ours"):
+        check_manifest(path)
+    _, most_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most_bytes < 1_000_000
+    assert path.stat().st_size == 3_000_000_000
+
+
+@pytest.mark.parametrize("entries", [[], [{"name": "a", "files": []}]])
+def test_an_own_manifest_is_replaced(tmp_path, entries):
+    """A manifest that was written here passes the check, with walks and without any."""
+    path = tmp_path / "manifest.json"
+    write_manifest(path, entries)
+    check_manifest(path)
 
 
 def test_a_note_beside_a_walk_s_files_stays(tmp_path):
