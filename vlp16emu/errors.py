@@ -32,9 +32,9 @@ class InputError(Vlp16emuError):
         self, where: str, found: str, expected: str | None = None, *, at_m: tuple[float, float] | None = None
     ) -> None:
         self.at_m = at_m
-        self.where = _one_line(where, _LONGEST)
-        self.found = _one_line(found, _LONGEST_FOUND)
-        self.expected = None if expected is None else _one_line(expected, _LONGEST)
+        self.where = one_line(where)
+        self.found = one_line(found, _LONGEST_FOUND)
+        self.expected = None if expected is None else one_line(expected)
         super().__init__(where, found, expected)
 
     def __str__(self) -> str:
@@ -100,6 +100,7 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
-def _one_line(text: str, most: int) -> str:
+def one_line(text: str, most: int = _LONGEST) -> str:
+    """Return a text in one line of at most `most` characters, with control characters escaped."""
     line = printable(text[: most + 1])
     return line if len(line) <= most else f"{line[: most - 3]}..."

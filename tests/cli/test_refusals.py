@@ -7,6 +7,7 @@ import shlex
 import pytest
 from kit import refusals
 
+from vlp16emu.cli.app import run
 from vlp16emu.engine import assemble
 from vlp16emu.errors import InputError
 from vlp16emu.scenario import load
@@ -76,3 +77,12 @@ def test_a_scene_that_cannot_be_is_one_line(tmp_path, text, change, line):
     with pytest.raises(InputError) as caught:
         load(path)
     assert_said(str(caught.value), f"{path}: {line}")
+
+
+def test_a_long_word_of_the_command_line_is_cut(capsys):
+    """An argument of 6000 characters that no verb takes is repeated in part: the line has less than 1200."""
+    assert run(["scenes", "x/" * 3_000]) == 2
+    line = capsys.readouterr().err
+    assert line.startswith("error: Got unexpected extra argument")
+    assert line.endswith("...; see `vlp16emu scenes --help`\n")
+    assert len(line) < 1_200

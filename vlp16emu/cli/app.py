@@ -22,7 +22,7 @@ from vlp16emu.cli.terminal import ENDINGS
 from vlp16emu.cli.verb import command
 from vlp16emu.cores import check_numba_threads
 from vlp16emu.doors import DOORS, door, has_door
-from vlp16emu.errors import InputError, Vlp16emuError, printable
+from vlp16emu.errors import InputError, Vlp16emuError, one_line, printable
 from vlp16emu.output import is_ending
 
 _CLEANUP_S = 0.8  # time that an interrupted command has to remove unfinished output
@@ -101,7 +101,8 @@ def run(arguments: Sequence[str]) -> int:
         return error.exit_code
     except typer.TyperException as error:  # the command line itself is wrong
         context = getattr(error, "ctx", None)
-        message = error.format_message().rstrip(".")
+        words = " ".join(error.format_message().rstrip(".").splitlines())
+        message = one_line(words)  # it repeats the command line
         _print_error(f"{message}; see `{context.command_path if context else 'vlp16emu'} --help`")
         return 2
     except OSError as error:
