@@ -104,6 +104,7 @@ class FarGeometry(EmbreeGeometry):
         """The same window, with near content as the medium too."""
         geometry = copy(self)
         geometry.medium = self.medium._replace(near_m=0.0)
+        geometry.idle = {}
         return geometry
 
     def near_faces(self, rise: float, far_m: float) -> tuple[Target, float]:

@@ -157,6 +157,7 @@ class CubeWindows(Windows[Geometry]):
         self._motion = motion
         self._segment = batching.segment if parts.wind is not None else None  # time counts if trees sway
         self._looked_ns = 0
+        self._named: tuple[int, Hashable] = (start_ns, None)  # begin of an ordinary block, and its name
         self._guess: Future[Geometry] | None = None  # window that was last opened ahead
 
     def name_of(self, block: int) -> Hashable:
@@ -165,9 +166,15 @@ class CubeWindows(Windows[Geometry]):
         The cube is that of the body some seconds before, as long as its window serves.
         """
         begin_ns = self._begin_ns(block)
+        named_ns, named = self._named
+        # The first block is named anew: its body may still be somewhere else.
+        if begin_ns == named_ns > self._start_ns:
+            return named
         known = self._motion.kinematics_at(np.array([begin_ns - _BEFORE_NS, begin_ns - _KNOWN_NS]))
         before_m, place_m = known.world_p_body_m
-        return self._window_name(block, before_m, place_m, float(norm(known.world_v_body_m_s[1])))
+        name = self._window_name(block, before_m, place_m, float(norm(known.world_v_body_m_s[1])))
+        self._named = begin_ns, name
+        return name
 
     def open_ahead(self, block: int, stop: int) -> None:
         """Begin to open the next window that the body needs if it flies on as it does.
