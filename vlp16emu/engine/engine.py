@@ -241,9 +241,18 @@ def make_receiver(scenario: Scenario, parts: Parts, windows: Windows[Geometry]) 
     start_ns = scenario.start_ns
     far_m = scenario.sensor.max_range_m
 
+    still = parts.wind is None and parts.people is None
+    # A body at rest sees the same sky again: the last window, antenna, and hidden share.
+    last: tuple[Geometry | None, bytes, float] = (None, b"", 0.0)
+
     def cover(t_ns: int, antenna_m: F8) -> float:
+        nonlocal last
         geometry = windows.wait(windows.at_time(t_ns - start_ns))
-        return sky_cover(geometry, t_ns, antenna_m, _LOWEST_DEG, far_m)
+        seen_in, seen_from, seen = last
+        if not still or geometry is not seen_in or antenna_m.tobytes() != seen_from:
+            seen = sky_cover(geometry, t_ns, antenna_m, _LOWEST_DEG, far_m)
+            last = geometry, antenna_m.tobytes(), seen
+        return seen
 
     sky = cover if gps.canopy_loss else None
     return Receiver(parts.motion, gps, seed=scenario.sensor_seed, sky=sky)

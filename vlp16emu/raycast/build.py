@@ -76,6 +76,10 @@ class EmbreeMesh:
                 self._scenes[piece] = scene
             return self._scenes[piece]
 
+    def has(self, pieces: set[int]) -> bool:
+        """Return whether the scenes of all these pieces are built."""
+        return pieces <= self._scenes.keys()
+
     def _build(self, begin: I8, stop: I8) -> int:
         lib = rtc.library()
         device = rtc.device()
@@ -233,7 +237,8 @@ class Instances:
         for number in numbers:
             mesh, piece = self._pieces[number]
             wanted[mesh].add(piece)
-        list(self._workers.map(lambda mesh: [mesh.scene(piece) for piece in sorted(wanted[mesh])], wanted))
+        new = [mesh for mesh, pieces in wanted.items() if not mesh.has(pieces)]
+        list(self._workers.map(lambda mesh: [mesh.scene(piece) for piece in sorted(wanted[mesh])], new))
         lib = rtc.library()
         device = rtc.device()
         scene, release = _new_scene(self)
