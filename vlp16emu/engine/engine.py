@@ -76,7 +76,8 @@ def scan(job: Job, geometry: Geometry, taps: Iterable[Tap] = ()) -> Returns:
     for tap in taps:
         tap(job, firings, hits, geometry)
     add_texture(firings, hits, geometry.surfaces, job.texture_seed)
-    firings = replace(firings, beam_axis=None)  # a quarter of the memory of returns that wait
+    if firings.beam_axis is not None:
+        firings = replace(firings, beam_axis=None)  # a quarter of the memory of returns that wait
     optics = unit.state.optics
     light = optics.dim(firings, hits) if optics else hits
     returns = detect(firings, light, geometry.surfaces, job.detector, truth=job.truth, block=job.block)

@@ -223,9 +223,8 @@ class Instances:
         self.motion = motion_of(window, self.placement, self.boxes_m)
         self.buffers, self.row = _buffers(meshes, counts)
         """Buffers (b, 2) as in `EmbreeMesh`, and the first row (n,) of each piece."""
-        self._pieces = [
-            (mesh, piece) for mesh, count in zip(meshes, counts, strict=True) for piece in range(count)
-        ]
+        self._piece = np.arange(len(self.placement)) - np.repeat(np.cumsum(counts) - counts, counts)
+        """Number (n,) of each piece in its mesh."""
 
     def scene(self, kept: NDArray[np.bool_]) -> int:
         """Build the scene of selected pieces (n,) and return its address, valid for the life of this object.
@@ -233,11 +232,13 @@ class Instances:
         Raises RunError if Embree fails.
         """
         wanted = defaultdict[EmbreeMesh, set[int]](set)
-        numbers = np.flatnonzero(kept).tolist()
-        for number in numbers:
-            mesh, piece = self._pieces[number]
+        numbers = np.flatnonzero(kept)
+        placed = self.placement[numbers].tolist()
+        meshes = [self.meshes[at] for at in placed]
+        pieces = self._piece[numbers].tolist()
+        for mesh, piece in zip(meshes, pieces, strict=True):
             wanted[mesh].add(piece)
-        new = [mesh for mesh, pieces in wanted.items() if not mesh.has(pieces)]
+        new = [mesh for mesh, of_mesh in wanted.items() if not mesh.has(of_mesh)]
         list(self._workers.map(lambda mesh: [mesh.scene(piece) for piece in sorted(wanted[mesh])], new))
         lib = rtc.library()
         device = rtc.device()
@@ -245,9 +246,7 @@ class Instances:
         transforms = relative_to_window(self.window).astype(np.float32)
         moving = self._moving(kept)
         first = transforms.ctypes.data
-        for number in numbers:
-            mesh, piece = self._pieces[number]
-            at = int(self.placement[number])
+        for number, at, mesh, piece in zip(numbers.tolist(), placed, meshes, pieces, strict=True):
             geometry = lib.rtcNewGeometry(device, rtc.GEOMETRY_INSTANCE)
             lib.rtcSetGeometryInstancedScene(geometry, mesh.scene(piece))
             if number in moving:

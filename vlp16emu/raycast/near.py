@@ -84,7 +84,8 @@ class EmbreeGeometry:
         shape = firings.t_ns.shape
         if shape[0] % PACKET:
             raise ValueError(f"cast: found {shape[0]} sequences, expected a multiple of {PACKET}")
-        lean = FARTHEST * beam.sigmas[2:].max()
+        sigmas = beam.sigmas
+        lean = FARTHEST * sigmas[2:].max()
         rise = float(np.abs(firings.direction[..., 2]).max(initial=0.0) + lean)
         far_m *= INCLUSIVE
         near, reach_m = self.near_faces(rise, far_m)
@@ -97,7 +98,7 @@ class EmbreeGeometry:
             float(reach_m),
             float(far_m),
             _by_sectors(firings.azimuth_deg),
-            beam.sigmas.astype(np.float32),
+            sigmas.astype(np.float32),
             beam.seed,
             firings.index,
         )
