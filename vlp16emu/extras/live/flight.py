@@ -90,7 +90,9 @@ class PoseReceiver:
 
 
 _POLL_S = 0.05  # how often a run that waits for the first pose checks if it shall end
-_START_NS = 20_000_000  # from the end of preparation to the first pulse: threads start in this time
+_START_NS = 40_000_000
+"""Time from the end of preparation to the first pulse, in which threads start and the sky is cast."""
+_LEAD_NS = 20_000_000
 _MOST_WINDOWS = 6
 """Windows that are opened in turn before the first pulse, for the start and the next seconds of the body;
 poses that jump to and fro would ask for others without end, and the run begins with steps left out
@@ -134,7 +136,7 @@ class Flight(PosePart):
 
     look_ahead = 8
     """Packets of a unit that are computed before the first leaves: two steps, or one of dual return."""
-    lead_ns = _START_NS
+    lead_ns = _LEAD_NS
     """Time ahead of now from which an engine that is too slow goes on: nothing is computed further ahead."""
 
     result: LiveReport | None = None

@@ -23,10 +23,15 @@ class SkyAhead:
         self._receiver = engine.receiver
         self._motion = motion
         self._start_ns = engine.scenario.start_ns
+        self._second_ns = self._start_ns // S_NS * S_NS  # the last one that was asked for
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, name="sky", daemon=True)
 
     def __enter__(self) -> Self:
+        """Ask for the fix of the last second before the first pulse, which the first packets need."""
+        if self._receiver is not None:
+            with suppress(CancelledError, InputError):
+                self._receiver.fix(self._second_ns)
         self._thread.start()
         return self
 
@@ -35,13 +40,17 @@ class SkyAhead:
         self._thread.join()
 
     def _run(self) -> None:
-        """Ask for the fixes of seconds, from the last one before the first pulse on."""
+        """Ask for the fixes of the next seconds."""
         if self._receiver is None:
             return
         lower_priority(threading.get_native_id())
-        second_ns = self._start_ns // S_NS * S_NS
         # What cannot be cast ends the stream, where the packer meets it.
         with suppress(CancelledError, InputError):
-            while not self._over.wait((second_ns - self._start_ns - self._motion.elapsed_ns) / S_NS):
-                self._receiver.fix(second_ns)
-                second_ns += S_NS
+            while not self._over.wait(self._next_s):
+                self._second_ns += S_NS
+                self._receiver.fix(self._second_ns)
+
+    @property
+    def _next_s(self) -> float:
+        """Time until the next second."""
+        return (self._second_ns + S_NS - self._start_ns - self._motion.elapsed_ns) / S_NS
