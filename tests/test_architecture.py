@@ -37,6 +37,7 @@ FLOORS = (
         "inputs",
         "kernels",
         "libraries",
+        "once",
         "output",
         "random",
         "settings",

@@ -9,6 +9,7 @@ coordinates; `world_T_body @ body_T_sensor` reads left to right.
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
+from functools import cache
 from typing import Any, Protocol, Self
 
 import numpy as np
@@ -110,17 +111,23 @@ FIRST_FREE_INSTANCE = (
 ShapeKey = Hashable  # Key of a shape: equal keys mean equal bytes of geometry
 
 
+_dtype = cache(np.dtype)
+
+
+def _fits(have: tuple[int, ...], want: tuple[int | None, ...]) -> bool:
+    # Mostly the first comparison decides; arrays of a step of a live run are checked each 5 ms.
+    return have == want or (
+        len(have) == len(want)
+        and all(axis is None or size == axis for size, axis in zip(have, want, strict=True))
+    )
+
+
 def _check(owner: object, dtype: str, **shapes: tuple[int | None, ...]) -> None:
     """Check the dtype of arrays, their number of axes, and every axis that is not None."""
+    wanted = _dtype(dtype)
     for name, shape in shapes.items():
         array = getattr(owner, name)
-        fits = (
-            isinstance(array, np.ndarray)
-            and array.dtype == np.dtype(dtype)
-            and len(array.shape) == len(shape)
-            and all(want is None or have == want for have, want in zip(array.shape, shape, strict=True))
-        )
-        if not fits:
+        if not (isinstance(array, np.ndarray) and array.dtype == wanted and _fits(array.shape, shape)):
             want = "(" + ", ".join("n" if axis is None else str(axis) for axis in shape) + ")"
             found = f"{array.shape} {array.dtype}" if isinstance(array, np.ndarray) else type(array).__name__
             raise ValueError(

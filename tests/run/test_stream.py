@@ -1,6 +1,7 @@
 """Packets in real time."""
 
 import concurrent.futures
+import gc
 import itertools
 import os
 import sys
@@ -17,7 +18,7 @@ from vlp16emu.errors import GeometryError, RunError
 from vlp16emu.run.part import StreamPart
 from vlp16emu.run.stream import TRANSITIONS, State, Stream
 from vlp16emu.sinks import Pacer
-from vlp16emu.sinks.pacing import prompt
+from vlp16emu.sinks.pacing import prompt, settle_memory
 from vlp16emu.types import Packet, PacketKind
 
 FAST = 1000.0
@@ -264,6 +265,18 @@ def test_streams_that_overlap_leave_the_switch_interval_as_it_was():
     assert sys.getswitchinterval() == short_s < before_s
     second.__exit__(None, None, None)
     assert sys.getswitchinterval() == before_s
+
+
+def test_collections_spare_what_was_alive_until_the_last_stream_ends():
+    """What is alive when memory is settled is out of all collections, as long as any stream is active."""
+    first, second = prompt(), prompt()
+    first.__enter__()
+    second.__enter__()
+    settle_memory()
+    first.__exit__(None, None, None)
+    assert gc.get_freeze_count() > 1000
+    second.__exit__(None, None, None)
+    assert gc.get_freeze_count() == 0
 
 
 class Noted(StreamPart):

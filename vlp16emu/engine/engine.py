@@ -76,7 +76,8 @@ def scan(job: Job, geometry: Geometry, taps: Iterable[Tap] = ()) -> Returns:
     for tap in taps:
         tap(job, firings, hits, geometry)
     add_texture(firings, hits, geometry.surfaces, job.texture_seed)
-    firings = replace(firings, beam_axis=None)  # a quarter of the memory of returns that wait
+    if firings.beam_axis is not None:
+        firings = replace(firings, beam_axis=None)  # a quarter of the memory of returns that wait
     optics = unit.state.optics
     light = optics.dim(firings, hits) if optics else hits
     returns = detect(firings, light, geometry.surfaces, job.detector, truth=job.truth, block=job.block)
@@ -241,9 +242,18 @@ def make_receiver(scenario: Scenario, parts: Parts, windows: Windows[Geometry]) 
     start_ns = scenario.start_ns
     far_m = scenario.sensor.max_range_m
 
+    still = parts.wind is None and parts.people is None
+    # A body at rest sees the same sky again: the last window, antenna, and hidden share.
+    last: tuple[Geometry | None, bytes, float] = (None, b"", 0.0)
+
     def cover(t_ns: int, antenna_m: F8) -> float:
+        nonlocal last
         geometry = windows.wait(windows.at_time(t_ns - start_ns))
-        return sky_cover(geometry, t_ns, antenna_m, _LOWEST_DEG, far_m)
+        seen_in, seen_from, seen = last
+        if not still or geometry is not seen_in or antenna_m.tobytes() != seen_from:
+            seen = sky_cover(geometry, t_ns, antenna_m, _LOWEST_DEG, far_m)
+            last = geometry, antenna_m.tobytes(), seen
+        return seen
 
     sky = cover if gps.canopy_loss else None
     return Receiver(parts.motion, gps, seed=scenario.sensor_seed, sky=sky)

@@ -240,7 +240,7 @@ class Packer:
         self._left = _rows(rows, slice(complete, None)) if complete < _count(rows) else None
         if not complete:
             return
-        rows = _rows(rows, slice(complete))
+        rows = _rows(rows, slice(0, complete))
         unit = self._unit
         packets = pack_data(rows, stretch.mode, SensorModel(unit.section.model), unit.number)
         if self._truth_of is None:
@@ -262,6 +262,8 @@ _BY_RETURN = ("distance_m", "reflectivity", "surface", "range_m", "share")
 
 def _rows(returns: Returns, rows: slice | NDArray[np.int64]) -> Returns:
     """Select firing sequences of returns for packing: in order of time, with gaps."""
+    if isinstance(rows, slice) and rows == slice(0, _count(returns)):
+        return returns
     arrays = {name: getattr(returns.firings, name)[rows] for name in _BY_SEQUENCE}
     present = [name for name in _BY_RETURN if getattr(returns, name) is not None]
     selected = {name: getattr(returns, name)[rows] for name in present}

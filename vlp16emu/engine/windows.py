@@ -137,8 +137,7 @@ class Windows(Generic[S]):
                 return future.result(_POLL_S)
         return future.result()
 
-    @staticmethod
-    def prepare_thread() -> None:
+    def prepare_thread(self) -> None:
         """Prepare a thread that opens windows; its priority is that of the others."""
 
     def name_of(self, block: int) -> Hashable:

@@ -104,6 +104,7 @@ class FarGeometry(EmbreeGeometry):
         """The same window, with near content as the medium too."""
         geometry = copy(self)
         geometry.medium = self.medium._replace(near_m=0.0)
+        geometry.idle = {}
         return geometry
 
     def near_faces(self, rise: float, far_m: float) -> tuple[Target, float]:
@@ -206,12 +207,12 @@ class FarCaster(EmbreeCaster):
     def tiles(self, window: TiledWindow) -> dict[Name, FarTile]:
         """Return the tiles of a window and their neighbours, with their shapes measured."""
         around = sorted({(ix + dx, iy + dy) for ix, iy, _ in window.tiles for dx, dy in _AROUND})
-        tiles = dict(
-            zip(around, self._workers.map(lambda name: self._tiled.far_tile(*name), around), strict=True)
-        )
-        self._measure(tile for name, tile in tiles.items() if name not in self._measured)
-        self._measured |= tiles.keys()
-        return tiles
+        far_tile = self._tiled.far_tile
+        new = [name for name in around if name not in self._measured]
+        made = dict(zip(new, self._workers.map(lambda name: far_tile(*name), new), strict=True))
+        self._measure(made.values())
+        self._measured.update(new)
+        return {name: made.get(name) or far_tile(*name) for name in around}
 
     def medium(self, window: TiledWindow, tiles: dict[Name, FarTile]) -> Medium:
         """Put together the medium of a window from its `tiles`."""

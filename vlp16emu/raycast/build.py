@@ -76,6 +76,10 @@ class EmbreeMesh:
                 self._scenes[piece] = scene
             return self._scenes[piece]
 
+    def has(self, pieces: set[int]) -> bool:
+        """Return whether the scenes of all these pieces are built."""
+        return pieces <= self._scenes.keys()
+
     def _build(self, begin: I8, stop: I8) -> int:
         lib = rtc.library()
         device = rtc.device()
@@ -219,9 +223,8 @@ class Instances:
         self.motion = motion_of(window, self.placement, self.boxes_m)
         self.buffers, self.row = _buffers(meshes, counts)
         """Buffers (b, 2) as in `EmbreeMesh`, and the first row (n,) of each piece."""
-        self._pieces = [
-            (mesh, piece) for mesh, count in zip(meshes, counts, strict=True) for piece in range(count)
-        ]
+        self._piece = np.arange(len(self.placement)) - np.repeat(np.cumsum(counts) - counts, counts)
+        """Number (n,) of each piece in its mesh."""
 
     def scene(self, kept: NDArray[np.bool_]) -> int:
         """Build the scene of selected pieces (n,) and return its address, valid for the life of this object.
@@ -229,20 +232,21 @@ class Instances:
         Raises RunError if Embree fails.
         """
         wanted = defaultdict[EmbreeMesh, set[int]](set)
-        numbers = np.flatnonzero(kept).tolist()
-        for number in numbers:
-            mesh, piece = self._pieces[number]
+        numbers = np.flatnonzero(kept)
+        placed = self.placement[numbers].tolist()
+        meshes = [self.meshes[at] for at in placed]
+        pieces = self._piece[numbers].tolist()
+        for mesh, piece in zip(meshes, pieces, strict=True):
             wanted[mesh].add(piece)
-        list(self._workers.map(lambda mesh: [mesh.scene(piece) for piece in sorted(wanted[mesh])], wanted))
+        new = [mesh for mesh, of_mesh in wanted.items() if not mesh.has(of_mesh)]
+        list(self._workers.map(lambda mesh: [mesh.scene(piece) for piece in sorted(wanted[mesh])], new))
         lib = rtc.library()
         device = rtc.device()
         scene, release = _new_scene(self)
         transforms = relative_to_window(self.window).astype(np.float32)
         moving = self._moving(kept)
         first = transforms.ctypes.data
-        for number in numbers:
-            mesh, piece = self._pieces[number]
-            at = int(self.placement[number])
+        for number, at, mesh, piece in zip(numbers.tolist(), placed, meshes, pieces, strict=True):
             geometry = lib.rtcNewGeometry(device, rtc.GEOMETRY_INSTANCE)
             lib.rtcSetGeometryInstancedScene(geometry, mesh.scene(piece))
             if number in moving:

@@ -4,7 +4,7 @@ import threading
 import weakref
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,8 @@ from vlp16emu.doors import Part
 from vlp16emu.raycast import embree as rtc
 from vlp16emu.raycast.beam import FARTHEST, LINE, ROUND, Footprint, beam_axis_of
 from vlp16emu.raycast.build import EmbreeMesh, Instances, inverses, relative_to_window, shape_of
-from vlp16emu.raycast.kernel import Cast, PulseBatch, batch_of, cast_lines, cast_pulses, join_rounds
-from vlp16emu.raycast.packet import PACKET, Target, ray_packet
+from vlp16emu.raycast.kernel import Batch, Cast, PulseBatch, batch_of, cast_lines, cast_pulses, join_rounds
+from vlp16emu.raycast.packet import PACKET, RayPacket, Target, ray_packet
 from vlp16emu.store import recall
 from vlp16emu.types import F4, F8, I8, U4, Firings, Hits, ShapeKey, Window, World
 from vlp16emu.units import INCLUSIVE
@@ -27,6 +27,14 @@ saves a fifth of the time for one ray per pulse in `scenes/reference_forest`, a 
 
 DISPLACE = Part[Callable[[F4, Footprint, int], None]]("vlp16emu.extras.displace:displace")
 """Function that displaces the points of hits with the beam error of LiDAR-Forest."""
+
+
+class _Scratch(NamedTuple):
+    """Memory of a cast, which a later cast takes over, on any thread: a step of a live run lasts 5 ms."""
+
+    packet: RayPacket
+    batch: Batch
+    passage: tuple[object, ...]
 
 
 class EmbreeGeometry:
@@ -46,6 +54,7 @@ class EmbreeGeometry:
         self.surfaces = near.window.surfaces
         self._instances = near  # keeps its scenes alive
         self._near = target_of(near, kept)
+        self.idle = dict[tuple[int, int], list[_Scratch]]()  # by pulses and greatest number of rays
 
     @property
     def as_far(self) -> "EmbreeGeometry":
@@ -75,7 +84,8 @@ class EmbreeGeometry:
         shape = firings.t_ns.shape
         if shape[0] % PACKET:
             raise ValueError(f"cast: found {shape[0]} sequences, expected a multiple of {PACKET}")
-        lean = FARTHEST * beam.sigmas[2:].max()
+        sigmas = beam.sigmas
+        lean = FARTHEST * sigmas[2:].max()
         rise = float(np.abs(firings.direction[..., 2]).max(initial=0.0) + lean)
         far_m *= INCLUSIVE
         near, reach_m = self.near_faces(rise, far_m)
@@ -88,25 +98,37 @@ class EmbreeGeometry:
             float(reach_m),
             float(far_m),
             _by_sectors(firings.azimuth_deg),
-            beam.sigmas.astype(np.float32),
+            sigmas.astype(np.float32),
             beam.seed,
             firings.index,
         )
         max_rays = beam.budget.max_rays if beam.has_width else 1
-        cast = Cast(near, pulses, ray_packet(), batch_of(PACKET * shape[1], max_rays))
+        idle = self.idle.setdefault((PACKET * shape[1], max_rays), [])
+        try:
+            scratch = idle.pop()
+        except IndexError:  # other threads have it
+            scratch = _Scratch(ray_packet(), batch_of(PACKET * shape[1], max_rays), self.passage())
+        hits = self._hits(Cast(near, pulses, scratch.packet, scratch.batch), scratch.passage, beam)
+        idle.append(scratch)
+        return hits
+
+    def _hits(self, cast: Cast, passage: tuple[object, ...], beam: Footprint) -> Hits:
+        """Cast pulses, and return their hits."""
+        shape = cast.light.time.shape
         if beam.has_width:
             count = np.empty(shape, np.uint16)
             # Numpy's arrays are in huge pages; arrays made in kernels have a page fault every 4 kB.
-            met_bits = first_round = np.empty((3, count.size * min(ROUND, max_rays)), np.uint32)
-            further = self.pulses(cast, *self.passage(), beam.budget, count, first_round)
+            budget = beam.budget
+            met_bits = first_round = np.empty((3, count.size * min(ROUND, budget.max_rays)), np.uint32)
+            further = self.pulses(cast, *passage, budget, count, first_round)
             if further.size:
                 met_bits = np.empty((3, first_round.shape[1] + further.shape[1]), np.uint32)
                 join_rounds(count, first_round, further, met_bits)
             return Hits(count, met_bits[0].view(np.float32), met_bits[1], met_bits[2].view(np.float32))
         met = np.empty(shape, np.float32), np.empty(shape, np.uint32), np.empty(shape, np.float32)
-        self.lines(cast, *self.passage(), *met)
+        self.lines(cast, *passage, *met)
         if beam.section.model == "offset":
-            DISPLACE.load()(met[0], beam, firings.index)
+            DISPLACE.load()(met[0], beam, cast.light.first)
         return Hits.one_ray_each(*met)
 
 
@@ -126,7 +148,7 @@ def target_of(instances: Instances, kept: NDArray[np.bool_] | None = None) -> Ta
         instances.buffers,
         motion.shear,
         motion.foot_m,
-        np.ascontiguousarray(window.surfaces["reflectance"]),
+        window.surfaces["reflectance"].copy(),
     )
 
 

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import exp
 from vlp16emu.kernels.compiler import inline_kernel, kernel
+from vlp16emu.once import once_per_array
 from vlp16emu.random import Purpose, uniform_pair
 from vlp16emu.trig import ZERO, fold
 from vlp16emu.types import F4, F8, I8, U2, U4, Firings, Hits, PlantPart
@@ -63,17 +64,25 @@ def add_texture(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: 
     surfaces : (m,) `SURFACE`, the window's table
     seed : seed of the world
     """
-    if not any(surfaces[name].any() for name in ("texture", "relief_m", "roughness")):
+    looks = _looks_of(surfaces)
+    if looks is None:
         return
-    per_m = np.where(surfaces["part"] == PlantPart.NONE, 1.0 / _GRID_M, 1.0 / _BARK_GRID_M).astype(np.float32)
-    steep = np.divide(1.0, surfaces["roughness"], out=np.zeros_like(per_m), where=surfaces["roughness"] > 0.0)
-    looks = np.stack(
-        [*(surfaces[name] for name in ("texture", "reflectance", "relief_m")), per_m, steep * steep], axis=1
-    )
     rays = (hits.count, hits.range_m, hits.surface, hits.cos_incidence)
     lasers = hits.count.shape[1]
     known = np.full((4, lasers, 3), np.iinfo(np.int64).min), np.empty((4, lasers))
     _texture(firings.origin_m, firings.direction, rays, looks, seed, known)
+
+
+@once_per_array
+def _looks_of(surfaces: NDArray[np.void]) -> F4 | None:
+    """Return the looks (m, 5) of surfaces as `_texture` takes them; None if all are even and matt."""
+    if not any(surfaces[name].any() for name in ("texture", "relief_m", "roughness")):
+        return None
+    per_m = np.where(surfaces["part"] == PlantPart.NONE, 1.0 / _GRID_M, 1.0 / _BARK_GRID_M).astype(np.float32)
+    steep = np.divide(1.0, surfaces["roughness"], out=np.zeros_like(per_m), where=surfaces["roughness"] > 0.0)
+    return np.stack(
+        [*(surfaces[name] for name in ("texture", "reflectance", "relief_m")), per_m, steep * steep], axis=1
+    )
 
 
 @kernel

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.kernels.compiler import inline_kernel, kernel
+from vlp16emu.once import once_per_array
 from vlp16emu.random import Purpose, box_muller, normal_pair, normal_pairs, uniform_pair
 from vlp16emu.returns.clutter import clutter_echo
 from vlp16emu.returns.detector import UnitDetector
@@ -95,7 +96,7 @@ def detect(
     peaks = np.empty((COLUMNS, _PEAKS_PER_NODE * most_nodes))
     noise = np.zeros((5, lasers))
     room = np.empty((COLUMNS, most_nodes)), peaks, np.empty(3, np.int64), noise
-    reflectance = np.ascontiguousarray(surfaces["reflectance"])
+    reflectance, sheet = _columns_of(surfaces)
     rays = SubRays(hits.count, hits.range_m, hits.surface, hits.cos_incidence, reflectance)
     errors = _Errors(
         detector.range_bias_m,
@@ -105,7 +106,7 @@ def detect(
         detector.gain,
         detector.codes,
         np.zeros(lasers) if detector.no_return is None else detector.no_return,
-        _sheets(surfaces),
+        sheet,
     )
     block = block or max(shape[0], 1)
     _detect(constants, first, block, errors, rays, room, distance_m, reflectivity, exact_m)
@@ -125,13 +126,15 @@ def detect(
     return Returns(firings, distance_m, reflectivity, surface, surfaces, exact_m, share, detector.mode)
 
 
-def _sheets(surfaces: NDArray[np.void]) -> U4:
-    """Return the sheet number of each surface (m,): all tiles of the ground are one sheet without gaps.
+@once_per_array
+def _columns_of(surfaces: NDArray[np.void]) -> tuple[F4, U4]:
+    """Return reflectance and sheet number (m,) of each surface.
 
-    Plants have 0.
+    All tiles of the ground are one sheet without gaps; plants have 0.
     """
     number = np.where(surfaces["semantic"] == Semantic.GROUND, 1, np.arange(2, len(surfaces) + 2))
-    return np.where(surfaces["part"] == PlantPart.NONE, number, 0).astype(np.uint32)
+    sheet = np.where(surfaces["part"] == PlantPart.NONE, number, 0).astype(np.uint32)
+    return surfaces["reflectance"].copy(), sheet
 
 
 class _Errors(NamedTuple):

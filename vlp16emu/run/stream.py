@@ -27,7 +27,7 @@ from vlp16emu.sinks import (
     PacketSink,
     UdpSink,
 )
-from vlp16emu.sinks.pacing import prompt
+from vlp16emu.sinks.pacing import prompt, settle_memory
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
 
@@ -209,6 +209,8 @@ class Stream:
         with self._interruptible():
             self._ahead.fill()
             self._first = self._ahead.first
+            if self.pacer.first_due_ns is None:  # else the clock runs
+                settle_memory()
             for part in self.parts if self._first else ():
                 part.ready()
 

@@ -6,7 +6,7 @@ Sources of the measured constants: the laws `encoder` and `motor` of `laws.toml`
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Self
 
 import numpy as np
@@ -213,18 +213,18 @@ class Encoder:
             since_tick = (clock_ns - self.tick_ns) % _TICK_NS / _TICK_NS
             reading = reading + self.hum_deg * rpm / 600.0 * (1.0 - 2.0 * since_tick)
         if self.pitch_deg:
-            return self._between_lines(reading, sequence, np.asarray(rpm)) % 360.0
+            return self._between_lines(reading, sequence, rpm) % 360.0
         if self.noise_deg:
             drawn_deg = self.noise_deg * normal_at(self.seed, Purpose.AZIMUTH_READING, sequence)
             reading = reading + np.clip(drawn_deg, -self.noise_limit_deg, self.noise_limit_deg)
         return np.asarray(reading % 360.0)
 
-    def _between_lines(self, angle_deg: F8, sequence: I8, rpm: F8) -> F8:
+    def _between_lines(self, angle_deg: F8, sequence: I8, rpm: F8 | float) -> F8:
         # The white error is here a uniform time error of the detection of a line.
         early = 2.0 * uniform_at(self.seed, Purpose.AZIMUTH_READING, sequence) - 1.0
         angle_deg = angle_deg + _HALF_WIDTH * self.noise_deg * rpm / 600.0 * early
         line, since_deg = np.divmod(angle_deg - self.first_deg, self.pitch_deg)
-        slow, fast, slow_share = _speeds(rpm)
+        slow, fast, slow_share = _speeds(rpm) if isinstance(rpm, np.ndarray) else _constant_speeds(rpm)
         # The four lines keep their order: all shares fall to 0, or rise to 1, with their mean.
         share = np.take(self.slow_shares, line.astype(int) % len(self.slow_shares))
         share = np.where(
@@ -250,6 +250,11 @@ def _speeds(rpm: F8) -> tuple[F8, F8, F8]:
     faster = np.clip(np.searchsorted(_SPEEDS_CDEG, mean_cdeg), 1, len(_SPEEDS_CDEG) - 1)
     low, high = _SPEEDS_CDEG[faster - 1], _SPEEDS_CDEG[faster]
     return low / true_cdeg, high / true_cdeg, np.clip((high - mean_cdeg) / (high - low), 0.0, 1.0)
+
+
+@cache
+def _constant_speeds(rpm: float) -> tuple[F8, F8, F8]:
+    return _speeds(np.asarray(rpm))
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """Windows of a live run belong to cubes of the world, follow from the places of the body, and serve it."""
 
 import math
+import threading
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +12,7 @@ from vlp16emu.engine import Batching
 from vlp16emu.extras.live import windows
 from vlp16emu.extras.live.flown import FLOWN_HEADER, FlownMotion, flown_rows
 from vlp16emu.extras.live.knots import STATE, STEP_NS, Knots
-from vlp16emu.extras.live.windows import Course, Cube, CubeWindows
+from vlp16emu.extras.live.windows import Course, Cube, CubeWindows, LiveWindows
 from vlp16emu.foliage.polyline import distance_m
 from vlp16emu.units import S_NS
 
@@ -262,3 +263,58 @@ def test_windows_opened_before_change_no_byte(tmp_path):
             emulator.engine.windows._future_of((Cube(*cube), 0)).result()
         ranges.append(next(emulator.returns(0.0, 0.005)).distance_m.tobytes())
     assert len(set(ranges)) == 1
+
+
+@pytest.fixture
+def live_windows(monkeypatch):
+    """Windows of a live run in a world that is never opened, and the motion that they follow."""
+    monkeypatch.setattr(windows, "caster", lambda *_: None)
+    unit = SimpleNamespace(mount=SimpleNamespace(lever_arm_m=(0.0, 0.0, 0.0)))
+    parts = SimpleNamespace(world=None, units=[unit], wind=None)
+    states = states_at((0.0, 0.0, 0.0), 1.0, begin_m=(15.0, 0.0, 1.5))
+    live = Knots(START_NS, states)
+    live.elapsed_ns = 0
+    live.poses = SimpleNamespace(last=SimpleNamespace(state=states_at((3.0, 0.0, 0.0), 1.0)[0]))
+    return LiveWindows(parts, START_NS, PARTS, 1, live), live
+
+
+def test_late_steps_are_taken_together(live_windows):
+    """Each of two threads takes half of the late steps, none across a block of 0.1 s; more are left out."""
+    of, live = live_windows
+    steps = of.runs(range(37, 1000), 1, 2)
+    taken = []
+    for late in (0, 1, 2, 4, 6, 7, 0):
+        at = taken[-1].stop if taken else 37
+        live.elapsed_ns = (at + late) * PARTS.block_ns
+        taken.append(next(steps))
+    # 40 begins a block; after the sixth, 7 steps are left out.
+    assert [(run.start, run.stop) for run in taken] == [
+        (37, 38), (38, 39), (39, 40), (40, 42), (42, 45), (52, 53), (53, 54),
+    ]  # fmt: skip
+    assert of.left_out == 7
+
+
+def test_the_windows_of_the_first_seconds_are_opened_before_the_start(live_windows, asked):
+    """They are those of the last pose and of its way at its speed, though the body rests before its knots."""
+    of, live = live_windows
+    live.poses.last.state[:3] = 15.0, 0.0, 1.5
+    asked.slow.add((Cube(1, 0, 0), 0))
+    asked.watch(of)
+    assert of.missing() is not None
+    assert asked.all == [(Cube(0, 0, 0), 0), (Cube(1, 0, 0), 0)]
+    asked.slow.clear()
+    assert of.missing() is None
+
+
+def test_opening_gets_less_of_the_processor_once_the_body_flies(live_windows, monkeypatch):
+    """Threads that open windows have the priority of others before the first pulse, and a lower one after."""
+    of, _ = live_windows
+    lowered = []
+    monkeypatch.setattr(windows, "lower_priority", lowered.append)
+    of.prepare_thread()
+    assert not lowered
+    of.begin()
+    assert lowered == [threading.get_native_id()]
+    of.prepare_thread()
+    of.begin()
+    assert len(lowered) == 2

@@ -19,6 +19,7 @@ from vlp16emu.extras.live.flown import FLOWN_HEADER, flown_rows
 from vlp16emu.extras.live.knots import STEP_NS
 from vlp16emu.extras.live.motion import LOST_NS, LiveMotion, PosesLost
 from vlp16emu.extras.live.pose_packet import POSE_BYTES, is_pose, unpack_pose
+from vlp16emu.extras.live.sky import SkyAhead
 from vlp16emu.extras.live.windows import LiveWindows
 from vlp16emu.hosts import bound, host_and_port
 from vlp16emu.output import OutputFile, spare
@@ -26,6 +27,7 @@ from vlp16emu.run.options import PosesIn
 from vlp16emu.run.part import PosePart
 from vlp16emu.run.scene_stream import SceneStream
 from vlp16emu.sinks import LatenessHistogram
+from vlp16emu.sinks.pacing import settle_memory
 from vlp16emu.types import Packet
 from vlp16emu.units import S_NS, seconds_to_ns
 
@@ -88,10 +90,14 @@ class PoseReceiver:
 
 
 _POLL_S = 0.05  # how often a run that waits for the first pose checks if it shall end
-_START_NS = 20_000_000  # from the end of preparation to the first pulse: threads start in this time
-_MOST_WINDOWS = 4
-"""Windows that are opened in turn before the first pulse, as the body moves on; poses that jump to and fro
-would ask for others without end, and the run begins with steps left out instead."""
+_START_NS = 40_000_000
+"""Time from the end of preparation to the first pulse, in which threads start and the sky is cast."""
+_LEAD_NS = 20_000_000
+_MOST_WINDOWS = 6
+"""Windows that are opened in turn before the first pulse, for the start and the next seconds of the body;
+poses that jump to and fro would ask for others without end, and the run begins with steps left out
+instead."""
+_SAID_S = 4.0  # how often a line says that windows are being opened
 _WARM_S = 0.02  # span that is computed before the run, so that kernels are loaded and compiled
 _ROWS_NS = S_NS  # how often knots are written
 
@@ -130,7 +136,7 @@ class Flight(PosePart):
 
     look_ahead = 8
     """Packets of a unit that are computed before the first leaves: two steps, or one of dual return."""
-    lead_ns = _START_NS
+    lead_ns = _LEAD_NS
     """Time ahead of now from which an engine that is too slow goes on: nothing is computed further ahead."""
 
     result: LiveReport | None = None
@@ -186,15 +192,28 @@ class Flight(PosePart):
             if stop.is_set():
                 return
         with suppress(CancelledError):
-            # With a receiver of its own: this one sees a body that does not move yet.
-            receiver = make_receiver(self._engine.scenario, self._engine.parts, self._engine.windows)
-            deque(replace(self._engine, receiver=receiver).packets(0.0, _WARM_S), 0)
-            for _ in range(_MOST_WINDOWS):
-                here = self._windows.at_block(0)
-                if here.done() or stop.is_set():
-                    break
-                self._windows.wait(here)  # the body has moved meanwhile
+            self._prepare()
+        settle_memory()
         self._start_clock()
+
+    def _prepare(self) -> None:
+        """Open the world around the body and where it is heading, and load kernels."""
+        stop = self._stream.stop
+        began_s = said_s = time.monotonic()
+        self._stream.say("opens the world around the first pose")
+        for round_ in range(2):
+            for _ in range(_MOST_WINDOWS):
+                window = self._windows.missing()  # the body moves on meanwhile
+                if window is None or stop.is_set():
+                    break
+                while not window.done() and not stop.wait(_POLL_S):
+                    if time.monotonic() - said_s > _SAID_S:
+                        said_s = time.monotonic()
+                        self._stream.say(f"opens the world: {said_s - began_s:.0f} s")
+            if round_ == 0:
+                # With a receiver of its own: this one sees a body that does not move yet.
+                receiver = make_receiver(self._engine.scenario, self._engine.parts, self._engine.windows)
+                deque(replace(self._engine, receiver=receiver).packets(0.0, _WARM_S), 0)
 
     def _say_refusal(self) -> None:
         """Say once why poses are refused; the report counts them."""
@@ -213,8 +232,10 @@ class Flight(PosePart):
         in_ns = _START_NS
         if self._stream.options.now:
             in_ns += (start_ns - time.time_ns() - in_ns) % S_NS
+        self._windows.begin()
         self._motion.begin(self._clock_ns() + in_ns)
         self._stream.pacer.begin(start_ns, -in_ns)
+        self._open.enter_context(SkyAhead(self._engine, self._motion))
 
     def sent(self, packet: Packet) -> None:
         """Record the latency of a packet, say if poses are lost or back, and write knots that are settled."""

@@ -9,6 +9,7 @@ it flew on as it does; a wrong guess costs time, but changes no byte.
 import math
 import os
 import sys
+import threading
 from collections.abc import Hashable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import repeat
@@ -97,6 +98,7 @@ class Cube(NamedTuple):
         return low_m + np.column_stack([x_m, y_m, z_m])
 
 
+_FAR_BLOCK = 1 << 40  # a block that no run reaches
 _STRAIGHT_RAD = 1e-15  # half of a turn that no window shows
 
 
@@ -157,6 +159,7 @@ class CubeWindows(Windows[Geometry]):
         self._motion = motion
         self._segment = batching.segment if parts.wind is not None else None  # time counts if trees sway
         self._looked_ns = 0
+        self._named: tuple[int, Hashable] = (start_ns, None)  # begin of an ordinary block, and its name
         self._guess: Future[Geometry] | None = None  # window that was last opened ahead
 
     def name_of(self, block: int) -> Hashable:
@@ -165,9 +168,15 @@ class CubeWindows(Windows[Geometry]):
         The cube is that of the body some seconds before, as long as its window serves.
         """
         begin_ns = self._begin_ns(block)
+        named_ns, named = self._named
+        # The first block is named anew: its body may still be somewhere else.
+        if begin_ns == named_ns > self._start_ns:
+            return named
         known = self._motion.kinematics_at(np.array([begin_ns - _BEFORE_NS, begin_ns - _KNOWN_NS]))
         before_m, place_m = known.world_p_body_m
-        return self._window_name(block, before_m, place_m, float(norm(known.world_v_body_m_s[1])))
+        name = self._window_name(block, before_m, place_m, float(norm(known.world_v_body_m_s[1])))
+        self._named = begin_ns, name
+        return name
 
     def open_ahead(self, block: int, stop: int) -> None:
         """Begin to open the next window that the body needs if it flies on as it does.
@@ -200,11 +209,15 @@ class CubeWindows(Windows[Geometry]):
         places_ns = known_ns + (blocks - first) * self._block_ns
         befores_ns = places_ns + _KNOWN_NS - _BEFORE_NS
         flown = self._motion.kinematics_at(np.minimum(befores_ns, known_ns))
-        course = Course.of(self._motion, known_ns)
+        course = self.course(known_ns)
         befores_m = flown.world_p_body_m + course.onwards_m(np.maximum(befores_ns - known_ns, 0))
         places_m = course.place_m + course.onwards_m(places_ns - known_ns)
         names = map(self._window_name, blocks.tolist(), befores_m, places_m, repeat(course.speed_m_s))
         return list(dict.fromkeys(names))
+
+    def course(self, t_ns: int) -> Course:
+        """Return the course of the body at a UTC instant."""
+        return Course.of(self._motion, t_ns)
 
     def _begin_ns(self, block: int) -> int:
         """UTC at which the ordinary block begins that a block is part of."""
@@ -218,25 +231,58 @@ class CubeWindows(Windows[Geometry]):
         return cube, block // self._segment if self._segment else 0
 
 
+def lower_priority(thread: int) -> None:
+    """Lower the priority of a thread, by its number in the system; elsewhere than on Linux, do nothing."""
+    if sys.platform == "linux":
+        os.setpriority(os.PRIO_PROCESS, thread, os.getpriority(os.PRIO_PROCESS, thread) + _NICE)
+
+
 class LiveWindows(CubeWindows):
     """Windows of a run that is being flown."""
 
     def __init__(
         self, parts: Parts, start_ns: int, batching: Batching, threads: int, motion: "LiveMotion"
     ) -> None:
+        self._openers = list[int]()  # system's numbers of the threads that open windows
+        self._is_flying = False
         # With more builders than one, casting threads wait for the interpreter.
         super().__init__(parts, start_ns, batching, threads, motion, builders=1)
         self._live = motion
         self.left_out = 0  # blocks that were not cast because their time was over
 
-    @staticmethod
-    def prepare_thread() -> None:
-        """Lower the priority of a thread that opens windows: the next window can wait, casting cannot."""
-        if sys.platform == "linux":
-            os.nice(_NICE)
+    def prepare_thread(self) -> None:
+        """Prepare a thread that opens windows; once the body flies, with a lower priority."""
+        self._openers.append(threading.get_native_id())
+        if self._is_flying:
+            lower_priority(self._openers[-1])
+
+    def begin(self) -> None:
+        """Lower the priority of the threads that open windows: the next one can wait, casting cannot."""
+        if not self._is_flying:
+            self._is_flying = True
+            for thread in self._openers:
+                lower_priority(thread)
+
+    def course(self, t_ns: int) -> Course:
+        """Return the course of the body; at the start that of its last pose, as it rests before its knots."""
+        seen = self._live.poses.last
+        if seen is None or t_ns - _TURN_NS > self._start_ns:
+            return super().course(t_ns)
+        return Course(seen.state[:3], seen.state[7:10], float(seen.state[12]))
+
+    def missing(self) -> Future[Geometry] | None:
+        """Return the first window that is not open yet, of those for the start and the next seconds."""
+        for name in dict.fromkeys([self.name_of(0), *self.expected(0, _FAR_BLOCK)[: self.ahead]]):
+            future = self._future_of(name)
+            if not future.done():
+                return future
+        return None
 
     def runs(self, blocks: range, at_once: int, threads: int) -> Iterator[range]:  # noqa: ARG002
-        """Yield blocks one by one, as packets shall not wait; skip to the present if they are late."""
+        """Yield blocks one by one, as packets shall not wait; skip to the present if they are late.
+
+        Late blocks that are over are taken together, as far as each thread has some: together they cost less.
+        """
         block = blocks.start
         while block < blocks.stop:
             late = self._live.elapsed_ns // self._block_ns - block
@@ -244,5 +290,6 @@ class LiveWindows(CubeWindows):
                 self.left_out += min(late, blocks.stop - block)
                 block += late
                 continue
-            yield range(block, block + 1)
-            block += 1
+            size = min(max(late // threads, 1), self._parts - block % self._parts, blocks.stop - block)
+            yield range(block, block + size)
+            block += size

@@ -4,12 +4,13 @@ Tiles and shapes are cached.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from typing import Self, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.tiles import FarTile, TiledWindow
@@ -28,7 +29,7 @@ from vlp16emu.forest.stand.stand import TREE, Stand, foot_discs
 from vlp16emu.forest.stand.tree_models import ModelKey, TreeModels
 from vlp16emu.forest.tiles import TILE_M, GroundKey, TileKey, around, ground_mesh, tile_origin_m, tiles_within
 from vlp16emu.store import recall
-from vlp16emu.types import F8, FIRST_FREE_INSTANCE, I8, Mesh, PlantPart, ShapeKey
+from vlp16emu.types import F8, FIRST_FREE_INSTANCE, I8, SURFACE, Mesh, PlantPart, ShapeKey
 from vlp16emu.world.vectors import places_m
 
 _NUMBERS_PER_TILE = 8192  # numbers reserved for the trees and things of a tile
@@ -54,6 +55,12 @@ def _by_tile(kind: str, name: str, make: Callable[[int, int], T]) -> Callable[[i
     `name` is the digest of all other inputs, empty for no cache.
     """
     return lambda ix, iy: recall(name and f"{name} {kind} {ix} {iy}", lambda: make(ix, iy))
+
+
+def _joined(tables: Sequence[NDArray[np.void]]) -> NDArray[np.void]:
+    """Join tables of surfaces as plain bytes: numpy compares the fields of each two in Python."""
+    rows = np.dtype((np.void, SURFACE.itemsize))
+    return np.concatenate([np.ascontiguousarray(table).view(rows) for table in tables]).view(SURFACE)
 
 
 class ForestWorld:
@@ -150,7 +157,7 @@ class ForestWorld:
             first_surface=np.concatenate(
                 [begin + tile.first_surface for begin, tile in zip(begins, tiles, strict=False)]
             ).astype(np.uint32),
-            surfaces=np.concatenate([tile.surfaces for tile in tiles]),
+            surfaces=_joined([tile.surfaces for tile in tiles]),
             track_m=track_m,
             tiles=tuple((ix, iy, row) for (ix, iy), row in zip(names, begins, strict=False)),
             far=np.concatenate([tile.far for tile in tiles]),
