@@ -7,16 +7,20 @@ import glob
 import logging
 import re
 import struct
-from collections import Counter, defaultdict, deque
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from dataclasses import dataclass
+from functools import partial
 from ipaddress import ip_address
+from itertools import repeat
 from pathlib import Path
 from threading import Event
 from typing import BinaryIO, NamedTuple, Protocol
 
-from vlp16emu.captures.records import EXPECTED, PCAP, Damage, Frame, Frames, pcap_frames
+from vlp16emu.captures.records import EXPECTED, PCAP, Damage, Frames, pcap_frames
+from vlp16emu.captures.repeats import Repeats
+from vlp16emu.captures.runs import Frame, PlainDatagrams, Run, plain_datagrams
 from vlp16emu.doors import Part
 from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.inputs import open_input
@@ -44,12 +48,10 @@ _UDP_START = struct.Struct(">3H")
 _UNFRAGMENTED = b"\x40\0", b"\0\0"
 _TUNNELS = (4789).to_bytes(2), (6081).to_bytes(2)  # UDP ports of VXLAN and Geneve (RFC 7348, RFC 8926)
 _FLAG = BLOCK_FLAG.to_bytes(2, "little")
-_RECENT = 512
-"""Packets among which a repeat is found: 0.7 s of one sensor. Bridges, bonds and `-i any` repeat within
-milliseconds."""
 # smallest share of the data packets of the busiest unit that counts as a unit; fewer are an accident
 _STRAY = 0.02
 _BAG_FILES = (".db3", ".mcap")  # of a folder of ROS 2, in order of their numbers
+_OTHERS = 32  # frames from one that is not plain on that are read one by one
 _MOST_DAMAGE = 100  # damaged parts that are reported
 _MOST_WARNINGS = 3  # of damaged parts
 _NAMED = 16  # units listed in an error line; as many as a rig may have
@@ -111,6 +113,9 @@ class Datagram(NamedTuple):
         return int.from_bytes(self.ip[4:6])
 
 
+_new_datagram = partial(tuple.__new__, Datagram)  # `Datagram._make` without its check of the length
+
+
 def is_capture_name(name: str | Path) -> bool:
     """Return whether a name ends in .pcap, .pcapng or .cap.
 
@@ -155,8 +160,7 @@ class Capture:
         self._files = _files(path)
         self._unwrapper: UdpFinder | None = None  # made for the first frame that is not plain
         self._cut_short = 0
-        self._recent = set[tuple[bytes, int, bytes]]()
-        self._order = deque[tuple[bytes, int, bytes]]()
+        self._repeats = Repeats()
 
     def __iter__(self) -> Iterator[Datagram]:
         for path in self._files:
@@ -167,13 +171,7 @@ class Capture:
                 if isinstance(frame, Damage):
                     self._note_damage(path, frame)
                     continue
-                self.frames += 1
-                found = self._datagram(frame)
-                if found is None:
-                    continue
-                for datagram in _parts(found) if len(found.payload) > DATA_BYTES else (found,):
-                    if self._keeps_repeats or not self._is_repeat(datagram):
-                        yield datagram
+                yield from self._of_run(frame) if isinstance(frame, Run) else self._of_frame(frame)
 
     @property
     def missed(self) -> str:
@@ -197,6 +195,37 @@ class Capture:
             _log.warning("%s: further bytes are damaged and left out", path)
         if len(self.damage) < _MOST_DAMAGE:
             self.damage.append(f"{path}: {found}" if len(self._files) > 1 else found)
+
+    def _of_frame(self, frame: Frame) -> Iterator[Datagram]:
+        """Yield the datagrams that a frame completes."""
+        self.frames += 1
+        found = self._datagram(frame)
+        if found is not None:
+            yield from self._new(_parts(found) if len(found.payload) > DATA_BYTES else (found,))
+
+    def _of_run(self, run: Run) -> Iterator[Datagram]:
+        """Yield the datagrams of a run of frames."""
+        while frames := len(run.begin):
+            plain = plain_datagrams(run)
+            count = len(plain.end)
+            if count:
+                datagrams = _datagrams(run.part(0, count), plain, self.frames)
+                self.frames += count
+                self._cut_short += int(plain.is_cut_short.sum())
+                is_new = self._keeps_repeats or self._repeats.take_new(datagrams, plain.key)
+                yield from datagrams if is_new else self._new(datagrams)
+            end = min(count + _OTHERS, frames)
+            for place in range(count, end):
+                yield from self._of_frame(run.frame(place))
+            run = run.part(end, frames)
+
+    def _new(self, datagrams: Iterable[Datagram]) -> Iterator[Datagram]:
+        """Yield datagrams without repeats, which are counted."""
+        for datagram in datagrams:
+            if self._keeps_repeats or not self._repeats.take(datagram):
+                yield datagram
+            else:
+                self.repeated += 1
 
     def _datagram(self, frame: Frame) -> Datagram | None:
         """Parse one frame; None if it completes no UDP datagram."""
@@ -223,24 +252,20 @@ class Capture:
             return None
         return Datagram(self.frames, frame.stamp_ns, *lengths, at, *ports, *parts, link_type)
 
-    def _is_repeat(self, datagram: Datagram) -> bool:
-        """Count a packet if its sender has just sent the same payload to that port.
 
-        Time stamps make payloads unique.
-        """
-        payload = datagram.payload
-        is_data = len(payload) == DATA_BYTES and payload.startswith(_FLAG)
-        if not is_data and len(payload) != POSITION_BYTES:
-            return False
-        known = datagram.source, datagram.destination_port, payload
-        if known in self._recent:
-            self.repeated += 1
-            return True
-        self._recent.add(known)
-        self._order.append(known)
-        if len(self._order) > _RECENT:
-            self._recent.discard(self._order.popleft())  # bounds the memory for long captures
-        return False
+def _datagrams(run: Run, plain: PlainDatagrams, frames: int) -> list[Datagram]:
+    """Return the datagrams in plain frames that come after `frames` others."""
+    count = len(run.begin)
+    begin = run.begin.tolist()
+    payload = (run.begin + _UDP_AT + 8).tolist()
+    columns = (
+        *(range(frames + 1, frames + count + 1), run.stamp_ns.tolist()),
+        *(run.length.tolist(), run.wire_bytes.tolist(), repeat(_IP_AT, count)),
+        *(plain.source_port.tolist(), plain.destination_port.tolist()),
+        *(run.cut(begin, payload), run.cut(payload, plain.end.tolist())),
+        repeat(run.link_type, count),
+    )
+    return list(map(_new_datagram, zip(*columns, strict=True)))
 
 
 def _is_plain(link_type: int, frame: bytes) -> bool:
