@@ -43,7 +43,9 @@ class Damage(NamedTuple):
 
 
 Frames = Iterator[Frame | Run | Damage | None]
-"""Frames of a file, one by one or in runs, and what is lost between them; None at the end if the file ends within a record."""
+"""Frames of a file, one by one or in runs, and what is lost between them.
+
+It is None at the end if the file ends within a record."""
 
 
 class Window:

@@ -97,7 +97,7 @@ def run_of(held: bytes, begin: int, again: bytes, form: RecordForm, near_s: int)
 
 
 @inline_kernel
-def _u4(content: U1, at: int, is_big_endian: bool) -> int:
+def _u4(content: U1, at: int, is_big_endian: bool) -> np.int64:
     """Read an unsigned integer of 4 bytes."""
     a, b, c, d = np.int64(content[at]), np.int64(content[at + 1]), np.int64(content[at + 2]), content[at + 3]
     if is_big_endian:
@@ -106,7 +106,7 @@ def _u4(content: U1, at: int, is_big_endian: bool) -> int:
 
 
 @inline_kernel
-def _u2(content: U1, at: int) -> int:
+def _u2(content: U1, at: int) -> np.int64:
     """Read an unsigned big-endian integer of 2 bytes."""
     return (np.int64(content[at]) << 8) | np.int64(content[at + 1])
 
@@ -114,7 +114,7 @@ def _u2(content: U1, at: int) -> int:
 @inline_kernel
 def _begins(content: U1, at: int, first_bytes: U1) -> bool:
     """Return whether some bytes are at a place."""
-    for i in range(len(first_bytes)):
+    for i in range(len(first_bytes)):  # noqa: SIM110  # a kernel
         if content[at + i] != first_bytes[i]:
             return False
     return True
@@ -197,7 +197,7 @@ def _plain_frames(content: U1, begin: I8, length: I8, wire_bytes: I8, columns: I
         if ethernet != _IPV4_WITHOUT_OPTIONS or content[at + 23] != _UDP_NUMBER:
             return i
         port = _u2(content, at + _UDP_AT + 2)
-        if (flags != 0 and flags != _DONT_FRAGMENT) or port == _VXLAN or port == _GENEVE:
+        if flags not in (0, _DONT_FRAGMENT) or port in (_VXLAN, _GENEVE):
             return i
         udp_bytes = _u2(content, at + _UDP_AT + 4)
         end = _UDP_AT + udp_bytes if udp_bytes else length[i]

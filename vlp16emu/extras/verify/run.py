@@ -5,7 +5,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from vlp16emu.captures.capture import Capture, CapturedUnit, Datagram, by_unit, chosen_unit, table_of
+from vlp16emu.captures.capture import Capture, CapturedUnit, Datagram, by_unit, table_of
+from vlp16emu.captures.survey import chosen_unit
 from vlp16emu.errors import CaptureError
 from vlp16emu.extras.verify.clocks import GpsGains, HostClock
 from vlp16emu.extras.verify.data import DataChunk, DataRules, PositionRules
