@@ -97,7 +97,7 @@ def run_of(held: bytes, begin: int, again: bytes, form: RecordForm, near_s: int)
 
 
 @inline_kernel
-def _u4(content: U1, at: int, is_big_endian: bool) -> np.int64:
+def _u4(content: U1, at: int | np.int64, is_big_endian: bool) -> np.int64:
     """Read an unsigned integer of 4 bytes."""
     a, b, c, d = np.int64(content[at]), np.int64(content[at + 1]), np.int64(content[at + 2]), content[at + 3]
     if is_big_endian:
@@ -106,13 +106,13 @@ def _u4(content: U1, at: int, is_big_endian: bool) -> np.int64:
 
 
 @inline_kernel
-def _u2(content: U1, at: int) -> np.int64:
+def _u2(content: U1, at: int | np.int64) -> np.int64:
     """Read an unsigned big-endian integer of 2 bytes."""
     return (np.int64(content[at]) << 8) | np.int64(content[at + 1])
 
 
 @inline_kernel
-def _begins(content: U1, at: int, first_bytes: U1) -> bool:
+def _begins(content: U1, at: int | np.int64, first_bytes: U1) -> bool:
     """Return whether some bytes are at a place."""
     for i in range(len(first_bytes)):  # noqa: SIM110  # a kernel
         if content[at + i] != first_bytes[i]:
@@ -133,7 +133,8 @@ def _sound_records(
     columns: I8,
 ) -> tuple[int, int, int]:
     """Walk over sound records, and write the columns of `Run` (4, m); return as `run_of`."""
-    at = begin
+    at = np.int64(begin)
+    before_s = np.int64(near_s)
     count = 0
     last = len(content) - header_bytes
     most_units = S_NS // unit_ns
@@ -145,21 +146,23 @@ def _sound_records(
         if captured > LONGEST_FRAME_BYTES or following > last:
             break
         next_s = _u4(content, following, is_big_endian)
-        if fraction >= most_units or abs(seconds - near_s) > DAY_S or abs(next_s - seconds) > DAY_S:
+        if fraction >= most_units or abs(seconds - before_s) > DAY_S or abs(next_s - seconds) > DAY_S:
             break
         if _u4(content, following + 4, is_big_endian) >= most_units:
             break
         if _u4(content, following + 8, is_big_endian) > LONGEST_FRAME_BYTES:
             break
-        wire_bytes = max(_u4(content, at + 12, is_big_endian) - check_bytes, 0)
+        wire_bytes = _u4(content, at + 12, is_big_endian) - check_bytes
+        if wire_bytes < 0:
+            wire_bytes = np.int64(0)
         columns[0, count] = at + header_bytes
         columns[1, count] = min(captured, wire_bytes)
         columns[2, count] = wire_bytes
         columns[3, count] = seconds * S_NS + fraction * unit_ns
         count += 1
-        near_s = seconds
+        before_s = seconds
         at = following
-    return count, at, near_s
+    return count, int(at), int(before_s)
 
 
 class PlainDatagrams(NamedTuple):
@@ -213,7 +216,7 @@ def _plain_frames(content: U1, begin: I8, length: I8, wire_bytes: I8, columns: I
 
 
 @inline_kernel
-def _key(content: U1, at: int, payload_bytes: int) -> int:
+def _key(content: U1, at: int | np.int64, payload_bytes: int | np.int64) -> np.int64:
     """Return the key of the packet in a plain frame, as in `PlainDatagrams`."""
     payload = at + _PAYLOAD_AT
     if payload_bytes == POSITION_BYTES:
@@ -221,6 +224,6 @@ def _key(content: U1, at: int, payload_bytes: int) -> int:
     elif payload_bytes == DATA_BYTES and content[payload] == _FLAG_LOW and content[payload + 1] == _FLAG_HIGH:
         stamp = payload + DATA_STAMP_AT
     else:
-        return 0
+        return np.int64(0)
     address = _u4(content, at + 26, True)
     return (address << 20) ^ (_u2(content, at + 36) << 33) ^ _u4(content, stamp, False) | 1 << 62

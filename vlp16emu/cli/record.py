@@ -4,13 +4,14 @@ import sys
 import time
 from contextlib import ExitStack, nullcontext, redirect_stdout
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Annotated
 
 from vlp16emu.cli.arguments import AsJson, CaptureFile, RunOptions, SceneName, UnitName, WhichClock
 from vlp16emu.cli.printer import finish, members
-from vlp16emu.cli.terminal import make_emulator, running, stop_on_ctrl_c
+from vlp16emu.cli.terminal import Progress, make_emulator, running, stop_on_ctrl_c
 from vlp16emu.errors import CaptureError, InputError, OutputError
 from vlp16emu.run.options import Option, RecordOptions
 
@@ -108,13 +109,16 @@ def decode(
     from vlp16emu.types import SensorModel
 
     axes = PointFrame(frame)
-    survey = Survey(file)
-    sensor = survey.chosen(unit, where="--unit")
-    product = SensorModel(model) if model else None
-    unit_clock = packet_clock(file, sensor, clock, where="--clock", survey=survey)
-    with stop_on_ctrl_c() as stop:
-        reader = CaptureReader(file, sensor, product, unit_clock, stop=stop)
-        _read_points(reader, file, out, axes, stop)
+    with Progress(100.0, "reading", unit="%") as bar:
+        survey = Survey(file, progress=partial(bar.show_share, "finding sensors"))
+        sensor = survey.chosen(unit, where="--unit")
+        product = SensorModel(model) if model else None
+        unit_clock = packet_clock(file, sensor, clock, where="--clock", survey=survey)
+        del survey
+        progress = partial(bar.show_share, "decoding")
+        with stop_on_ctrl_c() as stop:
+            reader = CaptureReader(file, sensor, product, unit_clock, stop=stop, progress=progress)
+            _read_points(reader, file, out, axes, stop)
     interrupted = stop.is_set()
     title = f"{file}, interrupted" if interrupted else str(file)
     tree = {"file": file, "out": out} if as_json else {"wrote": out}

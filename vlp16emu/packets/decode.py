@@ -18,10 +18,10 @@ from vlp16emu.errors import PacketError
 from vlp16emu.packets import layout
 from vlp16emu.packets.layout import BLOCK_PERIOD_NS, BLOCKS_PER_PACKET
 from vlp16emu.packets.pulses import fill_points
-from vlp16emu.sensor.beams import BEAM_TABLES, LASER_NS, SEQUENCE_NS
+from vlp16emu.sensor.beams import BEAM_TABLES
 from vlp16emu.sensor.settings import MOST_RPM
 from vlp16emu.types import F4, F8, I8, U1, PpsState, ReturnMode, SensorModel
-from vlp16emu.units import HOUR_NS, S_NS, US_NS
+from vlp16emu.units import S_NS, US_NS
 
 SENSOR_R_MANUAL = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """Rotation from the manual's frame, azimuth 0 on +y, to the sensor's, azimuth 0 on +x."""

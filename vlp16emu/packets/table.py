@@ -123,7 +123,8 @@ class PacketClock:
     def sensors_ns(self, arrival_ns: I8, timestamp_us: U4) -> I8:
         """Return UTC (n,) of time stamps (n,) that follow one another, as `sensor_ns`."""
         first_ns = self.sensor_ns(int(arrival_ns[0]), int(timestamp_us[0]))
-        apart_us: I8 = np.diff(timestamp_us.astype(np.int64))
+        stamp_us: I8 = timestamp_us.astype(np.int64)
+        apart_us: I8 = stamp_us[1:] - stamp_us[:-1]
         step_ns = wrap_hour(apart_us * US_NS, HOUR_NS)
         for place in np.flatnonzero(np.abs(step_ns) > _STEADY_NS).tolist():
             gone_ns = int(arrival_ns[place + 1]) - int(arrival_ns[place])
