@@ -75,13 +75,6 @@ def test_a_gap_begins_a_new_line():
     np.testing.assert_array_equal(times_ns, host_ns)
 
 
-def judged(host_ns, sensor_ns):
-    stamps = HostStamps()
-    for host, sensor in zip(host_ns.tolist(), sensor_ns.tolist(), strict=True):
-        stamps.take(host, sensor)
-    return stamps
-
-
 @pytest.mark.parametrize(
     ("stamps", "words", "runs"),
     [
@@ -96,7 +89,7 @@ def judged(host_ns, sensor_ns):
 def test_stamps_that_are_no_pace_are_named(stamps, words, runs):
     """Stamps that are equal, too close, too far apart, rounded or in batches cannot be the sensor's pace."""
     sensor_ns = sensor_times(5000)
-    found = judged(stamps(sensor_ns), sensor_ns)
+    found = HostStamps.of(stamps(sensor_ns), sensor_ns)
     assert words in found.fault
     assert found.runs == runs
 
@@ -107,6 +100,6 @@ def test_stamps_of_a_host_are_a_pace(jitter_us):
     rng = np.random.default_rng(2)
     sensor_ns = sensor_times(5000)
     host_ns = sensor_ns + (rng.uniform(0, jitter_us, len(sensor_ns)) * 1000).astype(np.int64)
-    assert judged(host_ns, sensor_ns).fault is None
-    assert judged(host_ns // 1_000_000 * 1_000_000, sensor_ns).fault is None
-    assert judged(host_ns + np.where(np.arange(5000) < 900, 0, 3600 * S_NS), sensor_ns).fault is None
+    assert HostStamps.of(host_ns, sensor_ns).fault is None
+    assert HostStamps.of(host_ns // 1_000_000 * 1_000_000, sensor_ns).fault is None
+    assert HostStamps.of(host_ns + np.where(np.arange(5000) < 900, 0, 3600 * S_NS), sensor_ns).fault is None

@@ -7,28 +7,35 @@ import glob
 import logging
 import re
 import struct
-from collections import Counter, defaultdict, deque
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
-from dataclasses import dataclass
+from contextlib import AbstractContextManager
+from functools import partial
+from io import BufferedReader, RawIOBase
 from ipaddress import ip_address
+from itertools import repeat
 from pathlib import Path
 from threading import Event
 from typing import BinaryIO, NamedTuple, Protocol
 
-from vlp16emu.captures.records import EXPECTED, PCAP, Damage, Frame, Frames, pcap_frames
+import numpy as np
+
+from vlp16emu.captures.records import EXPECTED, PCAP, Damage, Frames, pcap_frames
+from vlp16emu.captures.repeats import Repeats
+from vlp16emu.captures.runs import Frame, PlainDatagrams, Run, plain_datagrams
 from vlp16emu.doors import Part
-from vlp16emu.errors import CaptureError, InputError
+from vlp16emu.errors import CaptureError
 from vlp16emu.inputs import open_input
 from vlp16emu.packets.layout import (
     BLOCK,
     BLOCK_FLAG,
     BLOCKS_PER_PACKET,
     DATA_BYTES,
-    POSITION_BYTES,
+    DATA_PAYLOAD,
     RETURN_MODE_BYTE,
 )
-from vlp16emu.packets.table import PacketClock, PacketTable, packet_row, packet_table
+from vlp16emu.packets.table import PacketClock, PacketTable, captured_table
 
 _log = logging.getLogger(__name__)
 _ENDING = re.compile(r"\.((pcap|pcapng|cap)\d*(\.(gz|bz2|xz|zst))?|bag(\.active)?|mcap|db3)$", re.IGNORECASE)
@@ -44,15 +51,12 @@ _UDP_START = struct.Struct(">3H")
 _UNFRAGMENTED = b"\x40\0", b"\0\0"
 _TUNNELS = (4789).to_bytes(2), (6081).to_bytes(2)  # UDP ports of VXLAN and Geneve (RFC 7348, RFC 8926)
 _FLAG = BLOCK_FLAG.to_bytes(2, "little")
-_RECENT = 512
-"""Packets among which a repeat is found: 0.7 s of one sensor. Bridges, bonds and `-i any` repeat within
-milliseconds."""
-# smallest share of the data packets of the busiest unit that counts as a unit; fewer are an accident
-_STRAY = 0.02
 _BAG_FILES = (".db3", ".mcap")  # of a folder of ROS 2, in order of their numbers
+_OTHERS = 32  # frames from one that is not plain on that are read one by one
+_MOST_HEADERS = 1024  # whose senders are remembered
+_OFTEN = 1000  # frames from one call for the progress to the next
 _MOST_DAMAGE = 100  # damaged parts that are reported
 _MOST_WARNINGS = 3  # of damaged parts
-_NAMED = 16  # units listed in an error line; as many as a rig may have
 _CUT_SHORT = "frames that were captured in part (capture with `tcpdump -s 0`)"
 
 
@@ -111,6 +115,9 @@ class Datagram(NamedTuple):
         return int.from_bytes(self.ip[4:6])
 
 
+_new_datagram = partial(tuple.__new__, Datagram)  # `Datagram._make` without its check of the length
+
+
 def is_capture_name(name: str | Path) -> bool:
     """Return whether a name ends in .pcap, .pcapng or .cap.
 
@@ -136,13 +143,20 @@ class Capture:
     repeats : also yield repeated packets
     stop : an event that ends the wait for the bytes of a pipe, as if the pipe ended there
     is_quiet : give no warning of damage, as in a pass before the one that counts
+    progress : called with the share of the files that is read, 0 to 1, now and then
 
     Raises CaptureError if a file cannot be read or is not a capture. Damaged records are left out, with a
     warning.
     """
 
     def __init__(
-        self, path: Path, *, repeats: bool = False, stop: Event | None = None, is_quiet: bool = False
+        self,
+        path: Path,
+        *,
+        repeats: bool = False,
+        stop: Event | None = None,
+        is_quiet: bool = False,
+        progress: Callable[[float], None] | None = None,
     ) -> None:
         self.path = path
         self._keeps_repeats = repeats
@@ -155,25 +169,26 @@ class Capture:
         self._files = _files(path)
         self._unwrapper: UdpFinder | None = None  # made for the first frame that is not plain
         self._cut_short = 0
-        self._recent = set[tuple[bytes, int, bytes]]()
-        self._order = deque[tuple[bytes, int, bytes]]()
+        self._repeats = Repeats()
+        self._progress = progress
+        self._next_shown = 0
 
     def __iter__(self) -> Iterator[Datagram]:
-        for path in self._files:
-            for frame in _frames_in(path, self._stop):
-                if frame is None:
-                    self.cut = True
-                    break
-                if isinstance(frame, Damage):
-                    self._note_damage(path, frame)
-                    continue
-                self.frames += 1
-                found = self._datagram(frame)
-                if found is None:
-                    continue
-                for datagram in _parts(found) if len(found.payload) > DATA_BYTES else (found,):
-                    if self._keeps_repeats or not self._is_repeat(datagram):
-                        yield datagram
+        shown = self._files if self._progress else ()
+        sizes = [path.stat().st_size if path.is_file() else 0 for path in shown]
+        for number, path in enumerate(self._files):
+            with _opened(path, self._stop) as file:
+                for frame in _frames(path, file):
+                    if frame is None:
+                        self.cut = True
+                        break
+                    if isinstance(frame, Damage):
+                        self._note_damage(path, frame)
+                        continue
+                    yield from self._of_run(frame) if isinstance(frame, Run) else self._of_frame(frame)
+                    if self._progress and self.frames >= self._next_shown and sizes[number]:
+                        self._next_shown = self.frames + _OFTEN
+                        self._progress((sum(sizes[:number]) + file.raw.tell()) / sum(sizes))
 
     @property
     def missed(self) -> str:
@@ -197,6 +212,37 @@ class Capture:
             _log.warning("%s: further bytes are damaged and left out", path)
         if len(self.damage) < _MOST_DAMAGE:
             self.damage.append(f"{path}: {found}" if len(self._files) > 1 else found)
+
+    def _of_frame(self, frame: Frame) -> Iterator[Datagram]:
+        """Yield the datagrams that a frame completes."""
+        self.frames += 1
+        found = self._datagram(frame)
+        if found is not None:
+            yield from self._new(_parts(found) if len(found.payload) > DATA_BYTES else (found,))
+
+    def _of_run(self, run: Run) -> Iterator[Datagram]:
+        """Yield the datagrams of a run of frames."""
+        while frames := len(run.begin):
+            plain = plain_datagrams(run)
+            count = len(plain.end)
+            if count:
+                datagrams = _datagrams(run.part(0, count), plain, self.frames)
+                self.frames += count
+                self._cut_short += int(plain.is_cut_short.sum())
+                is_new = self._keeps_repeats or self._repeats.take_new(datagrams, plain.key)
+                yield from datagrams if is_new else self._new(datagrams)
+            end = min(count + _OTHERS, frames)
+            for place in range(count, end):
+                yield from self._of_frame(run.frame(place))
+            run = run.part(end, frames)
+
+    def _new(self, datagrams: Iterable[Datagram]) -> Iterator[Datagram]:
+        """Yield datagrams without repeats, which are counted."""
+        for datagram in datagrams:
+            if self._keeps_repeats or not self._repeats.take(datagram):
+                yield datagram
+            else:
+                self.repeated += 1
 
     def _datagram(self, frame: Frame) -> Datagram | None:
         """Parse one frame; None if it completes no UDP datagram."""
@@ -223,24 +269,20 @@ class Capture:
             return None
         return Datagram(self.frames, frame.stamp_ns, *lengths, at, *ports, *parts, link_type)
 
-    def _is_repeat(self, datagram: Datagram) -> bool:
-        """Count a packet if its sender has just sent the same payload to that port.
 
-        Time stamps make payloads unique.
-        """
-        payload = datagram.payload
-        is_data = len(payload) == DATA_BYTES and payload.startswith(_FLAG)
-        if not is_data and len(payload) != POSITION_BYTES:
-            return False
-        known = datagram.source, datagram.destination_port, payload
-        if known in self._recent:
-            self.repeated += 1
-            return True
-        self._recent.add(known)
-        self._order.append(known)
-        if len(self._order) > _RECENT:
-            self._recent.discard(self._order.popleft())  # bounds the memory for long captures
-        return False
+def _datagrams(run: Run, plain: PlainDatagrams, frames: int) -> list[Datagram]:
+    """Return the datagrams in plain frames that come after `frames` others."""
+    count = len(run.begin)
+    begin = run.begin.tolist()
+    payload = (run.begin + _UDP_AT + 8).tolist()
+    columns = (
+        *(range(frames + 1, frames + count + 1), run.stamp_ns.tolist()),
+        *(run.length.tolist(), run.wire_bytes.tolist(), repeat(_IP_AT, count)),
+        *(plain.source_port.tolist(), plain.destination_port.tolist()),
+        *(run.cut(begin, payload), run.cut(payload, plain.end.tolist())),
+        repeat(run.link_type, count),
+    )
+    return list(map(_new_datagram, zip(*columns, strict=True)))
 
 
 def _is_plain(link_type: int, frame: bytes) -> bool:
@@ -287,19 +329,26 @@ def _files(path: Path) -> list[Path]:
         return inside or [path / "*.mcap"]
     is_pattern = not path.exists() and glob.has_magic(path.name)  # a file may have brackets in its name
     found = sorted(path.parent.glob(path.name)) if is_pattern else []
-    firsts = {file: next(_frames_in(file, takes_pipes=False), None) for file in found or [path]}
-    stamps_ns = {file: first.stamp_ns if isinstance(first, Frame) else 0 for file, first in firsts.items()}
-    return sorted(firsts, key=stamps_ns.__getitem__)
+    return sorted(found or [path], key=_first_ns)
 
 
-def _frames_in(path: Path, stop: Event | None = None, *, takes_pipes: bool = True) -> Frames:
-    """Yield the frames of a file.
+def _opened(
+    path: Path, stop: Event | None = None, *, takes_pipes: bool = True
+) -> AbstractContextManager["BufferedReader[RawIOBase]"]:
+    """Open a file of a capture; CaptureError if it cannot be read."""
+    return open_input(path, EXPECTED, CaptureError, most_bytes=None, takes_pipes=takes_pipes, stop=stop)
 
-    Raises CaptureError if it cannot be read or is not a capture.
-    """
-    opened = open_input(path, EXPECTED, CaptureError, most_bytes=None, takes_pipes=takes_pipes, stop=stop)
-    with opened as file:
-        yield from pcap_frames(path, file) if file.peek(4)[:4] in PCAP else FRAMES.load()(path, file)
+
+def _frames(path: Path, file: "BufferedReader[RawIOBase]") -> Frames:
+    """Return the frames of an open file; CaptureError if it is not a capture."""
+    return pcap_frames(path, file) if file.peek(4)[:4] in PCAP else FRAMES.load()(path, file)
+
+
+def _first_ns(path: Path) -> int:
+    """Return the stamp of the first frame of a file; 0 if it has none."""
+    with _opened(path, takes_pipes=False) as file:
+        first = next(_frames(path, file), None)
+    return first.stamp_ns if isinstance(first, Frame) else 0
 
 
 class CapturedUnit(NamedTuple):
@@ -330,11 +379,14 @@ def by_unit(
 
     A unit None has sent all.
     """
-    indices = dict[tuple[bytes, int, bytes], int | None]()
+    indices = dict[tuple[int, int, bytes], int | None]()
     for datagram in datagrams:
-        sender = datagram.source, datagram.destination_port, datagram.mac
+        # Data packets of a sensor have one header.
+        sender = datagram.link_type, datagram.ip_offset, datagram.header
         if sender not in indices:
             owners = (i for i, unit in enumerate(units) if unit is None or unit.owns(datagram))
+            if len(indices) == _MOST_HEADERS:
+                indices.clear()
             indices[sender] = next(owners, None)
         yield indices[sender], datagram
 
@@ -349,100 +401,8 @@ def searched(
         yield found
 
 
-def table_of(datagrams: Iterable[Datagram], clock: PacketClock) -> PacketTable:
+def table_of(datagrams: Sequence[Datagram], clock: PacketClock) -> PacketTable:
     """Return the table of one or more data packets that follow those which `clock` has converted."""
-    return packet_table(packet_row(each.number, each.stamp_ns, each.payload, clock) for each in datagrams)
-
-
-@dataclass(slots=True)
-class _Stream:
-    """Datagrams as long as data packets, from one sender to one port."""
-
-    first: int
-    last: int = 0
-    packets: int = 0  # Datagrams that begin as Velodyne data packets do
-
-
-def units_in(path: Path, *, required: bool = False, stop: Event | None = None) -> list[CapturedUnit]:
-    """Find the sensors in a capture, in order of address, port and MAC address; reads the whole file.
-
-    If two sensors share an address, as behind a router, the one with the lower data port has the lower
-    position port.
-
-    Raises CaptureError if the file is not a capture or is damaged, or if one is `required` and it holds no
-    sensor; CancelledError once `stop` is set.
-    """
-    return _units_and_others(path, stop, required=required)[0]
-
-
-def chosen_unit(
-    path: Path, unit: str | None, *, where: str = "unit", stop: Event | None = None
-) -> CapturedUnit | None:
-    """Find one sensor of a capture.
-
-    It is None if it is the only sender of packets of that length and no unit is named.
-
-    Parameters
-    ----------
-    unit : its number from 1, or its address and data port, as `192.168.1.201:2368`
-    where : the option's name in error lines
-
-    Raises CaptureError if the file is not a capture or is damaged; InputError if there is no such unit, if
-    there are several and none is named, or if one of a pipe is named, as a pipe can be read only once;
-    CancelledError once `stop` is set.
-    """
-    if path.is_fifo() and unit is not None:
-        raise InputError(where, f"found {unit} for the pipe {path}", "a file, which can be read twice")
-    units, others = ([], False) if path.is_fifo() else _units_and_others(path, stop)
-    if not units or (unit is None and len(units) == 1):
-        return units[0] if others and units else None
-    for number, known in enumerate(units, start=1):
-        if unit in (str(number), str(known)):
-            return known
-    found = f"{len(units)} units in {path}" if unit is None else f"found {unit}"
-    names = [f"{number} ({known})" for number, known in enumerate(units[:_NAMED], start=1)]
-    names += [f"... {len(units)}"] if len(units) > _NAMED else []
-    raise InputError(where, found, f"one of {', '.join(names)}")
-
-
-def _units_and_others(
-    path: Path, stop: Event | None, *, required: bool = False
-) -> tuple[list[CapturedUnit], bool]:
-    """Find the sensors, and whether other senders have datagrams as long as data packets."""
-    streams: dict[tuple[bytes, int], dict[bytes, _Stream]] = defaultdict(dict)
-    position = defaultdict[bytes, set[int]](set)
-    capture = Capture(path, is_quiet=True)
-    for _, datagram in searched(capture, (), stop):
-        payload = datagram.payload
-        if len(payload) == DATA_BYTES:
-            own = streams[datagram.source, datagram.destination_port]
-            stream = own.setdefault(datagram.mac, _Stream(datagram.number))
-            stream.last = datagram.number
-            stream.packets += payload.startswith(_FLAG) and payload.startswith(_FLAG, BLOCK.itemsize)
-        elif len(payload) == POSITION_BYTES:
-            position[datagram.source].add(datagram.destination_port)
-    counts = {key: sum(stream.packets for stream in own.values()) for key, own in streams.items()}
-    least = max(_STRAY * max(counts.values(), default=0), 1)
-    ports = defaultdict[bytes, list[int]](list)
-    for source, port in sorted(key for key, packets in counts.items() if packets >= least):
-        ports[source].append(port)
-    units = [
-        CapturedUnit(source, port, tuple(sorted(position[source])[place :: len(own)]), mac)
-        for source, own in ports.items()
-        for place, port in enumerate(own)
-        for mac in _macs(streams[source, port], least)
-    ]
-    if required and not units:
-        raise capture.no_data()
-    return units, not all(counts.values())
-
-
-def _macs(streams: dict[bytes, _Stream], least: float) -> list[bytes]:
-    """Return the MAC addresses of sensors that send at the same time.
-
-    It is empty if one sensor replaces another.
-    """
-    busy = {mac: stream for mac, stream in streams.items() if stream.packets >= least}
-    if len(busy) > 1 and max(one.first for one in busy.values()) < min(one.last for one in busy.values()):
-        return sorted(busy)
-    return [b""]
+    number, arrival_ns = np.array([(each.number, each.stamp_ns) for each in datagrams], np.int64).T
+    payloads = np.frombuffer(b"".join([each.payload for each in datagrams]), DATA_PAYLOAD)
+    return captured_table(number, arrival_ns, payloads, clock)

@@ -1,20 +1,17 @@
 """The clock of each unit of a capture, chosen from its first packets."""
 
-from array import array
 from collections.abc import Sequence
 from pathlib import Path
 from threading import Event
 from typing import NamedTuple
 
-import numpy as np
-
 from vlp16emu.captures.capture import Capture, CapturedUnit, Datagram, searched, table_of
+from vlp16emu.captures.survey import Arrivals, Survey
 from vlp16emu.errors import InputError, PacketError
-from vlp16emu.packets.arrival import ArrivalFit, HostStamps, fit_arrivals
 from vlp16emu.packets.decode import decode_position
 from vlp16emu.packets.layout import DATA_BYTES, POSITION_BYTES
 from vlp16emu.packets.nmea import rmc_time
-from vlp16emu.packets.table import Clock, PacketClock, period_ns
+from vlp16emu.packets.table import Clock, PacketClock
 from vlp16emu.types import PpsState
 from vlp16emu.units import S_NS
 
@@ -39,6 +36,7 @@ def unit_clocks(
     *,
     where: str = "clock",
     stop: Event | None = None,
+    survey: Survey | None = None,
 ) -> list[UnitClock]:
     """Choose the clock of each unit of a capture.
 
@@ -49,6 +47,7 @@ def unit_clocks(
         if it has no position packets and is within a second of the host; else the host's clock, which stamps
         everything else of a recording, fitted to the sensor's; the sensor's if the host's stamps do not go on
     where : name of the option in error lines
+    survey : survey of the capture; made here if it is needed and None
 
     Raises CaptureError if the file is not a capture; InputError if there is no such clock, or no valid
     sentence for "gps"; CancelledError once `stop` is set.
@@ -63,55 +62,25 @@ def unit_clocks(
             break
     chosen = [of.clock(path, name, where) for of in seen]
     wanted = [each.clock.clock is Clock.HOST and name != Clock.HOST for each in chosen]
-    arrivals = _arrivals(path, units, stop) if any(wanted) else []
+    if not any(wanted):
+        return chosen
+    survey = survey or Survey(path, stop)
     return [
-        _fitted(path, each, arrivals[place], name, where) if wanted[place] else each
-        for place, each in enumerate(chosen)
+        _fitted(path, each, survey.arrivals(unit), name, where) if is_wanted else each
+        for each, unit, is_wanted in zip(chosen, units, wanted, strict=True)
     ]
 
 
-class _Arrivals:
-    """Arrivals of the data packets of a unit over its clock."""
-
-    def __init__(self) -> None:
-        self.stamps = HostStamps()
-        self._clock = PacketClock()
-        self._number = array("q")
-        self._sensor_ns = array("q")
-        self._host_ns = array("q")
-
-    def take(self, datagram: Datagram) -> None:
-        """Take a data packet."""
-        sensor_ns, _ = self._clock.packet_ns(datagram.number, datagram.stamp_ns, datagram.payload)
-        self.stamps.take(datagram.stamp_ns, sensor_ns)
-        self._number.append(datagram.number)
-        self._sensor_ns.append(sensor_ns + period_ns(datagram.payload))
-        self._host_ns.append(datagram.stamp_ns)
-
-    def fit(self) -> ArrivalFit | None:
-        """Fit the host's clock; None without packets, or if its stamps do not go on with the sensor's."""
-        if not self._number or not self.stamps.runs:
-            return None
-        return fit_arrivals(*(np.array(each) for each in (self._number, self._sensor_ns, self._host_ns)))
-
-
-def _arrivals(path: Path, units: Sequence[CapturedUnit | None], stop: Event | None) -> list[_Arrivals]:
-    found = [_Arrivals() for _ in units]
-    for unit, datagram in searched(Capture(path, is_quiet=True), units, stop):
-        if unit is not None and len(datagram.payload) == DATA_BYTES:
-            found[unit].take(datagram)
-    return found
-
-
-def _fitted(path: Path, chosen: UnitClock, arrivals: _Arrivals, name: str | None, where: str) -> UnitClock:
+def _fitted(path: Path, chosen: UnitClock, arrivals: Arrivals, name: str | None, where: str) -> UnitClock:
     """Return the host's clock fitted to the sensor's, or the sensor's if that cannot be."""
     fit = arrivals.fit()
     if fit is not None:
         first = fit.parts[0]
         begin_ns = chosen.first_ns + first.host_ns - chosen.arrived_ns
         return UnitClock(PacketClock(Clock.FITTED, fit=fit), begin_ns, chosen.arrived_ns, chosen.sensor_ns)
-    if name == Clock.FITTED and arrivals.stamps.steps:
-        raise InputError(where, f"found fitted, but in {path} {arrivals.stamps.fault}", "sensor")
+    stamps = arrivals.stamps()
+    if name == Clock.FITTED and stamps.steps:
+        raise InputError(where, f"found fitted, but in {path} {stamps.fault}", "sensor")
     return chosen._replace(clock=PacketClock(), first_ns=chosen.sensor_ns)
 
 
@@ -122,6 +91,7 @@ def packet_clock(
     *,
     where: str = "clock",
     stop: Event | None = None,
+    survey: Survey | None = None,
 ) -> PacketClock:
     """Return the clock for the packets of one unit, as `unit_clocks`.
 
@@ -132,7 +102,7 @@ def packet_clock(
         if name in (Clock.GPS, Clock.FITTED):
             raise InputError(where, f"found {name} for the pipe {path}", "sensor or host, or a file")
         return PacketClock(Clock(name or Clock.SENSOR))
-    return unit_clocks(path, [unit], name, where=where, stop=stop)[0].clock
+    return unit_clocks(path, [unit], name, where=where, stop=stop, survey=survey)[0].clock
 
 
 class _Seen:

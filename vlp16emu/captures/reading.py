@@ -1,6 +1,6 @@
 """Captures read back: tables of data packets, chunk by chunk, and a summary in numbers."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -73,7 +73,7 @@ class CaptureReader:
     model : sensor model of prototype units, whose product byte names another sensor
     clock : clock for the UTC of the packets
     passes_over : whether faulty packets are skipped; else the first one ends the reading
-    stop, is_quiet : as for `Capture`
+    stop, is_quiet, progress : as for `Capture`
 
     Raises CaptureError if the file is not a capture.
     """
@@ -88,13 +88,14 @@ class CaptureReader:
         passes_over: bool = False,
         stop: Event | None = None,
         is_quiet: bool = False,
+        progress: Callable[[float], None] | None = None,
     ) -> None:
         self.clock = clock or PacketClock()
         self._model = model
         self._passes_over = passes_over
         self._path = path
         self._unit = unit
-        self._capture = Capture(path, stop=stop, is_quiet=is_quiet)
+        self._capture = Capture(path, stop=stop, is_quiet=is_quiet, progress=progress)
         self._codes = np.zeros(2**16, np.int64)
         self._azimuth_cdeg = list[U2]()
         self._packet_ns = list[I8]()

@@ -11,6 +11,7 @@ from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from vlp16emu.captures.runs import DAY_S, LONGEST_FRAME_BYTES, Frame, RecordForm, Run, run_of
 from vlp16emu.errors import CaptureError
 from vlp16emu.units import S_NS, US_NS
 
@@ -29,21 +30,9 @@ of a file. Source: IETF draft-ietf-opsawg-pcap; the last magic number is the "mo
 Wireshark's wiki describes it."""
 _FILE_HEADER_BYTES = 24
 _HAS_CHECK = 0x0400_0000  # frames end with a frame check sequence
-_LONGEST_FRAME_BYTES = 262_144  # a longer record means damage (MAXIMUM_SNAPLEN of libpcap)
-_DAY_S = 86_400
 _SURE = 3  # records in a row that are no accident
 _PIECE_BYTES = 1 << 20
 _SEARCHED_BYTES = 1 << 20
-
-
-class Frame(NamedTuple):
-    """A captured frame."""
-
-    stamp_ns: int  # UTC; 0 in simple packet blocks of pcapng, which have no stamp
-    link_type: int  # LINKTYPE_ value of tcpdump.org
-    wire_bytes: int  # Length of the frame on the wire
-    content: bytes
-    is_suspect: bool = False  # True if what follows is damaged, so that its last bytes may be, too
 
 
 class Damage(NamedTuple):
@@ -53,8 +42,10 @@ class Damage(NamedTuple):
     lost_bytes: int
 
 
-Frames = Iterator[Frame | Damage | None]
-"""Frames of a file and what is lost between them; None at the end if the file ends within a record."""
+Frames = Iterator[Frame | Run | Damage | None]
+"""Frames of a file, one by one or in runs, and what is lost between them.
+
+It is None at the end if the file ends within a record."""
 
 
 class Window:
@@ -90,6 +81,11 @@ class Window:
     def held(self) -> tuple[bytes, int]:
         """Return the bytes in memory, and where the window begins in them."""
         return self._held, self._begin
+
+    def grow(self) -> bool:
+        """Read on if less than a piece is in memory; False if it is not, or at the end of the file."""
+        left = len(self._held) - self._begin
+        return left < _PIECE_BYTES and len(self.peek(1, left)) > 0
 
     def skip(self, size: int) -> None:
         """Move the window over bytes that have been seen."""
@@ -134,8 +130,8 @@ class _Records:
 
     def is_sound(self, head: _Head, near_s: int | None, unit_ns: int | None = None) -> bool:
         """Return whether a header is that of a record captured within a day of `near_s`."""
-        fits = head.captured <= _LONGEST_FRAME_BYTES and head.fraction * (unit_ns or self.unit_ns) < S_NS
-        return fits and (near_s is None or abs(head.seconds - near_s) <= _DAY_S)
+        fits = head.captured <= LONGEST_FRAME_BYTES and head.fraction * (unit_ns or self.unit_ns) < S_NS
+        return fits and (near_s is None or abs(head.seconds - near_s) <= DAY_S)
 
     def is_chain(self, ahead: int = 0, near_s: int | None = None, unit_ns: int | None = None) -> bool:
         """Return whether records follow one another from a place on, some or to the end of the file."""
@@ -151,10 +147,10 @@ class _Records:
                 return number > 1
         return True
 
-    def sound_frames(
+    def sound_runs(
         self, again: bytes, link_type: int, check_bytes: int, near_s: int
-    ) -> Generator[Frame, None, int]:
-        """Yield the frames of sound records in memory, each followed by a sound record; move the window.
+    ) -> Generator[Run, None, int]:
+        """Yield the sound records from here on, each followed by a sound record; move the window.
 
         Nearly all frames of a capture are read here. Returns the seconds of the last one.
 
@@ -162,28 +158,16 @@ class _Records:
         ----------
         near_s, again : as for `goes_on`
         """
-        held, begin = self._window.held()
-        unpack_from = self._struct.unpack_from
-        last = len(held) - self.size
-        most_units = S_NS // self.unit_ns
-        at = begin
-        while at <= last and not held.startswith(again, at):
-            seconds, fraction, captured, wire = unpack_from(held, at)
-            following = at + self.size + captured
-            if captured > _LONGEST_FRAME_BYTES or following > last:
-                break
-            next_head = _Head(*unpack_from(held, following))
-            is_sound = fraction < most_units and abs(seconds - near_s) <= _DAY_S
-            if not (is_sound and self.is_sound(next_head, seconds)):
-                break
-            stamp_ns = seconds * S_NS + fraction * self.unit_ns
-            wire = max(wire - check_bytes, 0)
-            yield Frame(stamp_ns, link_type, wire, held[at + self.size : following][:wire])
-            near_s = seconds
-            at = following
-            self.count += 1
-        self._window.skip(at - begin)
-        return near_s
+        form = RecordForm(self.size, self.order == ">", self.unit_ns, link_type, check_bytes)
+        while True:
+            held, begin = self._window.held()
+            run, end, near_s = run_of(held, begin, again, form, near_s)
+            if len(run.begin):
+                yield run
+                self.count += len(run.begin)
+                self._window.skip(end - begin)
+            elif not self._window.grow():
+                return near_s
 
     def goes_on(self, ahead: int, near_s: int | None, again: bytes) -> bool:
         """Return whether there is a record or the end of the file at a place.
@@ -204,7 +188,7 @@ class _Records:
 
     def find(self, near_s: int | None) -> bool:
         """Move the window to the next records captured within a day of `near_s`; False at the end."""
-        highs = () if near_s is None else range(max(near_s - _DAY_S, 0) >> 16, (near_s + _DAY_S >> 16) + 1)
+        highs = () if near_s is None else range(max(near_s - DAY_S, 0) >> 16, (near_s + DAY_S >> 16) + 1)
         words = [re.escape(high.to_bytes(2, "little" if self.order == "<" else "big")) for high in highs]
         before = rb"[\s\S]{2}" if self.order == "<" and words else b""
         pattern = re.compile(before + b"(?:" + b"|".join(words) + b")")
@@ -259,7 +243,7 @@ def pcap_frames(path: Path, file: Any) -> Frames:
         if is_complete and records.goes_on(size, near_s, again):
             window.skip(size)
             yield frame
-            near_s = yield from records.sound_frames(again, link_type, check_bytes, near_s)
+            near_s = yield from records.sound_runs(again, link_type, check_bytes, near_s)
             continue
         window.skip(1)
         if not records.find(near_s) and not is_complete:

@@ -1,6 +1,7 @@
 """Verbs that check and compare: verify, compare, fit and score."""
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,6 +18,7 @@ from vlp16emu.cli.printer import (
     report_of,
     rows_of,
 )
+from vlp16emu.cli.terminal import Progress
 from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.extras.options import ScoreInputs
 from vlp16emu.run.options import Option
@@ -61,13 +63,15 @@ def verify(
     if slam is not None:
         _verify_bag(file, unit, slam, as_json=as_json)
         return
-    from vlp16emu.captures import chosen_unit, units_in
+    from vlp16emu.captures import Survey
     from vlp16emu.extras.verify.run import verify_units
 
     if file.is_fifo():  # a pipe cannot be read twice, and the units are searched first
         raise CaptureError(str(file), "a pipe", "a file, which can be read twice")
-    units = units_in(file) if unit is None else [chosen_unit(file, unit, where="--unit")]
-    results = verify_units(file, units or [None])
+    with Progress(100.0, "reading", unit="%") as bar:
+        survey = Survey(file, progress=partial(bar.show_share, "finding sensors"))
+        units = survey.units if unit is None else [survey.chosen(unit, where="--unit")]
+        results = verify_units(file, units or [None], progress=partial(bar.show_share, "checking"))
     titles = [str(file)] if len(results) == 1 else list(map(str, units))
     if as_json:
         _print_verification_json(file, titles, results)

@@ -4,19 +4,22 @@ import sys
 import time
 from contextlib import ExitStack, nullcontext, redirect_stdout
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Annotated
 
 from vlp16emu.cli.arguments import AsJson, CaptureFile, RunOptions, SceneName, UnitName, WhichClock
 from vlp16emu.cli.printer import finish, members
-from vlp16emu.cli.terminal import make_emulator, running, stop_on_ctrl_c
+from vlp16emu.cli.terminal import Progress, make_emulator, running, stop_on_ctrl_c
 from vlp16emu.errors import CaptureError, InputError, OutputError
 from vlp16emu.run.options import Option, RecordOptions
 
 if TYPE_CHECKING:
     from vlp16emu.captures import CaptureReader
     from vlp16emu.packets import PointFrame
+
+_BLOCK_PACKETS = 250  # whose points are written at once: 6 MB, which stay in the processor's cache
 
 
 def record(
@@ -101,17 +104,21 @@ def decode(
             result = write_pcap(file, pcap, unit, stop=stop)
         finish(result, as_json=as_json)
         return
-    from vlp16emu.captures import CaptureReader, chosen_unit, packet_clock
+    from vlp16emu.captures import CaptureReader, Survey, packet_clock
     from vlp16emu.packets import PointFrame
     from vlp16emu.types import SensorModel
 
     axes = PointFrame(frame)
-    sensor = chosen_unit(file, unit, where="--unit")
-    product = SensorModel(model) if model else None
-    unit_clock = packet_clock(file, sensor, clock, where="--clock")
-    with stop_on_ctrl_c() as stop:
-        reader = CaptureReader(file, sensor, product, unit_clock, stop=stop)
-        _read_points(reader, file, out, axes, stop)
+    with Progress(100.0, "reading", unit="%") as bar:
+        survey = Survey(file, progress=partial(bar.show_share, "finding sensors"))
+        sensor = survey.chosen(unit, where="--unit")
+        product = SensorModel(model) if model else None
+        unit_clock = packet_clock(file, sensor, clock, where="--clock", survey=survey)
+        del survey
+        progress = partial(bar.show_share, "decoding")
+        with stop_on_ctrl_c() as stop:
+            reader = CaptureReader(file, sensor, product, unit_clock, stop=stop, progress=progress)
+            _read_points(reader, file, out, axes, stop)
     interrupted = stop.is_set()
     title = f"{file}, interrupted" if interrupted else str(file)
     tree = {"file": file, "out": out} if as_json else {"wrote": out}
@@ -138,7 +145,8 @@ def _read_points(
         try:
             for table in reader.tables():
                 if writer:
-                    writer.write(reader.columns(table, axes))
+                    for begin in range(0, len(table), _BLOCK_PACKETS):
+                        writer.write(reader.columns(table[begin : begin + _BLOCK_PACKETS], axes))
                 if stop.is_set():
                     break
         except CaptureError:

@@ -68,11 +68,12 @@ class Progress:
 
     Parameters
     ----------
-    total_s : simulated seconds to come
+    total_s : simulated seconds to come, or another amount
     first_task : task before the first call of `show`
+    unit : unit of the amount
     """
 
-    def __init__(self, total_s: float, first_task: str = "growing the world") -> None:
+    def __init__(self, total_s: float, first_task: str = "growing the world", unit: str = "s") -> None:
         self._total_s = total_s
         self._first_task = first_task
         self._next_s = 0.0
@@ -86,7 +87,7 @@ class Progress:
             columns = (
                 TextColumn("{task.description}"),
                 BarColumn(),
-                TextColumn("{task.completed:.1f} of {task.total:.1f} s"),
+                TextColumn("{task.completed:.1f} of {task.total:.1f} " + unit),
                 TimeRemainingColumn(),
                 TextColumn("left"),
             )

@@ -204,9 +204,17 @@ def bag(
     """
     from vlp16emu.extras.bag.write import write_bag
 
-    with stop_on_ctrl_c() as stop:
+    with stop_on_ctrl_c() as stop, Progress(100.0, "reading", unit="%") as bar:
         result = write_bag(
-            file, out, truth, images=images, unit=unit, clock=clock, options=options, stop=stop
+            file,
+            out,
+            truth,
+            images=images,
+            unit=unit,
+            clock=clock,
+            options=options,
+            stop=stop,
+            progress=partial(bar.show_share, "reading"),
         )
     finish(result, as_json=as_json)
 

@@ -11,14 +11,12 @@ from pathlib import Path
 from threading import Event
 from typing import Unpack
 
-from vlp16emu.captures import Capture, by_unit, chosen_unit, units_in
-from vlp16emu.captures.capture import searched
+from vlp16emu.captures import Capture, Survey, by_unit, chosen_unit
 from vlp16emu.errors import CaptureError, InputError, OutputError
 from vlp16emu.extras.bench.retime import age_ns, shift_packet, stamp_ns
 from vlp16emu.extras.free_ports import free_ports
 from vlp16emu.output import STDOUT, spare
 from vlp16emu.packets import DATA_BYTES, FACTORY_LINK, POSITION_BYTES, Link, PacketClock
-from vlp16emu.packets.arrival import HostStamps
 from vlp16emu.packets.frames import POSITION_PORT
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.run.options import RecordOptions, ReplayKeys, ReplayOptions, StreamOptions
@@ -65,7 +63,8 @@ class Replay:
         self.path = path
         self._loop = loop
         self._keeps_gaps = keep_gaps
-        self.units = units_in(path, required=True, stop=stop)  # sorted by address, then by port
+        survey = Survey(path, stop)
+        self.units = survey.required()  # sorted by address, then by port
         self.links = [
             replace(
                 FACTORY_LINK,
@@ -78,9 +77,9 @@ class Replay:
         self.passes = 0  # passes begun so far
         self.left_out = 0  # datagrams of the first pass that are no complete packets of a unit
         self.gaps_s = list[float]()  # gaps of the first pass that were shortened
-        self.paced_by = self._faults(
-            stop
-        )  # why units are paced by their own clocks, not by the host's stamps
+        faults = [survey.arrivals(unit).stamps().fault for unit in self.units]
+        self.paced_by = {number: fault for number, fault in enumerate(faults) if fault}
+        """Why units, by their numbers from 0, are paced by their own clocks, not by the host's stamps."""
 
     def __iter__(self) -> Iterator[Packet]:
         later_ns = cut_ns = 0
@@ -121,17 +120,6 @@ class Replay:
                 packet = replace(packet, due_ns=paces[unit].due_ns(packet, last_ns))
             last_ns = packet.due_ns
             yield packet
-
-    def _faults(self, stop: Event | None) -> dict[int, str]:
-        """Return why host stamps cannot be the pace, by the number of the unit, from 0."""
-        stamps = [HostStamps() for _ in self.units]
-        clocks = [PacketClock() for _ in self.units]
-        for unit, datagram in searched(Capture(self.path, is_quiet=True), self.units, stop):
-            if unit is not None and len(datagram.payload) == DATA_BYTES:
-                sent = datagram.number, datagram.stamp_ns, datagram.payload
-                stamps[unit].take(datagram.stamp_ns, clocks[unit].packet_ns(*sent)[0])
-        faults = {number: each.fault for number, each in enumerate(stamps)}
-        return {number: fault for number, fault in faults.items() if fault}
 
 
 class _SensorPace:

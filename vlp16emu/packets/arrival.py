@@ -10,6 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from vlp16emu.kernels.compiler import kernel
 from vlp16emu.types import F8, I8
 from vlp16emu.units import S_NS, US_NS
 
@@ -26,7 +27,7 @@ _MOST_PPM = 500.0  # rates beyond it are no rates of two quartzes
 _RUNS = 0.1  # greatest relative difference of both clocks over a capture
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class HostStamps:
     """Judgement of the host's stamps of one unit: whether they can be the sensor's pace.
 
@@ -40,22 +41,23 @@ class HostStamps:
     equal: int = 0
     host_ns: int = 0  # sums of the steps
     sensor_ns: int = 0
-    _last: tuple[int, int] | None = None
 
-    def take(self, host_ns: int, sensor_ns: int) -> None:
-        """Take a data packet: its stamp, and its time on the sensor's clock."""
-        last = self._last
-        self._last = host_ns, sensor_ns
-        if last is None or not 0 < (step_ns := sensor_ns - last[1]) <= _GAP_NS:
-            return
-        host_step_ns = host_ns - last[0]
-        self.steps += 1
-        self.short += host_step_ns * _PACE_FACTOR < step_ns
-        self.long += host_step_ns > step_ns * _PACE_FACTOR
-        self.equal += host_step_ns == 0
-        if abs(host_step_ns - step_ns) <= _GAP_NS:  # else one of the clocks was set
-            self.host_ns += host_step_ns
-            self.sensor_ns += step_ns
+    @classmethod
+    def of(cls, host_ns: I8, sensor_ns: I8) -> "HostStamps":
+        """Judge the stamps (n,) of data packets by their times (n,) on the sensor's clock."""
+        step_ns = np.diff(sensor_ns)
+        goes_on = (step_ns > 0) & (step_ns <= _GAP_NS)
+        step_ns = step_ns[goes_on]
+        host_step_ns = np.diff(host_ns)[goes_on]
+        is_kept = np.abs(host_step_ns - step_ns) <= _GAP_NS  # else one of the clocks was set
+        return cls(
+            steps=len(step_ns),
+            short=int(np.count_nonzero(host_step_ns * _PACE_FACTOR < step_ns)),
+            long=int(np.count_nonzero(host_step_ns > step_ns * _PACE_FACTOR)),
+            equal=int(np.count_nonzero(host_step_ns == 0)),
+            host_ns=int(host_step_ns[is_kept].sum()),
+            sensor_ns=int(step_ns[is_kept].sum()),
+        )
 
     @property
     def fault(self) -> str | None:
@@ -93,6 +95,12 @@ class FittedPart:
         since_ns = sensor_ns - self.sensor_ns
         return self.host_ns + since_ns + round((self.rate - 1.0) * since_ns)
 
+    def hosts_at(self, sensor_ns: I8) -> I8:
+        """Return the host's times (n,) of instants (n,), as `host_at`."""
+        since_ns = sensor_ns - self.sensor_ns
+        drift_ns: I8 = np.rint((self.rate - 1.0) * since_ns).astype(np.int64)
+        return self.host_ns + since_ns + drift_ns
+
 
 @dataclass(frozen=True, slots=True)
 class ArrivalFit:
@@ -129,6 +137,14 @@ class ArrivalFit:
             part = later
         return part.host_at(sensor_ns)
 
+    def hosts_at(self, number: I8, sensor_ns: I8) -> I8:
+        """Return the host's times (n,) of instants (n,), as `host_at`."""
+        place = np.searchsorted([part.first for part in self.parts[1:]], number, "right")
+        host_ns = np.empty(len(number), np.int64)
+        for used in np.unique(place).tolist():
+            host_ns[place == used] = self.parts[used].hosts_at(sensor_ns[place == used])
+        return host_ns
+
 
 def fit_arrivals(number: I8, sensor_ns: I8, host_ns: I8) -> ArrivalFit:
     """Fit the host's clock to the sensor's.
@@ -151,7 +167,8 @@ def fit_arrivals(number: I8, sensor_ns: I8, host_ns: I8) -> ArrivalFit:
     for (begin, end), length_s in zip(spans, lengths_s, strict=True):
         sensor = sensor_ns[begin:end]
         ahead_ns = host_ns[begin:end] - sensor
-        own = _rate(sensor, host_ns[begin:end]) if length_s >= _LEAST_S else rate
+        is_short = length_s < _LEAST_S or (begin, end) == spans[longest]
+        own = rate if is_short else _rate(sensor, host_ns[begin:end])
         off_ns = ahead_ns - ahead_ns[0] - (own - 1.0) * (sensor - sensor[0])
         least_ns = round(off_ns.min())
         late_ns[begin:end] = off_ns - least_ns
@@ -199,11 +216,9 @@ def _rate(sensor_ns: I8, host_ns: I8) -> float:
     x: F8 = (sensor_ns - sensor_ns[0]).astype(np.float64)
     y: F8 = (host_ns - sensor_ns).astype(np.float64)
     y -= y[0]
-    hull = list[int]()
-    for at in np.argsort(x, kind="stable").tolist():
-        while len(hull) > 1 and _turns_down(x, y, hull[-2], hull[-1], at):
-            hull.pop()
-        hull.append(at)
+    order = np.argsort(x, kind="stable")
+    hull = np.empty(len(order), np.int64)
+    hull = hull[: _lower_hull(x, y, order, hull)]
     edges = x[hull]
     middle = min(max(int(np.searchsorted(edges, x.mean())), 1), len(hull) - 1)
     left, right = hull[middle - 1], hull[middle]
@@ -211,6 +226,17 @@ def _rate(sensor_ns: I8, host_ns: I8) -> float:
     return 1.0 + float(np.clip(ppm, -_MOST_PPM, _MOST_PPM)) * 1e-6
 
 
-def _turns_down(x: F8, y: F8, a: int, b: int, c: int) -> bool:
-    """Return whether `b` is on or above the line from `a` to `c`."""
-    return bool((y[b] - y[a]) * (x[c] - x[a]) >= (y[c] - y[a]) * (x[b] - x[a]))
+@kernel
+def _lower_hull(x: F8, y: F8, order: I8, hull: I8) -> int:
+    """Write the indices of the lower convex hull of points (n,), in this order, and return their number."""
+    count = 0
+    for c in order:
+        while count > 1:
+            a = hull[count - 2]
+            b = hull[count - 1]
+            if (y[b] - y[a]) * (x[c] - x[a]) < (y[c] - y[a]) * (x[b] - x[a]):
+                break
+            count -= 1
+        hull[count] = c
+        count += 1
+    return count

@@ -5,6 +5,7 @@ to the right, Y = R cos w cos a forward and Z = R sin w + c up (63-9243 Rev D, s
 54). Points here are in the `sensor` frame, as in ROS drivers: x = Y forward, y = -X left, z = Z.
 """
 
+import struct
 from dataclasses import dataclass
 from enum import StrEnum
 from types import MappingProxyType
@@ -13,15 +14,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.elementary import matvec
 from vlp16emu.errors import PacketError
 from vlp16emu.packets import layout
 from vlp16emu.packets.layout import BLOCK_PERIOD_NS, BLOCKS_PER_PACKET
-from vlp16emu.sensor.beams import BEAM_TABLES, LASER_NS, SEQUENCE_NS
-from vlp16emu.sensor.head import in_sensor
+from vlp16emu.packets.pulses import fill_points
+from vlp16emu.sensor.beams import BEAM_TABLES
 from vlp16emu.sensor.settings import MOST_RPM
 from vlp16emu.types import F4, F8, I8, U1, PpsState, ReturnMode, SensorModel
-from vlp16emu.units import HOUR_NS, S_NS, US_NS
+from vlp16emu.units import S_NS, US_NS
 
 SENSOR_R_MANUAL = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """Rotation from the manual's frame, azimuth 0 on +y, to the sensor's, azimuth 0 on +x."""
@@ -38,6 +38,8 @@ _MAX_STEP_CDEG = 100
 
 _FASTEST_DEG_PER_NS = 1.5 * MOST_RPM * 6 / S_NS
 """Fastest rotor, with a margin for units that run too fast."""
+_POSITION = struct.Struct(f"<IB3x{layout.SENTENCE_BYTES}s")
+_POSITION_AT: int = layout.POSITION_PAYLOAD.fields["timestamp_us"][1]  # type: ignore[index]  # it has fields
 JUMP_NS = S_NS // 4  # a longer step of the clock ends a revolution: the slowest, at 300 rpm, takes 0.2 s
 
 
@@ -129,40 +131,39 @@ def points_in(
     point, of the even block, unless `keep_repeats`.
     """
     beams = BEAM_TABLES[_model(fields, model)]
-    records = fields["blocks"]["records"]
-    order = _pulse_order(fields)
-    kept = np.ones(records.shape, np.bool_) if keep_no_returns else records["distance_lsb"] > 0
-    if not keep_repeats:
-        kept &= ~repeats_in(fields)
-    source = order[kept.ravel()[order]]
-    packet, slot = np.divmod(source, layout.RECORDS_PER_PACKET)
-    block, record = np.divmod(slot, layout.SEQUENCES_PER_BLOCK * layout.LASERS)
-    sequence, laser = np.divmod(record, layout.LASERS)
-    since_block_ns = sequence * SEQUENCE_NS + laser * LASER_NS
-    since_ns = block_since_ns(fields)[packet, block] + since_block_ns
-
-    clock_ns = fields["timestamp_us"].astype(np.int64)[packet] * US_NS
-    step_cdeg = _steps_cdeg(fields)[packet] * (since_block_ns / BLOCK_PERIOD_NS)
-    azimuth_cdeg = fields["blocks"]["azimuth_cdeg"][packet, block] + step_cdeg
-    azimuth_deg = azimuth_cdeg % layout.AZIMUTH_CODES / 100
-    distance_m = records["distance_lsb"].ravel()[source] * layout.DISTANCE_LSB_M
-    xyz_m = in_sensor(azimuth_deg, beams.elevation_deg[laser], beams.vertical_offset_m[laser], distance_m)
-    xyz_m[distance_m == 0.0] = np.nan
-    if frame is PointFrame.MANUAL:
-        xyz_m = matvec(SENSOR_R_MANUAL.T, xyz_m)
-    last_mode = fields["return_mode"] == layout.RETURN_MODE_BYTE[ReturnMode.LAST]
+    rows = np.ascontiguousarray(fields).view(np.uint8).reshape(len(fields), fields.dtype.itemsize)
+    most = layout.RECORDS_PER_PACKET * len(fields)
+    numbers = np.empty((4, most), np.int64)
+    codes = np.empty((3, most), np.uint8)
+    azimuth_deg = np.empty(most)
+    distance_m = np.empty(most, np.float32)
+    xyz_m = np.empty((most, 3), np.float32)
+    count = fill_points(
+        rows,
+        rows.shape[1] - layout.DATA_BYTES,
+        _steps_cdeg(fields),
+        np.array([beams.elevation_deg, beams.vertical_offset_m, *np.zeros((2, layout.LASERS))]),
+        SENSOR_R_MANUAL.T.copy() if frame is PointFrame.MANUAL else np.zeros((0, 0)),
+        keep_no_returns,
+        keep_repeats,
+        numbers,
+        codes,
+        *(azimuth_deg, distance_m, xyz_m),
+    )
+    packet, slot, since_ns, time_ns = numbers[:, :count]
+    laser, reflectivity, is_last = codes[:, :count]
     return Points(
         packet=packet,
         slot=slot,
         since_ns=since_ns,
-        time_ns=(clock_ns + since_ns) % HOUR_NS,
-        laser=laser.astype(np.uint8),
+        time_ns=time_ns,
+        laser=laser,
         ring=beams.ring.astype(np.uint8)[laser],
-        azimuth_deg=azimuth_deg,
-        distance_m=distance_m.astype(np.float32),
-        xyz_m=xyz_m.astype(np.float32),
-        reflectivity=records["reflectivity"].ravel()[source],
-        is_last=np.where(is_dual(fields)[packet], block % 2 == 0, last_mode[packet]),
+        azimuth_deg=azimuth_deg[:count],
+        distance_m=distance_m[:count],
+        xyz_m=xyz_m[:count],
+        reflectivity=reflectivity,
+        is_last=is_last.view(np.bool_),
     )
 
 
@@ -237,16 +238,12 @@ def decode_position(payload: bytes) -> PositionFields:
     """
     if len(payload) != layout.POSITION_BYTES:
         raise PacketError("position packet", f"{len(payload)} bytes", f"{layout.POSITION_BYTES}")
-    fields = np.frombuffer(payload, layout.POSITION_PAYLOAD)[0]
+    stamp_us, state, sentence = _POSITION.unpack_from(payload, _POSITION_AT)
     try:
-        pps = PpsState(int(fields["pps"]))
+        pps = PpsState(state)
     except ValueError:
-        raise PacketError("position packet: PPS state", f"{fields['pps']}", "0 to 3") from None
-    return PositionFields(
-        time_ns=int(fields["timestamp_us"]) * US_NS,
-        pps=pps,
-        sentence=bytes(fields["sentence"]).split(b"\0")[0],
-    )
+        raise PacketError("position packet: PPS state", f"{state}", "0 to 3") from None
+    return PositionFields(time_ns=stamp_us * US_NS, pps=pps, sentence=sentence.split(b"\0", 1)[0])
 
 
 def _model(fields: NDArray[np.void], model: SensorModel | None) -> SensorModel:
@@ -277,14 +274,6 @@ def repeats_in(fields: NDArray[np.void]) -> NDArray[np.bool_]:
     repeated[:, 1::2] = (distance_lsb[:, 1::2] == last_lsb) & (last_lsb > 0)
     repeated[~is_dual(fields)] = False
     return repeated
-
-
-def _pulse_order(fields: NDArray[np.void]) -> I8:
-    """Return the order of records by pulses, as indices through the records of all packets."""
-    place = np.arange(layout.RECORDS_PER_PACKET)
-    pairs = place.reshape(BLOCKS_PER_PACKET // 2, 2, -1).swapaxes(1, 2).ravel()
-    inside = np.where(is_dual(fields)[:, None], pairs, place)
-    return (np.arange(len(fields))[:, None] * layout.RECORDS_PER_PACKET + inside).ravel()
 
 
 def _steps_cdeg(fields: NDArray[np.void]) -> F8:

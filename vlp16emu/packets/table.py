@@ -28,13 +28,14 @@ from vlp16emu.packets.arrival import ArrivalFit
 from vlp16emu.packets.decode import Points
 from vlp16emu.packets.layout import BLOCK, BLOCKS_PER_PACKET, DATA_ROW, RETURN_MODE_BYTE, SEQUENCES_PER_PACKET
 from vlp16emu.sensor.beams import SEQUENCE_NS
-from vlp16emu.types import I8
+from vlp16emu.types import I8, U1, U4
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
 _HEAD = struct.Struct("<4q")  # the columns of `DATA_ROW` before the payload
 _STAMP_AND_MODE = struct.Struct("<IB")
 _STAMP_AT = BLOCKS_PER_PACKET * BLOCK.itemsize  # they follow the blocks
 _PERIOD_NS = {RETURN_MODE_BYTE[mode]: n * SEQUENCE_NS for mode, n in SEQUENCES_PER_PACKET.items()}
+_PERIODS_NS = np.array([_PERIOD_NS.get(mode, 0) for mode in range(256)])  # by mode
 _Time = TypeVar("_Time", int, I8)
 _STEADY_NS = S_NS
 """Step of the sensor's clock up to which its hour is kept, even if the host's clock jumps."""
@@ -107,6 +108,31 @@ class PacketClock:
             return sensor_ns, self.fit.host_at(number, sensor_ns + lasts_ns) - lasts_ns
         return sensor_ns, fired_ns if self.clock is Clock.HOST else sensor_ns
 
+    def packets_ns(self, number: I8, arrival_ns: I8, fields: NDArray[np.void]) -> tuple[I8, I8]:
+        """Return UTC (n,) of the first pulses of data packets (n,) `DATA_PAYLOAD`, as `packet_ns`."""
+        sensor_ns = self.sensors_ns(arrival_ns, fields["timestamp_us"])
+        lasts_ns = periods_ns(fields["return_mode"])
+        fired_ns = arrival_ns - lasts_ns
+        if self.host_ahead_ns is None:
+            self.host_ahead_ns = int(fired_ns[0] - sensor_ns[0])
+        self._number = int(number[-1])
+        if self.fit is not None:
+            return sensor_ns, self.fit.hosts_at(number, sensor_ns + lasts_ns) - lasts_ns
+        return sensor_ns, fired_ns if self.clock is Clock.HOST else sensor_ns
+
+    def sensors_ns(self, arrival_ns: I8, timestamp_us: U4) -> I8:
+        """Return UTC (n,) of time stamps (n,) that follow one another, as `sensor_ns`."""
+        first_ns = self.sensor_ns(int(arrival_ns[0]), int(timestamp_us[0]))
+        stamp_us: I8 = timestamp_us.astype(np.int64)
+        apart_us: I8 = stamp_us[1:] - stamp_us[:-1]
+        step_ns = wrap_hour(apart_us * US_NS, HOUR_NS)
+        for place in np.flatnonzero(np.abs(step_ns) > _STEADY_NS).tolist():
+            gone_ns = int(arrival_ns[place + 1]) - int(arrival_ns[place])
+            step_ns[place] += round((gone_ns - int(step_ns[place])) / HOUR_NS) * HOUR_NS
+        t_ns: I8 = first_ns + np.cumsum(np.append(0, step_ns))
+        self._before = int(arrival_ns[-1]), int(t_ns[-1])
+        return t_ns
+
     def position_ns(self, arrival_ns: int, timestamp_us: int) -> int:
         """Return UTC of a position packet by the chosen clock."""
         if self.clock is Clock.HOST:
@@ -115,9 +141,9 @@ class PacketClock:
         return sensor_ns if self.fit is None else self.fit.host_at(self._number, sensor_ns)
 
 
-def period_ns(payload: bytes) -> int:
-    """Return the time from the first pulse of a data packet to its sending."""
-    return _PERIOD_NS.get(payload[_STAMP_AT + _STAMP_AND_MODE.size - 1], 0)
+def periods_ns(mode: U1) -> I8:
+    """Return the times (n,) from the first pulses of data packets to their sending, by return mode (n,)."""
+    return np.asarray(_PERIODS_NS[mode])
 
 
 def wrap_hour(difference: _Time, hour: int) -> _Time:
@@ -140,6 +166,17 @@ def packet_row(number: int, arrival_ns: int, payload: bytes, clock: PacketClock)
 def packet_table(rows: Iterable[bytes]) -> PacketTable:
     """Return the table of packets from their rows, which can be written."""
     return np.frombuffer(bytearray().join(rows), DATA_ROW)
+
+
+def captured_table(number: I8, arrival_ns: I8, fields: NDArray[np.void], clock: PacketClock) -> PacketTable:
+    """Return the table of packets, (n,) `DATA_PAYLOAD`, that follow those which `clock` has converted."""
+    table = np.empty(len(fields), DATA_ROW)
+    rows = table.view(np.uint8).reshape(len(fields), -1)
+    rows[:, _HEAD.size :] = fields.view(np.uint8).reshape(len(fields), -1)
+    table["number"] = number
+    table["arrival_ns"] = arrival_ns
+    table["sensor_ns"], table["utc_ns"] = clock.packets_ns(number, arrival_ns, fields)
+    return table
 
 
 def utc_ns_of(table: PacketTable, points: Points) -> I8:

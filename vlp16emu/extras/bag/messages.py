@@ -1,8 +1,9 @@
 """ROS messages of a sensor, its carrier, an inertial unit, a GNSS receiver and a camera."""
 
 import math
+import struct
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -51,6 +52,31 @@ _UNKNOWN_M2 = 1e6  # variance of the altitude: an RMC sentence has none
 _UNKNOWN_RAD2 = math.pi**2 / 3.0  # variance of a uniformly distributed heading, the limit of drift
 
 
+_ROW_HEAD = struct.Struct("<4q2H")  # `DATA_ROW` up to the azimuth of the first block
+_LEAST_STEP_DEG = -1.0
+_MOST_STEP_DEG = 180.0
+"""Steps of the azimuth within one revolution, whatever the times: `scan_starts` looks at others."""
+
+
+class _Place(NamedTuple):
+    """Where the rotor is at the first pulse of a packet, and when."""
+
+    azimuth_deg: float
+    sensor_ns: int
+    utc_ns: int
+
+    def is_far(self, other: "_Place") -> bool:
+        """Return whether one of the clocks jumps between two packets."""
+        return max(abs(other.sensor_ns - self.sensor_ns), abs(other.utc_ns - self.utc_ns)) > JUMP_NS
+
+    def ends_before(self, other: "_Place") -> bool:
+        """Return whether a revolution ends between two packets that are not far from each other."""
+        if _LEAST_STEP_DEG <= other.azimuth_deg - self.azimuth_deg <= _MOST_STEP_DEG:
+            return False
+        azimuths_deg = np.array([self.azimuth_deg, other.azimuth_deg])
+        return len(scan_starts(azimuths_deg, np.array([self.sensor_ns, other.sensor_ns]))) > 1
+
+
 class UnitMessages:
     """Writer of the messages that the ROS driver makes from the packets of one sensor.
 
@@ -64,7 +90,7 @@ class UnitMessages:
         self._frame = frame
         self._clock = clock
         self._space = f"/{frame}".removesuffix("/velodyne")
-        self._last: np.void | None = None  # `DATA_ROW` of the latest packet
+        self._last: _Place | None = None  # of the latest packet
         self._factory: int | None = None
         self._sentence = b""
         self._held = list[bytes]()  # rows of the scan so far
@@ -72,22 +98,21 @@ class UnitMessages:
     def data(self, stamp_ns: int, payload: bytes, number: int) -> int:
         """Take a data packet, and return UTC of its first pulse; errors of `check`."""
         content = packet_row(number, stamp_ns, payload, self._clock)
-        (row,) = packet_table([content])
+        _, _, sensor_ns, utc_ns, _, azimuth_cdeg = _ROW_HEAD.unpack_from(content)
+        place = _Place(azimuth_cdeg / 100, sensor_ns, utc_ns)
         ends = False
         if self._last is not None:
-            azimuth_deg = np.array([each["blocks"]["azimuth_cdeg"][0] for each in (self._last, row)]) / 100
-            times_ns = np.array([(each["sensor_ns"], each["utc_ns"]) for each in (self._last, row)])
-            if np.abs(times_ns[1] - times_ns[0]).max() > JUMP_NS:
+            if self._last.is_far(place):
                 self._write_scan()
             else:
-                ends = len(scan_starts(azimuth_deg, times_ns[:, 0])) > 1
+                ends = self._last.ends_before(place)
         self._held.append(content)
         if ends:
             self._write_scan()
         # A late packet ends no scan.
-        if self._last is None or not 0 < self._last["sensor_ns"] - row["sensor_ns"] <= JUMP_NS:
-            self._last = row
-        return int(row["utc_ns"])
+        if self._last is None or not 0 < self._last.sensor_ns - sensor_ns <= JUMP_NS:
+            self._last = place
+        return place.utc_ns
 
     def position(self, stamp_ns: int, payload: bytes) -> int:
         """Take a position packet, and return its UTC; a new sentence becomes a message."""

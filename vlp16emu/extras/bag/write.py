@@ -14,7 +14,7 @@ from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING
 
-from vlp16emu.captures import Capture, CaptureReader, UnitClock, by_unit, chosen_unit, unit_clocks, units_in
+from vlp16emu.captures import Capture, CaptureReader, Survey, UnitClock, by_unit, unit_clocks
 from vlp16emu.captures.capture import CapturedUnit, Datagram
 from vlp16emu.engine import Engine
 from vlp16emu.errors import CaptureError, InputError, PacketError
@@ -242,6 +242,7 @@ def write_bag(
     clock: str | None = None,
     options: BagOptions | None = None,
     stop: Event | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> Tree:
     """Write the bag of a capture, and return its contents; memory does not grow with its length.
 
@@ -256,6 +257,7 @@ def write_bag(
     options : transforms, and a configuration beside the bag, which without ground truth has only the
         capture's speed
     stop : ends the bag between two packets; it is valid
+    progress : called with the share of the capture that is read, in each of two passes
 
     Raises CaptureError, PacketError if the file is no capture, is damaged, or has stamps out of the range of
     bags; InputError if the ground truth cannot be read or has another number of units, or there is no such
@@ -269,10 +271,11 @@ def write_bag(
         raise InputError(
             "--images", "found without --truth", "--truth DIR of the same run, whose frames they are in"
         )
-    every = units_in(capture, required=True, stop=stop)
-    named = None if unit is None else chosen_unit(capture, unit, where="--unit", stop=stop)
+    survey = Survey(capture, stop, progress)
+    every = survey.required()
+    named = None if unit is None else survey.chosen(unit, where="--unit")
     units = every if unit is None else [named or every[0]]
-    clocks = unit_clocks(capture, units, clock, where="--clock", stop=stop)
+    clocks = unit_clocks(capture, units, clock, where="--clock", stop=stop, survey=survey)
     _check_stamps(capture, clocks)
     frames = _frames(len(units))
     true = None
@@ -281,7 +284,8 @@ def write_bag(
         true = _truth_of_folder(truth, [every.index(one) for one in units], len(every), first_ns)
         if images is not None:
             true = _with_images(true, images, first_ns)
-    datagrams = Capture(capture)
+    del survey
+    datagrams = Capture(capture, progress=progress)
 
     with (
         written_beside(out, options.slam, lambda: _rig(true, capture, units[0], frames[0])),

@@ -17,7 +17,8 @@ from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from vlp16emu.captures.records import Damage, Frame, Frames, Window
+from vlp16emu.captures.records import Damage, Frames, Window
+from vlp16emu.captures.runs import Frame
 from vlp16emu.errors import CaptureError, MissingExtraError
 from vlp16emu.packets.frames import FACTORY_LINK, data_header
 from vlp16emu.packets.layout import DATA_BYTES

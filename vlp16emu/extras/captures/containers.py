@@ -15,16 +15,8 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from vlp16emu.captures.records import (
-    EXPECTED,
-    PCAP,
-    Damage,
-    Frame,
-    Frames,
-    Window,
-    not_a_capture,
-    pcap_frames,
-)
+from vlp16emu.captures.records import EXPECTED, PCAP, Damage, Frames, Window, not_a_capture, pcap_frames
+from vlp16emu.captures.runs import Frame
 from vlp16emu.errors import CaptureError
 from vlp16emu.extras.captures.bags import bag_frames, is_bag
 from vlp16emu.inputs import parsing

@@ -11,7 +11,7 @@ from threading import Event
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.captures import CaptureReader, chosen_unit, packet_clock
+from vlp16emu.captures import CaptureReader, Survey, packet_clock
 from vlp16emu.elementary import matmul, matvec
 from vlp16emu.errors import InputError, TrajectoryError
 from vlp16emu.extras.clouds import cloud
@@ -176,8 +176,9 @@ def write_deskewed(
     Raises InputError, TrajectoryError if the ground truth belongs to another run, or no pulse has a pose;
     CaptureError, PacketError if the capture cannot be read, or is damaged; the file has the points before.
     """
-    sensor = chosen_unit(capture, trajectory.sensor or str(trajectory.unit), where="--unit", stop=stop)
-    unit_clock = packet_clock(capture, sensor, clock, where="--clock", stop=stop)
+    survey = Survey(capture, stop)
+    sensor = survey.chosen(trajectory.sensor or str(trajectory.unit), where="--unit")
+    unit_clock = packet_clock(capture, sensor, clock, where="--clock", stop=stop, survey=survey)
     if trajectory.needs_clock and capture.is_fifo():
         found = f"found auto for the pipe {capture}"
         raise InputError("--time-offset", found, "a number, or a file, which can be read twice")

@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.captures import CaptureReader, chosen_unit, packet_clock
+from vlp16emu.captures import CaptureReader, Survey, packet_clock
 from vlp16emu.elementary import cos, matvec, sin
 from vlp16emu.engine import Engine, Unit
 from vlp16emu.errors import InputError
@@ -165,8 +165,9 @@ def decode(
     if frame not in tuple(PointFrame):
         raise InputError("frame", f"found {frame}", " or ".join(PointFrame))
     path = Path(capture)
-    sensor = chosen_unit(path, None if unit is None else str(unit))
-    reader = CaptureReader(path, sensor, clock=packet_clock(path, sensor, clock))
+    survey = Survey(path)
+    sensor = survey.chosen(None if unit is None else str(unit))
+    reader = CaptureReader(path, sensor, clock=packet_clock(path, sensor, clock, survey=survey))
     return cut_scans(
         chunk_of(table, points_in(table, frame=PointFrame(frame)), {}) for table in reader.tables()
     )

@@ -1,11 +1,12 @@
 """Captures checked against the rules of VLP-16 traffic, unit by unit."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from vlp16emu.captures.capture import Capture, CapturedUnit, Datagram, by_unit, chosen_unit, table_of
+from vlp16emu.captures.capture import Capture, CapturedUnit, Datagram, by_unit, table_of
+from vlp16emu.captures.survey import chosen_unit
 from vlp16emu.errors import CaptureError
 from vlp16emu.extras.verify.clocks import GpsGains, HostClock
 from vlp16emu.extras.verify.data import DataChunk, DataRules, PositionRules
@@ -82,15 +83,20 @@ def verify(capture: str | Path, unit: str | int | None = None, *, limit_per_rule
 
 
 def verify_units(
-    path: Path, units: Sequence[CapturedUnit | None], *, limit_per_rule: int = 10
+    path: Path,
+    units: Sequence[CapturedUnit | None],
+    *,
+    limit_per_rule: int = 10,
+    progress: Callable[[float], None] | None = None,
 ) -> list[Verification]:
     """Check each of several units on its own, in one pass and with little memory.
 
-    None among the units stands for all packets of the capture.
+    None among the units stands for all packets of the capture; `progress` is called with the share that is
+    read.
     """
     chunk_packets = min(_CHUNK_PACKETS, max(_HELD_PACKETS // max(len(units), 1), _SMALLEST_CHUNK))
     checks = [_Check(Findings(limit_per_rule), chunk_packets) for _ in units]
-    capture = Capture(path, repeats=True)
+    capture = Capture(path, repeats=True, progress=progress)
     for unit, datagram in by_unit(capture, units):
         if unit is not None:
             checks[unit].take(datagram)

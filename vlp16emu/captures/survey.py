@@ -1,0 +1,224 @@
+"""One pass over a capture before it is read: its sensors, and the arrivals of their data packets."""
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from threading import Event
+from typing import NamedTuple
+
+import numpy as np
+
+from vlp16emu.captures.capture import Capture, CapturedUnit, Datagram, searched
+from vlp16emu.errors import InputError
+from vlp16emu.packets.arrival import ArrivalFit, HostStamps, fit_arrivals
+from vlp16emu.packets.layout import BLOCK_FLAG, DATA_BYTES, DATA_PAYLOAD, POSITION_BYTES
+from vlp16emu.packets.table import PacketClock, periods_ns
+from vlp16emu.types import I8, U1, U4
+
+_STRAY = 0.02
+"""Smallest share of the data packets of the busiest unit that counts as a unit; fewer are an accident."""
+_NAMED = 16  # units listed in an error line; as many as a rig may have
+_TOGETHER = 1000  # datagrams of a sender that are noted at once
+_MOST_HEADERS = 1024  # whose senders are remembered
+
+
+class Arrivals(NamedTuple):
+    """Arrivals of the data packets of a unit, and their own time stamps."""
+
+    number: I8  # (n,) frame numbers
+    host_ns: I8  # (n,) stamps of the capture
+    timestamp_us: U4  # (n,)
+    mode: U1  # (n,) return modes
+
+    def sensor_ns(self) -> I8:
+        """Return UTC of the first pulses (n,) by the sensor's clock."""
+        if not len(self.number):
+            return np.zeros(0, np.int64)
+        return PacketClock().sensors_ns(self.host_ns, self.timestamp_us)
+
+    def stamps(self) -> HostStamps:
+        """Judge the stamps of the capture."""
+        return HostStamps.of(self.host_ns, self.sensor_ns())
+
+    def fit(self) -> ArrivalFit | None:
+        """Fit the host's clock; None without packets, or if its stamps do not go on with the sensor's."""
+        if not len(self.number) or not self.stamps().runs:
+            return None
+        return fit_arrivals(self.number, self.sensor_ns() + periods_ns(self.mode), self.host_ns)
+
+
+_NO_ARRIVALS = Arrivals(
+    np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.uint32), np.zeros(0, np.uint8)
+)
+
+
+def _joined(parts: Iterable[Arrivals]) -> Arrivals:
+    """Return arrivals one after the other."""
+    number, host_ns, timestamp_us, mode = zip(_NO_ARRIVALS, *parts, strict=True)
+    return Arrivals(*map(np.concatenate, (number, host_ns, timestamp_us, mode)))
+
+
+class _Sender:
+    """Datagrams as long as data packets, from one sender to one port."""
+
+    def __init__(self, datagram: Datagram) -> None:
+        self.first = datagram
+        self.last = datagram.number
+        self.packets = 0  # datagrams that begin as Velodyne data packets do
+        self._held = list[Datagram]()
+        self._arrivals = list[Arrivals]()
+
+    def take(self, datagram: Datagram) -> None:
+        """Take one more."""
+        self._held.append(datagram)
+        if len(self._held) == _TOGETHER:
+            self.note()
+
+    def note(self) -> None:
+        """Note what is held of the latest ones."""
+        held = self._held
+        if not held:
+            return
+        fields = np.frombuffer(b"".join([each.payload for each in held]), DATA_PAYLOAD)
+        number, host_ns = np.array([(each.number, each.stamp_ns) for each in held], np.int64).T
+        stamps_and_modes = fields["timestamp_us"].copy(), fields["return_mode"].copy()
+        self._arrivals.append(Arrivals(number, host_ns, *stamps_and_modes))
+        self.packets += int((fields["blocks"]["flag"][:, :2] == BLOCK_FLAG).all(axis=1).sum())
+        self.last = held[-1].number
+        self._held = []
+
+    @property
+    def arrivals(self) -> Arrivals:
+        """Arrivals of all."""
+        return _joined(self._arrivals)
+
+
+class Survey:
+    """The sensors of a capture, in order of address, port and MAC address, and their arrivals.
+
+    It reads the whole file. A pipe can be read only once, so it is not read here and has no units. If two
+    sensors share an address, as behind a router, the one with the lower data port has the lower position
+    port.
+
+    Parameters
+    ----------
+    stop : ends it with CancelledError
+    progress : called with the share of the file that is read
+
+    Raises CaptureError if the file is not a capture or is damaged.
+    """
+
+    def __init__(
+        self, path: Path, stop: Event | None = None, progress: Callable[[float], None] | None = None
+    ) -> None:
+        self.path = path
+        self.is_pipe = path.is_fifo()
+        self._senders = dict[tuple[bytes, int, bytes], _Sender]()
+        self._position = defaultdict[bytes, set[int]](set)
+        self._capture = Capture(path, is_quiet=True, progress=progress)
+        if not self.is_pipe:
+            self._read(stop)
+        self._find_units()
+
+    def _read(self, stop: Event | None) -> None:
+        of_header = dict[tuple[int, int, bytes], _Sender]()  # data packets of a sensor have one header
+        for _, datagram in searched(self._capture, (), stop):
+            size = len(datagram.payload)
+            if size == DATA_BYTES:
+                header = datagram.link_type, datagram.ip_offset, datagram.header
+                if (sender := of_header.get(header)) is None:
+                    key = datagram.source, datagram.destination_port, datagram.mac
+                    sender = self._senders.setdefault(key, _Sender(datagram))
+                    if len(of_header) == _MOST_HEADERS:
+                        of_header.clear()
+                    of_header[header] = sender
+                sender.take(datagram)
+            elif size == POSITION_BYTES:
+                self._position[datagram.source].add(datagram.destination_port)
+        for sender in self._senders.values():
+            sender.note()
+
+    def _find_units(self) -> None:
+        streams: dict[tuple[bytes, int], dict[bytes, _Sender]] = defaultdict(dict)
+        for (source, port, mac), sender in self._senders.items():
+            streams[source, port][mac] = sender
+        counts = {key: sum(one.packets for one in own.values()) for key, own in streams.items()}
+        least = max(_STRAY * max(counts.values(), default=0), 1)
+        ports = defaultdict[bytes, list[int]](list)
+        for source, port in sorted(key for key, packets in counts.items() if packets >= least):
+            ports[source].append(port)
+        self.units = [
+            CapturedUnit(source, port, tuple(sorted(self._position[source])[place :: len(own)]), mac)
+            for source, own in ports.items()
+            for place, port in enumerate(own)
+            for mac in _macs(streams[source, port], least)
+        ]
+        self._has_others = not all(counts.values())  # senders of other datagrams as long as data packets
+
+    def required(self) -> list[CapturedUnit]:
+        """Return the sensors; CaptureError if there is none."""
+        if not self.units:
+            raise self._capture.no_data()
+        return self.units
+
+    def chosen(self, unit: str | None, *, where: str = "unit") -> CapturedUnit | None:
+        """Return one sensor; errors and parameters as for `chosen_unit`."""
+        if self.is_pipe and unit is not None:
+            found = f"found {unit} for the pipe {self.path}"
+            raise InputError(where, found, "a file, which can be read twice")
+        units = self.units
+        if not units or (unit is None and len(units) == 1):
+            return units[0] if self._has_others and units else None
+        for number, known in enumerate(units, start=1):
+            if unit in (str(number), str(known)):
+                return known
+        found = f"{len(units)} units in {self.path}" if unit is None else f"found {unit}"
+        names = [f"{number} ({known})" for number, known in enumerate(units[:_NAMED], start=1)]
+        names += [f"... {len(units)}"] if len(units) > _NAMED else []
+        raise InputError(where, found, f"one of {', '.join(names)}")
+
+    def arrivals(self, unit: CapturedUnit | None) -> Arrivals:
+        """Return the arrivals of the data packets of a unit, of all units if it is None."""
+        senders = self._senders.values()
+        found = _joined([each.arrivals for each in senders if unit is None or unit.owns(each.first)])
+        order = np.argsort(found.number, kind="stable")
+        return Arrivals(
+            found.number[order], found.host_ns[order], found.timestamp_us[order], found.mode[order]
+        )
+
+
+def units_in(path: Path, *, required: bool = False, stop: Event | None = None) -> list[CapturedUnit]:
+    """Find the sensors in a capture, as `Survey`; CaptureError if one is `required` and there is none."""
+    survey = Survey(path, stop)
+    return survey.required() if required else survey.units
+
+
+def chosen_unit(
+    path: Path, unit: str | None, *, where: str = "unit", stop: Event | None = None
+) -> CapturedUnit | None:
+    """Find one sensor of a capture.
+
+    It is None if it is the only sender of packets of that length and no unit is named.
+
+    Parameters
+    ----------
+    unit : its number from 1, or its address and data port, as `192.168.1.201:2368`
+    where : the option's name in error lines
+
+    Raises CaptureError if the file is not a capture or is damaged; InputError if there is no such unit, if
+    there are several and none is named, or if one of a pipe is named, as a pipe can be read only once;
+    CancelledError once `stop` is set.
+    """
+    return Survey(path, stop).chosen(unit, where=where)
+
+
+def _macs(senders: dict[bytes, _Sender], least: float) -> Iterable[bytes]:
+    """Return the MAC addresses of sensors that send at the same time.
+
+    It is empty if one sensor replaces another.
+    """
+    busy = {mac: sender for mac, sender in senders.items() if sender.packets >= least}
+    firsts = [sender.first.number for sender in busy.values()]
+    if len(busy) > 1 and max(firsts) < min(sender.last for sender in busy.values()):
+        return sorted(busy)
+    return [b""]
