@@ -99,8 +99,8 @@ def test_a_breeze_changes_no_diameter():
 
 
 def stems_seen(near_m, speed_m_s):
-    """Ranges (n,), and numbers of trees (n,) where their stems are met, 0 elsewhere, at one instant in a wind,
-    with all beyond a range as the far medium."""
+    """Ranges, and numbers of the trees whose stems are met there, 0 elsewhere, at one instant in a wind, with
+    all beyond a range as the far medium."""
     settings = ["motion={kind='static', x_m=10.0, y_m=3.0, height_m=1.3}", "sensor.max_range_m=25.0"]
     settings += [f"wind={{speed_m_s={speed_m_s}, towards_deg=70.0}}", f"world.near_m={near_m}", "seed=5"]
     emulator = Emulator(load("birch_walk", [*settings, "world.stems_per_ha=400"], ideal=True))

@@ -78,7 +78,7 @@ def _stems(window: TiledWindow, tiles: Mapping[Name, FarTile], rows: Mapping[Nam
 
 
 def _sway_of(window: Window, sway: Sway, stems: NDArray[np.void], surface: U4) -> tuple[F4, F4]:
-    """Return shares and movement of stems (n,), as in `Stems`: those of the trees with their surfaces (n,)."""
+    """Return shares and movement of stems (n,), as in `Stems`, by the tree of their surfaces (n,)."""
     instance = window.surfaces["instance"]
     trees, rows = np.unique(instance[window.first_surface[sway.placement]], return_index=True)
     own = instance[surface]

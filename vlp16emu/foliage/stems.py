@@ -65,9 +65,7 @@ def stem_lines(stems: NDArray[np.void], origin_m: F8) -> F8:
     return np.column_stack([lower, slope, high_m - low_m, reach_m.max(axis=1)])
 
 
-def stems_of(
-    line: F8, profile: F4, surface: U4, flare_m: F4, sway: tuple[F4, F4] | None = None
-) -> Stems:
+def stems_of(line: F8, profile: F4, surface: U4, flare_m: F4, sway: tuple[F4, F4] | None = None) -> Stems:
     """Return stems, with their circles as seen from above; parameters as in `Stems`.
 
     `sway` are the shares and the movement of the tops, None for stems at rest. The widest bend in `line` is
