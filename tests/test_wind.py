@@ -1,16 +1,19 @@
 """Wind through the whole chain."""
 
 import itertools
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 from woods import LINES
 
 from vlp16emu import Emulator
+from vlp16emu.engine.windows import window_around
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M
 from vlp16emu.forest.plants.bending import SHARES
+from vlp16emu.raycast.caster import caster
 from vlp16emu.scenario import load
-from vlp16emu.types import PlantPart
+from vlp16emu.types import Firings, PlantPart
 
 
 @pytest.mark.usefixtures("kept_woods")
@@ -93,3 +96,42 @@ def test_a_breeze_changes_no_diameter():
     off_m = np.array([blown[number] - still[number] for number in both])
     assert off_m.any()
     assert np.abs(off_m).max() < 0.002
+
+
+def stems_seen(near_m, speed_m_s):
+    """Ranges, and numbers of the trees whose stems are met there, 0 elsewhere, at one instant in a wind, with
+    all beyond a range as the far medium."""
+    settings = ["motion={kind='static', x_m=10.0, y_m=3.0, height_m=1.3}", "sensor.max_range_m=25.0"]
+    settings += [f"wind={{speed_m_s={speed_m_s}, towards_deg=70.0}}", f"world.near_m={near_m}", "seed=5"]
+    emulator = Emulator(load("birch_walk", [*settings, "world.stems_per_ha=400"], ideal=True))
+    parts, start_ns = emulator.parts, emulator.scenario.start_ns
+    track_m = parts.motion.poses_at(np.array([start_ns])).world_p_body_m
+    window = window_around(parts, track_m, np.array([start_ns, start_ns + 1_000_000_000]))
+    azimuth = np.linspace(0.0, 2 * np.pi, 16_000, endpoint=False)
+    up = np.radians(np.tile(np.linspace(-6.0, 15.0, 8), 2000))
+    towards = np.stack([np.cos(up) * np.cos(azimuth), np.cos(up) * np.sin(azimuth), np.sin(up)], axis=-1)
+    rays = Firings.rays(start_ns + 345_678_901, track_m[0], towards.reshape(2000, 8, 3))
+    with ThreadPoolExecutor(2) as workers:
+        hits = caster(parts.world, workers).open(window).cast(rays, np.zeros(8), 25.0)
+    met = np.isfinite(hits.range_m)
+    row = window.surfaces[np.where(met, hits.surface, 0)]
+    is_stem = met & (row["part"] == PlantPart.STEM)
+    return hits.range_m, np.where(is_stem, row["instance"], 0)
+
+
+@pytest.mark.usefixtures("kept_woods")
+def test_far_stems_are_where_near_ones_are_at_the_time_of_a_pulse():
+    """In 8 m/s rays beyond 6 m meet the same stems as a medium and as faces, 97 % of them, within 2 mm in the
+    median and 2 cm at 99 %; in still air the same rays are off by more than 2 cm at 90 %."""
+    (far_m, far), (true_m, true), (still_m, still) = (
+        stems_seen(near_m, speed_m_s) for near_m, speed_m_s in ((6.0, 8.0), (25.0, 8.0), (25.0, 0.0))
+    )
+    beyond = (true > 0) & (true_m > 6.0)
+    assert beyond.sum() > 1500
+    same = beyond & (far == true)
+    assert same.sum() > 0.97 * beyond.sum()
+    off_m = np.abs(far_m[same] - true_m[same])
+    assert np.median(off_m) < 0.002
+    assert np.quantile(off_m, 0.99) < 0.02
+    both = beyond & (still == true)
+    assert np.quantile(np.abs(still_m[both] - true_m[both]), 0.9) > 0.02

@@ -27,7 +27,7 @@ from vlp16emu.raycast.build import Instances, placed_boxes
 from vlp16emu.raycast.near import EmbreeCaster, EmbreeGeometry, target_of
 from vlp16emu.raycast.packet import LEVEL, Target
 from vlp16emu.store import recall
-from vlp16emu.types import F8, U1, Mesh, ShapeKey, Window, World
+from vlp16emu.types import F4, F8, U1, U4, Mesh, ShapeKey, Sway, Window, World
 
 STRAY_M = 1.0  # greatest distance of a sensor from the positions of its window
 _LEVEL = float(LEVEL) - 1e-4  # slope below which the rays of a pulse are also level in float32
@@ -72,7 +72,26 @@ def _stems(window: TiledWindow, tiles: Mapping[Name, FarTile], rows: Mapping[Nam
     )
     bent_m = hypot(stems["aside_m"][:, 0], stems["aside_m"][:, 1]).max(axis=1)
     line = np.column_stack([foot_m, stems["axis"], radius_m.max(axis=1), bent_m])
-    return stems_of(line, profile, stems["row"] + base[:, None], stems["flare_m"].copy())
+    surface = stems["row"] + base[:, None]
+    sway = window.sway and _sway_of(window, window.sway, stems, surface[:, 1])
+    return stems_of(line, profile, surface, stems["flare_m"].copy(), sway)
+
+
+def _sway_of(window: Window, sway: Sway, stems: NDArray[np.void], surface: U4) -> tuple[F4, F4]:
+    """Return shares and movement of stems (n,), as in `Stems`, by the tree of their surfaces (n,)."""
+    instance = window.surfaces["instance"]
+    trees, rows = np.unique(instance[window.first_surface[sway.placement]], return_index=True)
+    own = instance[surface]
+    at = np.minimum(np.searchsorted(trees, own), len(trees) - 1)
+    moves = np.flatnonzero(trees[at] == own) if len(trees) else np.zeros(0, np.int64)
+    row = rows[at[moves]]
+    z_m = stems["foot_m"][moves, 2:] + stems["along_m"][moves] * stems["axis"][moves, 2:]
+    knots = z_m.shape[1]
+    share = np.zeros((len(stems), knots), np.float32)
+    share[moves] = sway.shares(np.repeat(row, knots), z_m.ravel()).reshape(-1, knots)
+    top_m = np.zeros((len(sway.top_m), len(stems), 2), np.float32)
+    top_m[:, moves] = sway.top_m[:, row]
+    return share, top_m
 
 
 class FarGeometry(EmbreeGeometry):

@@ -32,6 +32,10 @@ class Stems(NamedTuple):
     x and y of the circle's centre from the axis."""
     plan: F4  # (3, n) x and y of the centre, and radius, of a circle around the stem as seen from above
     bounds: F4  # (n, 9) foot, unit axis, lowest and highest end along the axis, reach beside it
+    share: F4  # (n, knots) movement in wind over the top's; (0, knots) if no stem moves
+    top_m: F4
+    """(k, n, 2) movement of the tops in x and y, at even times from 0 to 1 as in `PulseBatch.time`; k is 0 if
+    no stem moves."""
     surface: U4  # (n, 2) of root flare and stem
     flare_m: F4  # (n,) height along the axis of the flare's end
 
@@ -91,7 +95,8 @@ class Pulse(NamedTuple):
     lanes: Lanes
     n: int  # number of lanes
     near_m: np.float32  # range at which the medium begins
-    axis: F4  # (6 or more,) origin and direction of its centre ray
+    axis: F4
+    """(6 or more,) origin and direction of its centre ray; with stems that move a row of `Batch.axes_row`."""
     aside_m: np.float32  # greatest distance of a lane's origin from the centre ray
     spread: np.float32  # greatest growth of that distance per metre of range
 

@@ -3,6 +3,9 @@
 From 15 m on, stems move slowly across the view, and the pulses of eight firing sequences look into a narrow
 sector. So the stems of a sector are listed once for all its pulses, nearest first, and a pulse is intersected
 with stems before it passes foliage.
+
+In wind a stem's sections move level by the curve of its beam, as near stems do (`types.Sway`), to where they
+are at the time of the pulse.
 """
 
 import math
@@ -14,7 +17,8 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import hypot
 from vlp16emu.foliage.lanes import AT, FACING, HEIGHT, Pulse, Stems, lowest_bit
 from vlp16emu.kernels.compiler import inline_kernel, kernel
-from vlp16emu.raycast.kernel import COSINE, DIRECTION, LANES, ORIGIN, RANGE
+from vlp16emu.raycast.build import knot_at
+from vlp16emu.raycast.kernel import AXES_TIME, COSINE, DIRECTION, LANES, ORIGIN, RANGE
 from vlp16emu.types import F4, F8, I4, I8, U1, U4
 
 f4 = np.float32
@@ -61,8 +65,16 @@ def stem_lines(stems: NDArray[np.void], origin_m: F8) -> F8:
     return np.column_stack([lower, slope, high_m - low_m, reach_m.max(axis=1)])
 
 
-def stems_of(line: F8, profile: F4, surface: U4, flare_m: F4) -> Stems:
-    """Return stems, with their circles as seen from above; parameters as in `Stems`."""
+def stems_of(line: F8, profile: F4, surface: U4, flare_m: F4, sway: tuple[F4, F4] | None = None) -> Stems:
+    """Return stems, with their circles as seen from above; parameters as in `Stems`.
+
+    `sway` are the shares and the movement of the tops, None for stems at rest. The widest bend in `line` is
+    that of stems at rest.
+    """
+    share, top_m = sway or (np.zeros((0, profile.shape[2]), np.float32), np.zeros((0, 0, 2), np.float32))
+    if sway:
+        line = line.copy()
+        line[:, 7] += hypot(top_m[..., 0], top_m[..., 1]).max(axis=0) * share.max(axis=1)
     along_m = profile[:, 0].astype(np.float64)
     middle_m = (along_m[:, -1] + along_m[:, 0]) / 2
     half_m = (along_m[:, -1] - along_m[:, 0]) / 2
@@ -71,7 +83,7 @@ def stems_of(line: F8, profile: F4, surface: U4, flare_m: F4) -> Stems:
     plan = np.stack([x_m, y_m, half_m * lean + line[:, 6] + line[:, 7]]).astype(np.float32)
     ends_m = profile[:, 0, [0, -1]]
     bounds = np.column_stack([line[:, :6], ends_m, line[:, 6] + line[:, 7] + _ROUNDING_M]).astype(np.float32)
-    return Stems(line, profile, plan, bounds, surface, flare_m)
+    return Stems(line, profile, plan, bounds, share, top_m, surface, flare_m)
 
 
 def room_for_stems(stems: Stems) -> StemsAhead:
@@ -281,14 +293,11 @@ def meet_stem(stems: Stems, pulse: Pulse, stem: int) -> bool:
     within_m = s[6] + s[7] + margin_m
     if off2 > within_m * within_m:
         return False
-    # The same for the bent axis at that height.
-    knot = _knot(profile, height_m)
-    share = (height_m - profile[0, knot]) / (profile[0, knot + 1] - profile[0, knot])
-    share = min(max(share, 0.0), 1.0)
-    bent_x = profile[3, knot] + share * (profile[3, knot + 1] - profile[3, knot])
-    bent_y = profile[4, knot] + share * (profile[4, knot + 1] - profile[4, knot])
-    q = q[0] - bent_x, q[1] - bent_y, q[2]
-    nearest_m, height_m, off2 = _nearest(q, (sx, sy, sz), (wx, wy, wz), up, square)
+    # The same for the bent axis at that height; what moves may bend so far that the height there is another.
+    for _ in range(2 if stems.top_m.shape[0] else 1):
+        bent_x, bent_y = _bend(stems, pulse, stem, height_m)
+        from_bent = q[0] - bent_x, q[1] - bent_y, q[2]
+        nearest_m, height_m, off2 = _nearest(from_bent, (sx, sy, sz), (wx, wy, wz), up, square)
     widest_m = profile[2, _knot(profile, height_m - margin_m - s[6] * abs(up))]
     within_m = widest_m + margin_m
     if off2 > within_m * within_m:
@@ -309,6 +318,25 @@ def meet_stem(stems: Stems, pulse: Pulse, stem: int) -> bool:
     else:
         _cut_cone(pulse.lanes.row, LANES, *cone)
     return _keep_nearest(stems, pulse, stem)
+
+
+@inline_kernel
+def _bend(stems: Stems, pulse: Pulse, stem: int, height_m: float) -> tuple[float, float]:
+    """Return the offset in x and y of a stem's section from the axis, at the time of the pulse."""
+    profile = stems.profile[stem]
+    knot = _knot(profile, height_m)
+    part = (height_m - profile[0, knot]) / (profile[0, knot + 1] - profile[0, knot])
+    part = min(max(part, 0.0), 1.0)
+    x_m = profile[3, knot] + part * (profile[3, knot + 1] - profile[3, knot])
+    y_m = profile[4, knot] + part * (profile[4, knot + 1] - profile[4, knot])
+    if stems.top_m.shape[0]:
+        share = stems.share[stem, knot] + part * (stems.share[stem, knot + 1] - stems.share[stem, knot])
+        time, since = knot_at(stems.top_m.shape[0], pulse.axis[AXES_TIME])
+        before_m = stems.top_m[time, stem]
+        after_m = stems.top_m[time + 1, stem]
+        x_m += share * (before_m[0] + since * (after_m[0] - before_m[0]))
+        y_m += share * (before_m[1] + since * (after_m[1] - before_m[1]))
+    return x_m, y_m
 
 
 @inline_kernel

@@ -58,7 +58,7 @@ class TiledWindow(Window):
     far: NDArray[np.bool_]  # (n,) mask of the placements that `tiles` represent
     low: NDArray[np.bool_]
     """(n,) mask of the others that near light alone meets: so low that far light meets the ground instead, or
-    loose stems, which the far medium has at rest."""
+    loose stems, which the far medium has as `STEM`s."""
 
     def with_more(self, count: int) -> Tree:
         """Return the fields of the window for `count` more placements that are exact at any range."""

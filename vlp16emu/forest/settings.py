@@ -449,8 +449,8 @@ class Wind(Section):
 
     speed_m_s: Annotated[float, Field(ge=0, le=12)]
     """Mean speed at the top of the canopy, roughly half the speed in the open. Trees respond linearly and do
-    not break; neighbours hold their tops within half the width of a crown. Trees beyond `world.near_m` stand
-    still."""
+    not break; neighbours hold their tops within half the width of a crown. Beyond `world.near_m` stems move
+    and leaves do not."""
     towards_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
     """Direction towards which it blows, counter-clockwise from east."""
     turbulence_intensity: Annotated[float, Field(ge=0, le=1)] = 0.55

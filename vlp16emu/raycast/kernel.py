@@ -33,6 +33,7 @@ from vlp16emu.types import F4, F8, I8, U2, U4
 LANES = ROUND  # rays of a row
 ORIGIN, DIRECTION, RANGE, COSINE, ROW = (LANES * row for row in (0, 3, 6, 7, 8))
 """Offsets of rows of lanes in `Batch.row`, and its length."""
+AXES_TIME = 12  # place of the pulse's time in a row of `Batch.axes_row`
 
 
 class PulseBatch(NamedTuple):
@@ -68,8 +69,9 @@ class Batch(NamedTuple):
     """Rays (n, ROW) of a pulse, rows of eight: origins, directions, ranges, cosines; one ray for a beam
     without width."""
     surface: U4  # (n, 8)
-    axes: F4  # (n, 4, 3) axes of the pulses; the first two are the centre ray
-    axes_row: F4  # (n, 12) the same numbers
+    axes: F4
+    """(n, 5, 3) axes of the pulses: the first two are the centre ray, and the last begins with `time`."""
+    axes_row: F4  # (n, 15) the same numbers
     missed: NDArray[np.bool_]  # (n,) mask of pulses with rays that meet nothing near
     todo: I8  # (n,) numbers of the pulses to cast
     have: I8  # (n,) number of sub-rays of each
@@ -81,11 +83,11 @@ def batch_of(pulses: int, max_rays: int) -> Batch:
     """Make buffers for pulses of up to `max_rays` sub-rays each."""
     max_rays = -(-max_rays // ROUND) * ROUND
     n = pulses * max_rays
-    axes_row = np.zeros((pulses, 12), np.float32)
+    axes_row = np.zeros((pulses, 15), np.float32)
     return Batch(
         np.zeros((pulses, ROW), np.float32),
         np.zeros((pulses, LANES), np.uint32),
-        axes_row.reshape(pulses, 4, 3),
+        axes_row.reshape(pulses, 5, 3),
         axes_row,
         np.zeros(pulses, np.bool_),
         np.arange(pulses),
@@ -231,6 +233,8 @@ def cast_centre_rays(cast: Cast, beyond: Target | None, first: int) -> None:
                     batch.axes[PACKET * j + r, 0, a] = rays[ORG + PACKET * a + r]
                     batch.axes[PACKET * j + r, 1, a] = rays[DIR + PACKET * a + r]
             rays[TIME + r] = light.time[i, j]
+            if beyond is not None:
+                batch.axes_row[PACKET * j + r, AXES_TIME] = light.time[i, j]
         packet.valid[:] = -1
         cast_packet(near, packet, light.near_m[j], reach_m)
         _store_hits(cast, beyond, PACKET * j, ZERO + 1, ZERO + PACKET)
@@ -251,6 +255,7 @@ def cast_near(
         axes = batch.axes[q]
         if not have:
             pulse_axes(light.origin_m, light.direction, light.beam_axis, near.window_origin_m, i, j, axes)
+            batch.axes_row[q, AXES_TIME] = light.time[i, j]
         u, v = draw_pattern(light.seed, light.first + i, j)
         fill_sub_rays(packet.rays, axes, light.sigmas, u, v, have, budget.adaptive)
         for r in range(PACKET):

@@ -11,6 +11,7 @@ from woods import LINES, THIN
 from vlp16emu import Emulator
 from vlp16emu.extras.survey import survey
 from vlp16emu.foliage.polyline import Polyline
+from vlp16emu.forest.stand.stand import REGENERATION
 from vlp16emu.run.options import TruthTo
 from vlp16emu.scenario import load
 from vlp16emu.types import Mesh
@@ -212,3 +213,20 @@ def test_stems_are_drawn_with_their_crowns_only():
     ]
     assert farthest_m
     assert max(farthest_m) < 10.0 + 5.0
+
+
+def test_stems_stand_on_the_ground():
+    """Each drawn tree has corners in the ground at its foot: no stem ends in the air over a root flare."""
+    seen = survey(load("birch_walk", [*LINES, "world.stems_per_ha=400", "duration_s=2.0"]), 10.0)
+    corners_m = np.concatenate(
+        [piece["vertices"] for name, piece in pieces_of(seen) if name.startswith("single")]
+    )
+    path = Polyline(seen.path_m[:, :2])
+    trees = seen.world.trees(seen.path_m)
+    trees = trees[trees["storey"] != REGENERATION]
+    feet_m = np.column_stack([trees[name] for name in ("x_m", "y_m", "z_m")])
+    feet_m = feet_m[path.distance_m(feet_m[:, :2]) < 8.0]
+    assert len(feet_m) > 5
+    for foot_m in feet_m:
+        over_m = corners_m - foot_m
+        assert over_m[np.hypot(*over_m[:, :2].T) < 0.5, 2].min() < 0.02

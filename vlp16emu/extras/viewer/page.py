@@ -129,9 +129,9 @@ def scene_page(
     sweeps = SceneSweeps(emulator, unit)  # first: a wrong number should not wait for the stand
     text = server.gui.add_markdown("growing the world")
     stand = _stand_of(emulator, radius_m)
-    page = Page(server, sweeps, stand.species, _draw_stand(server, stand))
     path_m = stand.path_m
     _look_from(server, path_m[0], path_m[min(len(path_m) - 1, 60)] - path_m[0], stand)
+    page = Page(server, sweeps, stand.species, _draw_stand(server, stand, is_first=True))
     if not isinstance(open_scene.scenario.motion, Walk):
         if len(path_m) > 1:
             segments_m = np.stack([path_m[:-1], path_m[1:]], axis=1)
@@ -169,10 +169,15 @@ def capture_page(server: viser.ViserServer, capture: Path, truth: Path | None, u
     return Page(server, sweeps, sweeps.species)
 
 
-def _draw_stand(server: viser.ViserServer, stand: Survey) -> viser.FrameHandle:
-    """Draw the stand along the path in place of an earlier one, and return the parent node."""
+def _draw_stand(server: viser.ViserServer, stand: Survey, *, is_first: bool = False) -> viser.FrameHandle:
+    """Draw the stand along the path in place of an earlier one, and return the parent node.
+
+    The first one appears piece by piece, ground first.
+    """
     scene = server.scene
-    pieces = [*pieces_of(stand)]  # first: it takes seconds, during which an earlier stand stays
+    pieces = pieces_of(stand)
+    if not is_first:
+        pieces = iter([*pieces])  # it takes seconds, during which the earlier stand stays
     scene.remove_by_name("/stand")
     root = scene.add_frame("/stand", show_axes=False)
     scene.configure_default_lights(enabled=True, cast_shadow=False)

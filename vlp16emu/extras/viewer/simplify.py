@@ -22,6 +22,7 @@ _GREATEST_SCALE = 2.5
 less dense."""
 _SIDES = 6  # of a stem
 _RINGS = 7  # of a stem
+_RINGS_OF_FLARE = 3
 # Quadric decimation (fast-simplification 0.2) is no substitute: of the 219 016 faces of the stems of
 # `birch_walk` it leaves 182 268 where `slim_stem` leaves 33 123, in ten times the time; of crowns, which are
 # separate leaves, 8 % of the area.
@@ -64,8 +65,8 @@ def _groups(places_m: F8, count: int) -> list[F8]:
     return _groups(places_m[order[:cut]], low) + _groups(places_m[order[cut:]], count - low)
 
 
-def slim_stem(mesh: Mesh) -> Mesh:
-    """Simplify an upright stem to few sides and rings.
+def slim_stem(mesh: Mesh, *, is_flare: bool = False) -> Mesh:
+    """Simplify an upright stem, or its root flare, to few sides and rings.
 
     A vertex moves to the vertex of its sector that is nearest to a ring's height.
     """
@@ -75,11 +76,12 @@ def slim_stem(mesh: Mesh) -> Mesh:
         [np.polyval(np.polyfit(along, vertices_m[:, axis], 3), along) for axis in (0, 1)], axis=1
     )
     aside_m = vertices_m[:, :2] - axis_m
-    ring = np.rint(along * (_RINGS - 1)).astype(np.int64)
+    last = (_RINGS_OF_FLARE if is_flare else _RINGS) - 1
+    ring = np.rint(along * last).astype(np.int64)
     sector = (
         np.rint(np.arctan2(aside_m[:, 1], aside_m[:, 0]) * _SIDES / (2 * np.pi)).astype(np.int64) % _SIDES
     )
-    return _merge_clusters(mesh, ring * _SIDES + sector, np.abs(along * (_RINGS - 1) - ring))
+    return _merge_clusters(mesh, ring * _SIDES + sector, np.abs(along * last - ring))
 
 
 def lump(mesh: Mesh) -> Mesh:

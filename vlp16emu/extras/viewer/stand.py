@@ -4,7 +4,8 @@ Few faces per object, instances of repeated shapes, and colours so pale that the
 """
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import cache, partial
 from itertools import groupby
 from types import UnionType
 from typing import Any, NamedTuple
@@ -20,6 +21,7 @@ from vlp16emu.foliage.polyline import Polyline
 from vlp16emu.forest.plants.foliage import IvyKey
 from vlp16emu.forest.plants.prototypes import SaplingKey
 from vlp16emu.forest.stand.floor_shapes import FloorKey
+from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.tiles import TILE_M, TileKey
 from vlp16emu.types import F8, U1, Mesh, PlantPart, ShapeKey
 
@@ -40,9 +42,11 @@ _PALE = 0.35  # share of white in the colours of the stand
 _EDGE_SHARE = 0.35  # share of the radius over which the stand fades into the white of the page
 _FADES = 10  # steps of that
 _MOST_FADED = 0.9  # share of the colour that is lost at the edge
-_LEFT_OUT = PlantPart.ROOT_FLARE, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.DEAD_BRANCH
+_LEFT_OUT = PlantPart.BRANCH_HIGHER_ORDER, PlantPart.DEAD_BRANCH
 """Parts that are too fine to be visible among leaves."""
+_UPRIGHT = PlantPart.ROOT_FLARE, PlantPart.STEM
 _AT_ORIGIN = np.eye(3, 4)[None]
+_NO_FACES = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint32))
 
 
 class _Placements(NamedTuple):
@@ -82,7 +86,8 @@ def pieces_of(stand: Survey) -> Iterator[tuple[str, dict[str, Any]]]:
             yield _batch(f"ground/{number}", mesh, _pale(rgb, gap_m, stand), _AT_ORIGIN)
     window = stand.window
     colours = surface_colours(window.surfaces, stand.species)
-    chosen = _choose_placements(stand, path)
+    meshes_of = cache(partial(_meshes, stand))  # they are needed twice, and take seconds to grow
+    chosen = _choose_placements(stand, path, meshes_of)
     budget = _budget(stand, chosen)
     single = defaultdict[Rgb, list[Mesh]](list)
     shapes: list[int] = window.shape[chosen.row].tolist()
@@ -91,14 +96,13 @@ def pieces_of(stand: Survey) -> Iterator[tuple[str, dict[str, Any]]]:
         group = chosen.select(np.array(list(members)))
         first = int(window.first_surface[group.row[0]])
         key = window.shapes[shape]
-        meshes = stand.world.shape(key)
+        meshes = meshes_of(key)
         parts = list(map(PlantPart, window.surfaces["part"][first : first + len(meshes)]))
         is_bare = not any(
             len(mesh.faces) for mesh, part in zip(meshes, parts, strict=True) if part is PlantPart.LEAF
         )
         for number, (mesh, part) in enumerate(zip(meshes, parts, strict=True)):
-            is_ground = isinstance(key, TileKey) and number == 0
-            if is_ground or part in _LEFT_OUT or not len(mesh.faces):
+            if part in _LEFT_OUT or not len(mesh.faces):
                 continue
             if isinstance(key, TileKey | IvyKey):  # its place is the tile's
                 foot_m = mesh.vertices_m[mesh.vertices_m[:, 2].argmin(), :2]
@@ -123,7 +127,16 @@ def pieces_of(stand: Survey) -> Iterator[tuple[str, dict[str, Any]]]:
         yield _batch(f"single/{count}", joined(alike), np.array([colour], np.uint8), _AT_ORIGIN)
 
 
-def _choose_placements(stand: Survey, path: Polyline) -> _Placements:
+def _meshes(stand: Survey, key: ShapeKey) -> tuple[Mesh, ...]:
+    """Return the meshes of a shape; of a tile with none in place of the ground, which `_ground` draws."""
+    if isinstance(key, TileKey) and isinstance(stand.bare, ForestWorld):
+        return (_NO_FACES, *stand.bare.stems(key))
+    return stand.world.shape(key)
+
+
+def _choose_placements(
+    stand: Survey, path: Polyline, meshes_of: Callable[[ShapeKey], tuple[Mesh, ...]]
+) -> _Placements:
     """Return the placements that are drawn.
 
     The stems of a tile are drawn apart.
@@ -141,7 +154,7 @@ def _choose_placements(stand: Survey, path: Polyline) -> _Placements:
         if not isinstance(window.shapes[shape], TileKey):
             is_alike = window.shape[near] == shape
             scale = np.linalg.norm(window.world_T_shape[near[is_alike], :, :3], axis=1).mean(axis=1)
-            meshes = (mesh for mesh in stand.world.shape(window.shapes[shape]) if len(mesh.faces))
+            meshes = (mesh for mesh in meshes_of(window.shapes[shape]) if len(mesh.faces))
             extents_m = (float(np.ptp(mesh.vertices_m, axis=0).max()) for mesh in meshes)
             size_m[is_alike] = scale * max(extents_m, default=0.0)
     return _Placements(near, gap_m[near], size_m)
@@ -180,8 +193,8 @@ def _simplify(
     near = group.select(group.is_near)
     size_m = float(group.size_m.mean())
     limit = int(np.clip(budget.faces_per_m * size_m, _FEWEST_FACES, _MOST_FACES))
-    if part is PlantPart.STEM and isinstance(key, TileKey | SaplingKey):
-        return [(slim_stem(mesh), group)]
+    if part in _UPRIGHT and isinstance(key, TileKey | SaplingKey):
+        return [(slim_stem(mesh, is_flare=part is PlantPart.ROOT_FLARE), group)]
     if part is PlantPart.LEAF:
         quads = mesh.faces.shape[1] == 4  # a quad is two triangles
         leaves = fewer_faces(mesh, limit // 2 if quads else limit, keeps_area=True)

@@ -234,6 +234,10 @@ class ForestWorld:
                 return floor_meshes(self.seed, key)
         raise KeyError(key)
 
+    def stems(self, key: TileKey) -> list[Mesh]:
+        """Return the meshes of a tile's shape without the first, the ground."""
+        return self._stem_meshes(key.ix, key.iy)
+
     def _in_view(self, track_m: F8) -> list[tuple[int, int]]:
         return list(map(tuple, tiles_within(track_m[:, :2], self._reach_m + _OVERHANG_M).tolist()))
 

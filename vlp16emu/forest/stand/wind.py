@@ -9,8 +9,9 @@ also a sum and no time steps are needed.
 A tree bends as a cantilever of its own taper under the drag on its crown, in one mode: the curve of the
 static deflection (`vlp16emu.forest.plants.bending`). All of it moves level, by the curve at its height;
 branches and leaves ride on the stem. So the foot stays, and level sections keep their area. The sides of a
-crown neither rise nor fall. Saplings and everything under the trees stay still, and so does what is beyond
-`world.near_m`.
+crown neither rise nor fall. Saplings and everything under the trees stay still. Beyond `world.near_m` stems
+bend likewise; leaves there are drawn anew for each voxel of 0.5 m and stay where they are, as a crown's own
+movement, mostly below a voxel, only chooses other gaps of the same law.
 """
 
 import math
@@ -20,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.elementary import atan2, cos, hypot, power, sin, tan
+from vlp16emu.elementary import cos, power, sin, tan
 from vlp16emu.foliage.polyline import distance_m
 from vlp16emu.foliage.tiles import TiledWindow
 from vlp16emu.forest.plants.allometry import taper_radius_m
@@ -72,8 +73,8 @@ _HIGHEST_BASE = (
     0.95  # greatest height of a crown's base over the tree's for its drag, for trees without crown
 )
 _ASIDE_M = 3.0
-"""Distance beyond `world.near_m` and the crown's width at whose feet trees are at rest: what a sensor strays
-from its track, and what stems lean and bend."""
+"""Distance beyond `world.near_m` and the crown's width at whose feet no face of a tree is met: what a sensor
+strays from its track, and what stems lean and bend."""
 
 
 class Lines(NamedTuple):
@@ -142,14 +143,16 @@ def _follow(lines: Lines, s_per_m: float, trees: Trees, cosine: F8, sine: F8, ou
             ratio = omega / trees.omega_rad_s[tree]
             still = 1.0 - ratio * ratio
             lag = 2.0 * trees.damping_ratio * ratio
-            amplitude = lines.speed_m_s[line] / hypot(still, lag)
             phase = (
                 lines.phase_rad[line]
                 - omega * s_per_m * trees.downwind_m[tree]
                 + lines.aside_rad_m[line] * trees.aside_m[tree]
-                - atan2(lag, still)
             )
-            a, b = amplitude * cos(phase), amplitude * sin(phase)
+            # The gust's cosine over the complex number still + i lag.
+            x, y = cos(phase), sin(phase)
+            scale = lines.speed_m_s[line] / (still * still + lag * lag)
+            a = scale * (still * x + lag * y)
+            b = scale * (still * y - lag * x)
             for k in range(len(motion)):
                 motion[k] += a * cosine[line, k] - b * sine[line, k]
 
@@ -235,15 +238,15 @@ class TreeSway:
         return np.stack([east, north], axis=-1)
 
     def with_sway(self, window: Window, track_m: F8, start_ns: int, stop_ns: int) -> Window:
-        """Return the window around positions (n, 3) with the sway of its near trees over a span, UTC."""
+        """Return the window around positions (n, 3) with the sway of its trees over a span, UTC."""
         assert isinstance(window, TiledWindow)  # forests have no others
         trees = self._forest.trees(track_m)
         trees = trees[trees["storey"] != REGENERATION]
+        trees = trees[np.argsort(trees["id"], kind="stable")]
         foot_m = np.column_stack([trees["x_m"], trees["y_m"]])
         reach_m = self._forest.near_m + _ASIDE_M + trees["crown_width_m"]
-        trees = trees[distance_m(foot_m, track_m[:, :2]) <= reach_m]
-        trees = trees[np.argsort(trees["id"], kind="stable")]
-        window = self._forest.with_loose_stems(window, trees["id"])
+        near = distance_m(foot_m, track_m[:, :2]) <= reach_m
+        window = self._forest.with_loose_stems(window, trees["id"][near])
         instance = window.surfaces["instance"][window.first_surface]
         placement = np.flatnonzero(np.isin(instance, trees["id"]))
         rows = np.searchsorted(trees["id"], instance[placement])
