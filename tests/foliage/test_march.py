@@ -238,8 +238,7 @@ def test_rays_meet_what_they_meet_by_the_slow_twin(stand, towards):
             seen.add((int(window.surfaces["semantic"][surface]), int(window.surfaces["part"][surface])))
     assert hits > (10 if towards == "z" else 50)
     assert {(2, 1), (2, 4)} <= seen
-    assert towards == "z" or (1, 0) in seen
-    assert towards in ("x", "z") or (4, 0) in seen
+    assert towards == "z" or {(1, 0), (4, 0)} <= seen
     # A cone that is met steeply is found in too few steps: see the radius of a stem in `march`.
     assert good >= len(origin_m) - (2 if "z" in towards else 1)
 
