@@ -221,11 +221,11 @@ def some_rays(world, towards, count, seed=1):
 
 @pytest.mark.parametrize("towards", DIRECTIONS)
 def test_rays_meet_what_they_meet_by_the_slow_twin(stand, towards):
-    """All of 450 rays but one (of 750 steep ones but two) meet the same surface, leaves and stems to 1 mm,
-    the ground to 4 mm."""
+    """All of 450 rays but one (of 750 along x but one, of 750 steep ones but two) meet the same surface,
+    leaves and stems to 1 mm, the ground to 4 mm. Rays that do not look up meet ground and stones too."""
     world, window, medium = stand
     twin, good, hits, seen = Twin(medium), 0, 0, set()
-    origin_m, direction = some_rays(world, towards, 750 if towards == "-z" else 450)
+    origin_m, direction = some_rays(world, towards, 750 if towards in ("x", "-z") else 450)
     for o, d in zip(origin_m, direction, strict=True):
         far_m = within_m(medium, o, d)
         (range_m,), (surface,), _ = marched(medium, [o], [d], far_m=far_m)
@@ -238,8 +238,7 @@ def test_rays_meet_what_they_meet_by_the_slow_twin(stand, towards):
             seen.add((int(window.surfaces["semantic"][surface]), int(window.surfaces["part"][surface])))
     assert hits > (10 if towards == "z" else 50)
     assert {(2, 1), (2, 4)} <= seen
-    assert towards == "z" or (1, 0) in seen
-    assert towards in ("x", "z") or (4, 0) in seen
+    assert towards == "z" or {(1, 0), (4, 0)} <= seen
     # A cone that is met steeply is found in too few steps: see the radius of a stem in `march`.
     assert good >= len(origin_m) - (2 if "z" in towards else 1)
 
