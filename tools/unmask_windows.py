@@ -13,6 +13,8 @@ from vlp16emu.packets.layout import AZIMUTH_CODES
 
 SEQUENCES = 600
 """Firing sequences of a window: 25 packets of single return."""
+MOST_WINDOWS = 14
+"""Most windows of a capture: all units count equally, and neighbouring windows tell the same."""
 FLAT_LSB = 20
 """Largest change of range between neighbours on one surface: 40 mm."""
 LEVELS = tuple(pairwise((0, 5, 20, 60, 101)))
@@ -96,11 +98,12 @@ def turn_later(whole: Sequences) -> Array:
 
 
 def windows(whole: Sequences) -> Iterator[Window]:
-    """Yield adjacent windows of a capture, without windows that have a gap."""
+    """Yield windows of a capture that do not overlap, evenly spread, without windows that have a gap."""
     per_packet = len(whole.number) // len(whole.packet)
     packets, per_block = SEQUENCES // per_packet, per_packet // 2
     later = turn_later(whole)
-    for first in range(0, len(whole.packet) - packets + 1, packets):
+    every = range(0, len(whole.packet) - packets + 1, packets)
+    for first in every[:: -(-len(every) // MOST_WINDOWS) or 1]:
         stop = first + packets
         of_packet, of_block = slice(first, stop), slice(first * per_block, stop * per_block)
         of_sequence = slice(first * per_packet, stop * per_packet)

@@ -44,9 +44,7 @@ _EVEN = 0.213
 _UNEVEN = 0.8519
 """Least relief of an area over the setting, and the addition by its contrast: areas differ, with a mean
 square of one."""
-_WAVES_PER_M = np.array(
-    [[0.29, 0.13, 0.21], [-0.17, 0.31, 0.37], [0.53, -0.41, 0.11]],
-)
+_WAVES_PER_M = np.array([[0.29, 0.13, 0.21], [-0.17, 0.31, 0.37], [0.53, -0.41, 0.11]])
 """Waves of the shading: two of 2.6 and 2 m and one of 1.5 m, each askew to the axes (assumption: light,
 dirt and paint vary over metres along the walls of real captures, and through all rings)."""
 _SMOOTHED = 0.8284
