@@ -204,7 +204,9 @@ def test_set_up_takes_each_event_once():
     def asked(count):
         times = [{"kind": "wrong_sentence", "at_s": 9.0 * n, "duration_s": 2.0} for n in range(count)]
         scenario = load("static_bench", {"duration_s": 9.0 * count, "gps.connected": True, "events": times})
-        return len(gps_of(gps_input(scenario.gps), scenario.events, scenario.start_ns)._turns_ns())
+        return len(
+            gps_of(gps_input(scenario.gps, scenario.seed), scenario.events, scenario.start_ns)._turns_ns()
+        )
 
     assert asked(500) <= 12 * asked(50)
 

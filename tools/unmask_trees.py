@@ -11,10 +11,14 @@ from collections.abc import Iterator
 
 import numpy as np
 from sklearn.ensemble import HistGradientBoostingClassifier
-from sklearn.inspection import permutation_importance
 from sklearn.metrics import roc_auc_score
 
 Array = np.ndarray
+BY_HAND = "by_hand"
+EXPLAINED = 60
+"""Number of features whose importance is asked for: those with the largest areas of their own."""
+DIVISIONS = 20
+"""Number of random divisions of real units into two classes."""
 SCENE_SHARE = 0.3
 """Share of variance between scenes, over emulated windows, from which a feature belongs to the scene."""
 
@@ -28,6 +32,7 @@ class Data:
         self.groups = np.array([name.partition(".")[0] for name in self.names])
         self.unit, self.scene, self.seed = file["unit"], file["scene"], file["seed"]
         self.real = self.scene == "real"
+        self.by_hand = self.groups == BY_HAND
         self.units = {
             is_real: list(dict.fromkeys(self.unit[self.real == is_real])) for is_real in (True, False)
         }
@@ -95,49 +100,67 @@ def ranked_by(
 
 
 def null(data: Data, x: Array) -> list[float]:
-    """Return areas with two real units per class: one of each class is learnt, the others are ranked."""
-    out, units = [], data.units[True]
-    for a in units:
-        for b in (one for one in units if one > a):
-            c, d = (one for one in units if one not in (a, b))
-            for positive, negative in (((a, c), (b, d)), ((a, d), (b, c))):
-                is_positive = np.isin(data.unit, positive)
-                learnt, ranked = (np.isin(data.unit, pair) for pair in zip(positive, negative, strict=True))
-                out.append(ranked_by(data, x, learnt, ranked, is_positive)[0])
+    """Return areas of real units in two random classes: one unit of each is ranked, the others are learnt."""
+    units, drawn = data.units[True], np.random.default_rng(1)
+    out = []
+    if len(units) < 4:
+        return out
+    while len(out) < DIVISIONS:
+        mixed = drawn.permutation(units)
+        positive, negative = mixed[: len(units) // 2], mixed[len(units) // 2 :]
+        learnt = np.isin(data.unit, [*positive[1:], *negative[1:]])
+        ranked = np.isin(data.unit, [positive[0], negative[0]])
+        out.append(ranked_by(data, x, learnt, ranked, np.isin(data.unit, positive))[0])
     return out
 
 
 def report(data: Data, wanted: Array, title: str, *, whole: bool = False) -> None:
-    """Print the areas of the trees for some features.
+    """Print the areas of the trees for some features, and of real units against each other.
 
-    With `whole` also those of real units against each other, and the top features.
+    With `whole` also the features that carry most.
     """
     names, x = data.names[wanted], data.features[:, wanted]
-    carried, areas = np.zeros(len(names)), []
+    if not len(names):
+        print(f"| {title} (0) | - | - | - |", flush=True)
+        return
+    own_area = np.array([area_alone(data, x[:, i]) for i in range(len(names))]) if whole else None
+    asked = np.argsort(-own_area)[:EXPLAINED] if whole else []
+    carried, areas = np.zeros(len(asked)), []
     for _, learnt, ranked in folds(data):
         area, trees = ranked_by(data, x, learnt, ranked, data.real)
         areas.append(area)
-        if whole:
-            other = permutation_importance(
-                trees, x[learnt], data.real[learnt], scoring="roc_auc", n_repeats=1
-            )
-            carried += other.importances_mean
+        for place, feature in enumerate(asked):
+            carried[place] += area - area_without(data, x, ranked, trees, feature)
     own = np.reshape(areas, (-1, 2)).mean(axis=1)
-    chance = null(data, x) if whole else []
-    between = f"{np.mean(chance):.2f} +- {np.std(chance):.2f}" if whole else ""
+    chance = null(data, x)
+    between = f"{np.mean(chance):.2f} +- {np.std(chance):.2f}" if chance else "-"
     print(
         f"| {title} ({len(names)}) | {np.mean(areas):.2f} | {' '.join(f'{one:.2f}' for one in own)} | "
         f"{between} |",
         flush=True,
     )
-    if not whole:
-        return
-    for i in np.argsort(-carried)[:5]:
-        seen = np.isfinite(x[:, i])
-        single = roc_auc_score(data.real[seen], x[seen, i])
+    for i in (asked[place] for place in np.argsort(-carried)[:8]):
         real = " ".join(f"{np.nanmedian(x[data.unit == unit, i]):.3g}" for unit in data.units[True])
         ours = " ... ".join(f"{value:.3g}" for value in np.nanquantile(x[~data.real, i], (0.1, 0.5, 0.9)))
-        print(f"| - {names[i]} | {max(single, 1 - single):.2f} | {real} | {ours} |")
+        print(f"| - {names[i]} | {own_area[i]:.2f} | {real} | {ours} |")
+
+
+def area_alone(data: Data, value: Array) -> float:
+    """Return the area of one feature, at least 0.5, with the units of each class counting equally."""
+    seen = np.isfinite(value)
+    if len(np.unique(data.real[seen])) < 2:
+        return 0.5
+    area = roc_auc_score(data.real[seen], value[seen], sample_weight=weights_of(data, seen, data.real))
+    return max(area, 1 - area)
+
+
+def area_without(
+    data: Data, x: Array, ranked: Array, trees: HistGradientBoostingClassifier, feature: int
+) -> float:
+    """Return the area of trees on windows whose values of one feature are shuffled."""
+    mixed = x[ranked].copy()
+    mixed[:, feature] = np.random.default_rng(feature).permutation(mixed[:, feature])
+    return roc_auc_score(data.real[ranked], trees.decision_function(mixed))
 
 
 def main() -> None:
@@ -147,17 +170,21 @@ def main() -> None:
     of_scene = ~(scene_share(data) < SCENE_SHARE)
     print(
         f"Real units: {', '.join(data.units[True])}. A row of a feature: its own area, its middle on "
-        "these, and P10, P50, P90 of ours.\n"
+        "these, and P10, P50, P90 of emulated units.\n"
     )
     print("| Trees | area | left out: each real unit | real against real |\n|---|---|---|---|")
-    of_unit = counts & ~of_scene
+    of_unit = counts & ~of_scene & ~data.by_hand
     report(data, of_unit, "features of units", whole=True)
     for group in dict.fromkeys(data.groups[of_unit]):
         report(data, of_unit & (data.groups == group), f"{group} alone")
-    report(data, counts & of_scene, "features of scenes")
+    report(data, counts & of_scene & ~data.by_hand, "features of scenes")
+    report(data, counts & ~of_scene & data.by_hand, "chosen by hand")
+    report(data, counts & of_scene & data.by_hand, "chosen by hand, of scenes")
+    few = int((~counts & ~data.by_hand).sum())
     print(
-        f"\nOf the scene, with more than {SCENE_SHARE:.0%} of their variance between scenes: "
-        f"{', '.join(data.names[counts & of_scene])}"
+        f"\n{few} of {(~data.by_hand).sum()} features have too few values on units of one class, and "
+        f"{int((counts & of_scene & ~data.by_hand).sum())} belong to the scene: more than "
+        f"{SCENE_SHARE:.0%} of their variance lies between emulated scenes."
     )
 
 

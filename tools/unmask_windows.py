@@ -1,16 +1,20 @@
-"""Windows of a capture for `tools/unmask`, and their features, which presume little."""
+"""Windows of a capture for `tools/unmask`, and features of them that were chosen by hand."""
 
 import dataclasses
 from collections.abc import Iterator
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from vlp16emu.extras.compare import Sequences
 from vlp16emu.extras.compare.statistics import commonest
+from vlp16emu.packets.layout import AZIMUTH_CODES
 
 SEQUENCES = 600
 """Firing sequences of a window: 25 packets of single return."""
+MOST_WINDOWS = 14
+"""Most windows of a capture: all units count equally, and neighbouring windows tell the same."""
 FLAT_LSB = 20
 """Largest change of range between neighbours on one surface: 40 mm."""
 LEVELS = tuple(pairwise((0, 5, 20, 60, 101)))
@@ -77,24 +81,40 @@ class Features(dict[str, float]):
             )
 
 
-def windows(whole: Sequences) -> Iterator[Sequences]:
-    """Yield adjacent windows of a capture, without windows that have a gap."""
+class Window(NamedTuple):
+    """Adjacent packets of a capture."""
+
+    sequences: Sequences
+    whole: Sequences
+    later: Array
+    """Index in the whole capture of the sequence one turn after each of the window (n,)."""
+
+
+def turn_later(whole: Sequences) -> Array:
+    """Return the index (n,) of the sequence that is nearest to a turn after each one; n beyond the end."""
+    azimuth = np.interp(whole.number, 2 * whole.block, whole.azimuth_cdeg)
+    half_step = 0.5 * (azimuth[-1] - azimuth[0]) / max(len(azimuth) - 1, 1)
+    return np.searchsorted(azimuth, azimuth + AZIMUTH_CODES - half_step)
+
+
+def windows(whole: Sequences) -> Iterator[Window]:
+    """Yield windows of a capture that do not overlap, evenly spread, without windows that have a gap."""
     per_packet = len(whole.number) // len(whole.packet)
     packets, per_block = SEQUENCES // per_packet, per_packet // 2
-    for first in range(0, len(whole.packet) - packets + 1, packets):
+    later = turn_later(whole)
+    every = range(0, len(whole.packet) - packets + 1, packets)
+    for first in every[:: -(-len(every) // MOST_WINDOWS) or 1]:
         stop = first + packets
         of_packet, of_block = slice(first, stop), slice(first * per_block, stop * per_block)
-        sequences = slice(first * per_packet, stop * per_packet)
+        of_sequence = slice(first * per_packet, stop * per_packet)
         if whole.packet[stop - 1] - whole.packet[first] == packets - 1:
-            yield dataclasses.replace(
-                whole,
-                **{
-                    name: getattr(whole, name)[sequences]
-                    for name in ("number", "distance_lsb", "reflectivity")
-                },
-                **{name: getattr(whole, name)[of_block] for name in ("azimuth_cdeg", "block")},
-                **{name: getattr(whole, name)[of_packet] for name in ("clock_ns", "stamp_ns", "packet")},
-            )
+            cut = {
+                **dict.fromkeys(("number", "distance_lsb", "reflectivity"), of_sequence),
+                **dict.fromkeys(("azimuth_cdeg", "block"), of_block),
+                **dict.fromkeys(("clock_ns", "stamp_ns", "packet"), of_packet),
+            }
+            own = dataclasses.replace(whole, **{name: getattr(whole, name)[at] for name, at in cut.items()})
+            yield Window(own, whole, later[of_sequence])
 
 
 def features_of(window: Sequences) -> Features:

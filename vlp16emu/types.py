@@ -98,6 +98,7 @@ SURFACE = np.dtype(
         ("instance", "<u4"),  # 0 none, else unique per plant, stone or object
         ("species", "<u2"),  # 0 none, else number in the species table
         ("texture", "<f4"),  # relative local variation of reflectance, one sigma
+        ("shading", "<f4"),  # relative smooth variation of reflectance over metres, one sigma
         ("relief_m", "<f4"),  # local offset from its mesh, one sigma
         ("roughness", "<f4"),  # root mean square slope of the facets of a glossy coat; 0 for a matt surface
     ]

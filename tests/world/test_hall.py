@@ -56,6 +56,16 @@ def test_everything_has_a_surface_of_its_own_and_a_name():
     assert [len(hall.shape(key)) for key in window.shapes] == [2, 1, 1, 1]
 
 
+def test_walls_and_things_have_the_shading_and_the_relief_that_they_are_given():
+    """Floor and walls have those of the hall, each thing its own, and none by default."""
+    size = {"length_m": 30.0, "width_m": 18.0, "height_m": 6.0}
+    curtain = CRATE.model_copy(update={"shading": 0.25, "relief_m": 0.02})
+    hall = HallWorld(Hall(kind="hall", **size, shading=0.1, relief_m=0.003, boxes=[curtain], poles=[POLE]))
+    surfaces = hall.window(TRACK_M).surfaces
+    assert surfaces["shading"] == pytest.approx([0.1, 0.1, 0.25, 0.0])
+    assert surfaces["relief_m"] == pytest.approx([0.003, 0.003, 0.02, 0.0])
+
+
 @pytest.mark.parametrize("diameter_m", [0.05, 0.35, 3.0])
 def test_pole_is_round_to_a_twentieth_of_a_millimetre(diameter_m):
     """Seen along the radius from all around, a pole's surface is right within 0.05 mm and on average

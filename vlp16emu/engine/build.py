@@ -18,7 +18,7 @@ from vlp16emu.motion.mount import device_motion, true_mount
 from vlp16emu.motion.pose import Motion
 from vlp16emu.motion.settings import Gps, Mount
 from vlp16emu.packets import FACTORY_LINK, Link, positions_from_ns
-from vlp16emu.random import Purpose, generator
+from vlp16emu.random import Purpose, generator, uniform
 from vlp16emu.raycast.beam import LINE, Footprint
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.returns.detector import UnitDetector, threshold_of
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from vlp16emu.engine.engine import Engine
 
 _IMU = 1000  # device number of the inertial unit's mount, above all sensors
+_LEAST_DELAY_S = 0.001  # of a sentence after its second, and before the next one
 _STRAY_M = 1.0
 """Greatest distance of a laser from the carrier's path on the ground: sway, and lasers off the centre."""
 
@@ -202,12 +203,13 @@ def assemble(scenario: Scenario, like: "Engine | None" = None) -> Parts:
         people = PEOPLE.load()(
             scenario.people, carrier, ground_m, start_ns=start_ns, seed=scenario.motion_seed
         )
+    receiver = gps_input(scenario.gps, seed_of(scenario, 0))
     mounts = [true_mount(mount, seed, device) for device, mount in enumerate(mounts_of(scenario))]
     units = tuple(
         _unit(scenario, number, mount, device_motion(top, mount, start_ns))
         for number, mount in enumerate(mounts)
     )
-    return Parts(units, carrier, sampler, imu_mount, ground_m, world, wind, people, gps_input(scenario.gps))
+    return Parts(units, carrier, sampler, imu_mount, ground_m, world, wind, people, receiver)
 
 
 def with_events(parts: Parts, scenario: Scenario) -> Parts:
@@ -280,7 +282,7 @@ def _unit(scenario: Scenario, number: int, mount: Mount, motion: Motion) -> Unit
     given = [scenario.sensor, *scenario.rig][number]
     seed = seed_of(scenario, number)
     section = with_start_state(given, seed)
-    state = SensorState.steady(section, gps_input(scenario.gps))
+    state = SensorState.steady(section, gps_input(scenario.gps, seed_of(scenario, 0)))
     if scenario.events:
         state = EVENTS.load()(state, scenario, number)
     head = _head(scenario, section, seed, state)
@@ -305,13 +307,18 @@ def _power_up_ns(scenario: Scenario, section: Lidar) -> int:
     return scenario.start_ns - seconds_to_ns(section.powered_for_s or 0.0)
 
 
-def gps_input(gps: Gps) -> GpsInput:
-    """Return the undisturbed input of a sensor from a receiver, as the table of the scene describes it."""
+def gps_input(gps: Gps, seed: int) -> GpsInput:
+    """Return the undisturbed input of a sensor from a receiver, as the table of the scene describes it.
+
+    The seed is that of the first sensor, which all share a receiver with.
+    """
+    delay_s = gps.sentence_delay_s
+    if gps.sentence_delay_spread_s:
+        drawn = float(uniform(seed, Purpose.RECEIVER, 0, 1)[0])
+        delay_s += gps.sentence_delay_spread_s * (2.0 * drawn - 1.0)
+        delay_s = min(max(delay_s, _LEAST_DELAY_S), 1.0 - _LEAST_DELAY_S)
     return GpsInput(
-        gps.connected,
-        seconds_to_ns(gps.sentence_delay_s),
-        seconds_to_ns(gps.pps_window_s),
-        gps.requires_valid,
+        gps.connected, seconds_to_ns(delay_s), seconds_to_ns(gps.pps_window_s), gps.requires_valid
     )
 
 
@@ -326,7 +333,7 @@ def _head(scenario: Scenario, section: Lidar, seed: int, state: SensorState) -> 
         wobbles=state.wobbles,
         swings=swings,
         drift=drift,
-        locks_ns=state.operation.where(lambda operation: operation.settings.phase_lock_deg != "off"),
+        locks_ns=state.operation.where(lambda operation: operation.settings.is_locked),
     )
     beams = with_angle_errors(
         section.beam_table(),

@@ -138,6 +138,9 @@ class Gps(Section):
     """Height of the scene's origin over the ellipsoid."""
     sentence_delay_s: Annotated[float, Field(gt=0, lt=1)] = 0.35
     """Delay from the edge of a second to the arrival of the sentence that names it."""
+    sentence_delay_spread_s: Annotated[float, Field(ge=0, lt=0.5)] = 0.0
+    """Greatest difference of that delay, drawn from the seed of the first sensor: receivers differ, and that
+    of one real capture sends its sentence before 0.34 s. 0 gives each receiver the same delay."""
     pps_window_s: Annotated[float, Field(ge=0, le=65535)] = 5.0
     """Time for which the pulse must be steady before the sensor locks to it (63-9243 Rev D, appendix G)."""
     requires_valid: bool = False

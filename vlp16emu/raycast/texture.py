@@ -1,4 +1,7 @@
-"""Texture, relief and gloss of surfaces: patches, unevenness, and shine at normal incidence."""
+"""Texture, shading, relief and gloss of surfaces.
+
+Patches, smooth variation over metres, unevenness, and shine at normal incidence.
+"""
 
 import math
 
@@ -42,6 +45,12 @@ _EVEN = 0.213
 _UNEVEN = 0.8519
 """Least relief of an area over the setting, and the addition by its contrast: areas differ, with a mean
 square of one."""
+_WAVES_PER_M = np.array([[0.29, 0.13, 0.21], [-0.17, 0.31, 0.37], [0.53, -0.41, 0.11]])
+"""Waves of the shading: two of 2.6 and 2 m and one of 1.5 m, each askew to the axes (assumption: light,
+dirt and paint vary over metres along the walls of real captures, and through all rings)."""
+_SMOOTHED = 0.8284
+"""Factor of three smoothed waves for a variance of one: a cubic step of a uniform number has 13/35 - 1/4."""
+_PHASE_PER_ROW = 0.618034
 # Fresnel reflectance at normal incidence for a refractive index of 1.5, as of paint, varnish and wax
 _COAT = 0.04
 _TEXTURE = ZERO + Purpose.TEXTURE
@@ -51,7 +60,7 @@ relief."""
 
 
 def add_texture(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: int) -> None:
-    """Add the texture, relief and gloss of each surface to hits, in place.
+    """Add the texture, shading, relief and gloss of each surface to hits, in place.
 
     Brightness scales the cosine of incidence, up to the brightness of a white surface. Relief moves hits
     along the pulse. Both are taken on the axis of the pulse, at the range of the sub-ray. Gloss is the light
@@ -75,14 +84,13 @@ def add_texture(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: 
 
 @once_per_array
 def _looks_of(surfaces: NDArray[np.void]) -> F4 | None:
-    """Return the looks (m, 5) of surfaces as `_texture` takes them; None if all are even and matt."""
-    if not any(surfaces[name].any() for name in ("texture", "relief_m", "roughness")):
+    """Return the looks (m, 6) of surfaces as `_texture` takes them; None if all are even and matt."""
+    if not any(surfaces[name].any() for name in ("texture", "shading", "relief_m", "roughness")):
         return None
     per_m = np.where(surfaces["part"] == PlantPart.NONE, 1.0 / _GRID_M, 1.0 / _BARK_GRID_M).astype(np.float32)
     steep = np.divide(1.0, surfaces["roughness"], out=np.zeros_like(per_m), where=surfaces["roughness"] > 0.0)
-    return np.stack(
-        [*(surfaces[name] for name in ("texture", "reflectance", "relief_m")), per_m, steep * steep], axis=1
-    )
+    of_table = [surfaces[name] for name in ("texture", "reflectance", "relief_m")]
+    return np.stack([*of_table, per_m, steep * steep, surfaces["shading"]], axis=1)
 
 
 @kernel
@@ -93,8 +101,8 @@ def _texture(
 
     Parameters
     ----------
-    looks : (m, 5) texture, reflectance, relief, patches per metre and inverse square of the roughness of each
-        surface, in one line of the cache
+    looks : (m, 6) texture, reflectance, relief, patches per metre, inverse square of the roughness, and
+        shading of each surface, in one line of the cache
     """
     (count, range_m, met, cosine) = rays
     stop = ZERO
@@ -123,10 +131,11 @@ def _texture(
                         patch = _SPREAD * (2.0 * drawn - 1.0) * strength
                     slant = 0.5 + 0.5 / slope
                     more = texture * slant * patch
-                    bright = (
-                        min(1.0 + more, max(1.0, 1.0 / reflectance)) if more >= 0.0 else 1.0 / (1.0 - more)
-                    )
-                    cosine[ray] *= np.float32(bright)
+                    cosine[ray] *= np.float32(_factor(more, reflectance))
+                shading = looks[row, 5]
+                if shading != 0.0:
+                    more = shading * _shade(origin_m, direction, i, j, at_m, _PHASE_PER_ROW * row)
+                    cosine[ray] *= np.float32(_factor(more, reflectance))
                 if steepness > 0.0 and reflectance > 0.0:
                     square = slope * slope
                     shine = (
@@ -150,6 +159,26 @@ def _texture(
                     range_m[ray] += (
                         relief_m * _STANDING_OUT * (square * square * even) * (_EVEN + _UNEVEN * strength)
                     )
+
+
+@inline_kernel
+def _factor(more: float, reflectance: float) -> float:
+    """Return the factor of brightness for a deviation, at most up to white, and its inverse below 0."""
+    return min(1.0 + more, max(1.0, 1.0 / reflectance)) if more >= 0.0 else 1.0 / (1.0 - more)
+
+
+@inline_kernel
+def _shade(origin_m: F8, direction: F8, i: int, j: int, at_m: float, phase: float) -> float:
+    """Return the smooth deviation, of variance one, of a place at a range along a pulse (i, j)."""
+    x = origin_m[i, j, 0] + at_m * direction[i, j, 0]
+    y = origin_m[i, j, 1] + at_m * direction[i, j, 1]
+    z = origin_m[i, j, 2] + at_m * direction[i, j, 2]
+    total = 0.0
+    for wave in range(len(_WAVES_PER_M)):
+        turns = _WAVES_PER_M[wave, 0] * x + _WAVES_PER_M[wave, 1] * y + _WAVES_PER_M[wave, 2] * z
+        step = fold(turns + (1 + wave) * phase)
+        total += step * step * (6.0 - 4.0 * step) - 1.0
+    return _SMOOTHED * total
 
 
 @inline_kernel

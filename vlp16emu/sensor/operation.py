@@ -72,7 +72,9 @@ def _rotor_settings(operation: Operation) -> tuple[object, ...]:
 def _phase_deg(settings: SensorSettings, utc_ns: int) -> float | None:
     """Return the angle of a rotor that is in phase; None without phase lock."""
     phase_deg = settings.phase_lock_deg
-    return None if phase_deg == "off" else in_phase_deg(phase_deg, settings.rpm, utc_ns)
+    if phase_deg == "off" or not settings.is_locked:
+        return None
+    return in_phase_deg(phase_deg, settings.rpm, utc_ns)
 
 
 def _steer(spin: Spin, t_ns: int, wanted: Operation, start_ns: int) -> Iterator[Spin]:

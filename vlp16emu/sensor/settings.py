@@ -20,7 +20,24 @@ LEAST_RPM = 300
 MOST_RPM = 1200
 RPM_STEP = 60
 """Speeds of the rotor that a Puck can be set to (63-9243 Rev D, section 8.3, p. 50)."""
+MOST_OFF_RPM = 3.0
+"""Error of a held speed at 600 rpm, in proportion at other speeds (manuals of sibling models)."""
 Rpm = Annotated[int, Field(ge=LEAST_RPM, le=MOST_RPM, multiple_of=RPM_STEP)]
+
+
+def set_rpm(mean_rpm: float) -> int:
+    """Return the speed that a rotor is set to, which turns at a mean speed.
+
+    It is the nearest multiple of 60 that a held speed can be off by so much, else the nearest multiple of 10,
+    else the nearest whole number, within the limits of a unit.
+    """
+    for step in (RPM_STEP, 10, 1):
+        rpm = min(max(step * round(mean_rpm / step), LEAST_RPM), MOST_RPM)
+        if abs(mean_rpm - rpm) * 600.0 <= MOST_OFF_RPM * rpm:
+            break
+    return rpm
+
+
 ReturnModeName = Literal["strongest", "last", "dual"]
 _WholeDegree = Annotated[int, Field(ge=0, le=359)]
 Sector = Annotated[tuple[_WholeDegree, _WholeDegree], Field(strict=False)]
@@ -134,8 +151,10 @@ class Sensor(Lidar):
 
     model: Literal["vlp-16", "puck-lite", "puck-hi-res"] = "vlp-16"
     """Sensor model: beam table and factory byte."""
-    rpm: Rpm = 600
-    """Rotor speed; multiples of 60 (63-9243 Rev D, section 8.3)."""
+    rpm: Annotated[int, Field(ge=LEAST_RPM, le=MOST_RPM)] = 600
+    """Rotor speed. The manual has multiples of 60, as other speeds disturb speed control and phase lock
+    (63-9243 Rev D, section 8.3); a real unit turns at 500. So any speed can be set here, but a phase lock,
+    the web interface and events need a multiple of 60."""
     position_rate: Literal["measured", "manual"] = "measured"
     """Rate of position packets: 146 per second at the irregular spacing of real units, or 53.8 as in the
     manual."""
@@ -167,6 +186,12 @@ class Sensor(Lidar):
         return self
 
     @model_validator(mode="after")
+    def _locks_whole_turns(self) -> Self:
+        if self.phase_lock_deg is not None and self.rpm % RPM_STEP:
+            raise ExpectationError(f"a multiple of {RPM_STEP} as rpm, which phase_lock_deg needs")
+        return self
+
+    @model_validator(mode="after")
     def _has_two_ports(self) -> Self:
         """Raise ValueError for equal ports: receivers separate data from position packets by port."""
         if self.data_port == self.position_port:
@@ -191,6 +216,11 @@ class SensorSettings:
         """Return the settings at power-up."""
         phase_deg = section.phase_lock_deg if isinstance(section, Sensor) else None
         return cls(section.rpm, section.return_mode, phase_lock_deg="off" if phase_deg is None else phase_deg)
+
+    @property
+    def is_locked(self) -> bool:
+        """True if the rotor is in phase with the pulse: at a speed that has whole revolutions per second."""
+        return self.phase_lock_deg != "off" and self.rpm % RPM_STEP == 0
 
     def changes_from(self, before: "SensorSettings") -> Tree:
         """Return the settings that differ from others, by name."""

@@ -64,7 +64,8 @@ class HallWorld:
         surfaces["roughness"] = [section.wall_roughness or 0.0] * 2 + [
             thing.roughness or 0.0 for thing in things
         ]
-        surfaces["relief_m"][:2] = section.relief_m  # things in it have exact shapes
+        surfaces["shading"] = [section.shading] * 2 + [thing.shading for thing in things]
+        surfaces["relief_m"] = [section.relief_m] * 2 + [thing.relief_m for thing in things]
         surfaces["material"] = [0, 0, *[1] * len(boxes), *[2] * len(poles), *[3] * len(spheres)]
         surfaces["semantic"] = Semantic.OTHER
         surfaces["semantic"][0] = Semantic.GROUND

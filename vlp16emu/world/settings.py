@@ -13,6 +13,8 @@ if TYPE_CHECKING:  # scenes load without numpy
     from vlp16emu.types import F8, MovingTrees, World
 
 Texture = Annotated[float, Field(ge=0, le=0.3)]
+Shading = Annotated[float, Field(ge=0, le=1)]
+Relief = Annotated[float, Field(ge=0, le=0.05)]
 Roughness = Annotated[float, Field(ge=0.05, le=0.5)]
 _KEYS = frozenset({"reflectance", "retroreflection_cd_lx_m2"})
 
@@ -164,6 +166,10 @@ class HallThing(Finish):
     texture: Texture = 0.0
     """Relative variation of its reflectance over patches, as for the walls; 0 by default, for a known
     brightness."""
+    shading: Shading = 0.0
+    """Relative smooth variation of its reflectance, as for the walls; 0 by default."""
+    relief_m: Relief = 0.0
+    """Unevenness, as for the walls; 0 by default, for a known shape."""
 
 
 class HallBox(HallThing):
@@ -215,7 +221,10 @@ class Hall(WorldSection):
     """Relative variation of the reflectance over patches of about 0.1 m, one sigma overall; parts of a wall
     of about 1.6 m differ by a factor of three. With 0.16 neighbouring returns from walls scatter as on real
     units."""
-    relief_m: Annotated[float, Field(ge=0, le=0.05)] = 0.0
+    shading: Shading = 0.0
+    """Relative variation of the reflectance that is smooth over one to three metres, one sigma. On real units
+    brightness changes along a wall and through all rings: paint, dirt, light on cloth."""
+    relief_m: Relief = 0.0
     """Unevenness of walls, floor and ceiling over patches of a few centimetres, one sigma; included in the
     ground truth. Walls in captures of real sensors have 0.002 to 0.005 m; 0 gives a flat hall."""
     boxes: list[HallBox] = Field(default_factory=list)

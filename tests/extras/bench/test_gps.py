@@ -17,7 +17,7 @@ ABSENT, SYNC, LOCKED, ERROR = PpsState
 
 
 def disturbed(*events, **gps):
-    return gps_of(gps_input(Gps(canopy_loss=False, **gps)), events, START_NS)
+    return gps_of(gps_input(Gps(canopy_loss=False, **gps), 1), events, START_NS)
 
 
 def states(made, stop_s=25.0):
@@ -136,3 +136,14 @@ def test_a_valid_sentence_cannot_be_required_where_trees_decide():
     """The clock is known before light is cast, so what depends on the sky over each second is refused."""
     with pytest.raises(ValueError, match="canopy_loss = false"):
         Gps(requires_valid=True)
+
+
+def test_receivers_send_their_sentence_at_times_of_their_own():
+    """With a spread of 0.2 s the delay of 50 receivers fills 0.15 to 0.55 s, by seed; without one each has
+    the delay of the scene."""
+    spread = Gps(sentence_delay_spread_s=0.2)
+    delays_s = [gps_input(spread, seed).sentence_delay_ns / S_NS for seed in range(50)]
+    assert 0.15 <= min(delays_s) < 0.2
+    assert 0.5 < max(delays_s) <= 0.55
+    assert gps_input(spread, 7) == gps_input(spread, 7)
+    assert {gps_input(Gps(), seed).sentence_delay_ns for seed in range(5)} == {350 * MS_NS}

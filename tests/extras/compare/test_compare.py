@@ -208,12 +208,36 @@ def test_a_rotor_that_no_vlp16_can_have_is_refused(tmp_path, rpm, count, line):
         read_sequences(turning(tmp_path / "a.pcap", rpm, count))
 
 
+@pytest.mark.parametrize(
+    ("mean_rpm", "rpm", "off_rpm"),
+    [(499.6, 500, -0.48), (602.5, 600, 2.5), (1197.9, 1200, -1.05), (483, 483, 0.0)],
+)
+def test_the_speed_of_a_capture_is_one_that_a_scene_takes(tmp_path, mean_rpm, rpm, off_rpm):
+    """A rotor at 499.6 rpm is fitted as one that is set to 500, which a scene takes and `compare` calls
+    0.08 % off; a multiple of 60 within the error of a held speed goes first, and any other speed is set as it
+    is."""
+    sequences = read_sequences(turning(tmp_path / "a.pcap", mean_rpm))
+    sensor = fit_settings(sequences)["sensor"]
+    assert sensor["rpm"] == rpm
+    assert sensor["speed_error_rpm"] == pytest.approx(off_rpm, abs=0.01)
+    off_percent = statistics_of(sequences)["rotation.speed_off_percent"]
+    assert off_percent == pytest.approx(abs(mean_rpm / rpm - 1) * 100, abs=3e-3)
+
+
+def test_a_unit_that_was_fitted_at_500_rpm_turns_at_its_speed(recorded):
+    """A recording of a unit at 500 rpm, fitted and recorded again, has its speed within 0.06 rpm."""
+    first = recorded("at 500", UNIT | BEAT | {"sensor.rpm": 500, "sensor.speed_error_rpm": -0.48}, 0.5)
+    again = recorded("again", settings_of(first), 0.5)
+    assert again.rpm == pytest.approx(first.rpm, abs=0.06)
+    assert 498.5 < again.rpm < 500.2
+
+
 def test_what_no_setting_makes_is_compared_but_not_fitted(recorded, tmp_path):
-    """580 rpm is no multiple of 60: `compare` measures it, 3.3 % off, and `fit` says why no setting makes
-    it; so with a sawtooth by flipped bits."""
-    sequences = read_sequences(turning(tmp_path / "a.pcap", 580))
-    assert statistics_of(sequences)["rotation.speed_off_percent"] == pytest.approx(10 / 3, rel=1e-3)
-    with pytest.raises(InputError, match=r"a mean speed of 580.0 rpm; expected a multiple of 60 rpm"):
+    """280 rpm is less than a unit can be set to: `compare` measures it, 6.7 % off, and `fit` says why no
+    setting makes it; so with a sawtooth by flipped bits."""
+    sequences = read_sequences(turning(tmp_path / "a.pcap", 280))
+    assert statistics_of(sequences)["rotation.speed_off_percent"] == pytest.approx(20 / 3, rel=1e-3)
+    with pytest.raises(InputError, match=r"a mean speed of 280.0 rpm; expected a speed of a unit within 3"):
         fit_settings(sequences)
     corrupt = {"events": [{"kind": "corrupt", "at_s": 0.2, "share": 0.1}]}
     with pytest.raises(InputError, match=r"^hum_deg: found 0\.\d+; expected a number from 0 to 0\.02$"):

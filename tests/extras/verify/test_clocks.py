@@ -149,6 +149,15 @@ def test_a_check_sequence_that_the_header_declares_is_no_part_of_the_packet(traf
     assert {each.wire_bytes for each in Capture(path)} == {1248, 554}
 
 
+def test_a_speed_that_is_no_multiple_of_60_is_a_note_if_it_is_held(tmp_path):
+    """A unit that is set to 500 rpm, as a real one is, gives a clean capture and a note."""
+    emulator = Emulator("static_bench", {"beam.model": "none", "sensor.rpm": 500})
+    emulator.record(tmp_path / "set.pcap", duration_s=1.0)
+    result = verify(tmp_path / "set.pcap")
+    assert result.is_clean
+    assert result.notes[Rule.SPEED] > 0
+
+
 def test_a_change_of_speed_is_a_note(tmp_path):
     """A rotor that goes from one held speed to another is a note, revolution by revolution."""
     events = [{"kind": "setting", "at_s": 0.5, "rpm": 900}]

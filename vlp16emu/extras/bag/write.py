@@ -36,7 +36,7 @@ from vlp16emu.extras.truth.truth import rig_of
 from vlp16emu.output import spare
 from vlp16emu.packets import DATA_BYTES, POSITION_BYTES, Clock, PacketClock
 from vlp16emu.run.options import BagOptions
-from vlp16emu.sensor.settings import RPM_STEP
+from vlp16emu.sensor.settings import set_rpm
 from vlp16emu.sinks import PacketSink, PcapResult
 from vlp16emu.trees import Table, Tree
 from vlp16emu.types import Packet, PacketKind, PpsState
@@ -319,7 +319,7 @@ def _rig(true: TruthSource | None, capture: Path, unit: CapturedUnit, frame: str
         return Rig.from_truth(true.rig, true.scenario, frame)
     reader = CaptureReader(capture, unit, is_quiet=True)
     next(reader.tables(), None)
-    return Rig(float(max(round(reader.summary.rpm / RPM_STEP), 1) * RPM_STEP), lidar_frame=frame)
+    return Rig(float(set_rpm(reader.summary.rpm)), lidar_frame=frame)
 
 
 def _send(datagram: Datagram, unit: int, sink: BagSink, capture: Path) -> None:

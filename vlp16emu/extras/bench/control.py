@@ -242,7 +242,7 @@ class Control:
             position=_position_text(position.sentence) if position else "",
             motor_rpm=rpm,
             motor_on=rpm > 0,
-            phase_locked=settings.phase_lock_deg != "off" and self._scenario.gps.connected,
+            phase_locked=settings.is_locked and self._scenario.gps.connected,
             phase_cdeg=round(100 * float(sensor.head.rotor.angle_deg(np.array([second_ns]))[0])) % 36_000,
             laser_on=settings.laser,
             powered_for_s=(since_ns - power_up_ns) / S_NS,

@@ -19,7 +19,7 @@ from vlp16emu.extras.compare.statistics import (
 )
 from vlp16emu.extras.compare.table import REAL
 from vlp16emu.returns import Noise
-from vlp16emu.sensor.settings import LEAST_RPM, MOST_RPM, RPM_STEP, Sensor
+from vlp16emu.sensor.settings import MOST_OFF_RPM, RPM_STEP, Sensor, set_rpm
 
 _EVEN_CDEG2 = 0.111
 _PER_RATE_CDEG2 = 3.55
@@ -37,9 +37,6 @@ _OTHER_MM = 2.6
 _LEAST_SILENT = 50
 _MOST_LOST = 2.0
 _HALF_DEG_PER_US = 0.0018  # half of the turn of a rotor at 600 rpm in a microsecond
-_MOST_OFF_RPM = 3.0
-"""Settable speeds are multiples (63-9243 Rev D, section 8.3, p. 50), held within 3 rpm (manuals of sibling
-models)."""
 
 
 def fit_settings(sequences: Sequences) -> dict[str, dict[str, object]]:
@@ -100,24 +97,24 @@ def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
 def _rotor(sequences: Sequences, found: Statistics) -> dict[str, object]:
     """Return the `[sensor]` keys; InputError if the speed is not that of a unit."""
     turning = turning_of(sequences)
-    set_rpm = min(max(RPM_STEP * round(sequences.rpm / RPM_STEP), LEAST_RPM), MOST_RPM)
+    rpm = set_rpm(sequences.rpm)
     once = turning.once_cdeg
     twice = turning.twice_cdeg
-    off_rpm = (sequences.rpm - set_rpm) * 600.0 / set_rpm
-    if abs(off_rpm) > _MOST_OFF_RPM:
-        expected = f"a multiple of {RPM_STEP} rpm within {_MOST_OFF_RPM:g} rpm at 600"
+    off_rpm = (sequences.rpm - rpm) * 600.0 / rpm
+    if abs(off_rpm) > MOST_OFF_RPM:
+        expected = f"a speed of a unit within {MOST_OFF_RPM:g} rpm at 600"
         raise InputError("speed_error_rpm", f"a mean speed of {sequences.rpm:.1f} rpm", expected)
     out: dict[str, object] = {
         "preset": "unit",
         "rotation_spread": 0.0,
-        "rpm": set_rpm,
+        "rpm": rpm,
         "return_mode": "dual" if sequences.is_dual else "strongest",
         "eccentricity_deg": round(abs(once) / 100, 4),
         "eccentricity_phase_deg": round(math.degrees(math.atan2(-once.real, once.imag)) % 360.0, 1) % 360.0,
         "twice_per_turn_deg": round(abs(twice) / 100, 4),
         "hum_deg": round(max(found["rotation.tick_us"], 0.0) * _HALF_DEG_PER_US, 5),
     }
-    if abs(set_rpm - 600) <= RPM_STEP:
+    if abs(rpm - 600) <= RPM_STEP:
         excess_cdeg2 = max(local(turning.rest_cdeg).var() - _EVEN_CDEG2, 0.0)
         out["encoder_rate_error"] = round(min(math.sqrt(excess_cdeg2 / _PER_RATE_CDEG2), 0.5), 3)
     out["speed_error_rpm"] = round(off_rpm, 3)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.extras.compare.sequences import Sequences
 from vlp16emu.packets.layout import AZIMUTH_CODES
+from vlp16emu.sensor.settings import set_rpm
 from vlp16emu.types import F8, I8, AnyArray
 from vlp16emu.units import US_NS
 
@@ -368,7 +369,7 @@ def rotation(sequences: Sequences) -> Statistics:
     step = np.diff(azimuth)[np.diff(block) == 1]
     part = step.mean() % 1.0
     out = {
-        "rotation.speed_off_percent": abs(rpm / (60 * round(rpm / 60)) - 1) * 100,
+        "rotation.speed_off_percent": abs(rpm / set_rpm(rpm) - 1) * 100,
         "rotation.once_cdeg": abs(once),
         "rotation.twice_cdeg": abs(twice),
         "rotation.tick_us": tick_of(sequences, rest),

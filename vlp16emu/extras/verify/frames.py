@@ -66,7 +66,9 @@ class Rule(StrEnum):
     SINGLE_AS_DUAL = "single-as-dual"
     """In single return the first two blocks differ in azimuth, which some software mistakes for dual."""
     RPM = "rpm"  # the rotor makes 300 to 1200 revolutions per minute
-    SPEED = "speed"  # the rotor holds its speed, a multiple of 60 rpm; a change to another one is a note
+    SPEED = "speed"
+    """The rotor holds its speed, a multiple of 60 rpm; a change to another one is a note, and so is another
+    one all along."""
     LASER = "laser"  # every laser has returns where those beside it have
     WINDOW = "window"  # no sector turns dark suddenly
     DISTANCE_CODE = "distance-code"  # distances are 0 or at least 250 counts

@@ -13,7 +13,10 @@ _LONGEST_CHANGE = 1000  # revolutions of one change of speed
 
 
 class SpeedRules:
-    """Rule of the held speed: a revolution at another speed is an error; between two held speeds, a note."""
+    """Rule of the held speed: a revolution at another speed is an error.
+
+    It is a note between two held speeds, and in a capture whose rotor holds another one all along.
+    """
 
     def __init__(self, findings: Findings) -> None:
         self._findings = findings
@@ -44,7 +47,10 @@ class SpeedRules:
         speeds_rpm = [speed_rpm for _, speed_rpm in self._unsteady]
         is_other = None not in (held_rpm, self._held_rpm) and held_rpm != self._held_rpm
         is_change = is_other or max(speeds_rpm) - min(speeds_rpm) > RPM_STEP / 2
-        level = Level.NOTE if is_change else Level.ERROR
+        # A capture that has one speed all along was set to it.
+        is_set = self._held_rpm is None and held_rpm is None
+        is_set &= max(speeds_rpm) - min(speeds_rpm) <= 2.0 * _HELD_RPM
+        level = Level.NOTE if is_change or is_set else Level.ERROR
         for packet, speed_rpm in self._unsteady:
             found = f"a revolution at {speed_rpm:.1f} rpm"
             expected = f"a multiple of {RPM_STEP} rpm within {_HELD_RPM:g}, held"

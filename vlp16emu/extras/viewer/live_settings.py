@@ -175,6 +175,9 @@ class SettingsPanel:
         """Move the controls that no user has moved to the values that the sensor has."""
         for index, (control, value) in enumerate(zip(self._controls, values, strict=True)):
             if index not in self._touched:
+                options = getattr(control.handle, "options", (value,))
+                if value not in options:  # a scene may have a speed that the web interface does not set
+                    control.handle.options = (*options, value)
                 control.handle.value = value
 
     def _say(self, line: str) -> None:

@@ -1,0 +1,187 @@
+"""Random rooms for `tools/unmask`, like the offices and halls of real captures.
+
+A room has painted walls whose brightness varies smoothly, panes with frames, an opening into a second room,
+furniture, posters, cables, black and white things, plates that reflect back, and a cabinet under the sensor.
+"""
+
+import json
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+Thing = dict[str, object]
+Array = np.ndarray
+SENSOR_M = 1.2
+PANE = {"reflectance": 1e-5, "roughness": 0.05}
+"""Finish of glass: it returns what falls on it straight, and nothing else."""
+MOST_PAINT = (0.15, 0.35)
+"""Limits of the roughness of paint and varnish."""
+
+
+class Room:
+    """A room that is drawn from a seed; the sensor stands on the origin."""
+
+    def __init__(self, seed: int) -> None:
+        self.drawn = np.random.default_rng((seed, 60))
+        length = 3.0 * 5.0 ** ((0.5 + 7 * seed % 10) / 10)
+        width = max(length * self.drawn.uniform(0.5, 1.0), 2.6)
+        self.half = np.array([length, width, self.drawn.uniform(2.3, 5.0)]) / 2.0
+        self.paint = round(0.3 + 0.06 * (7 * seed % 10), 2)
+        self.boxes: list[Thing] = []
+        self.poles: list[Thing] = []
+        for wall in self.drawn.permutation(4)[: self.drawn.integers(1, 4)]:
+            self._windows(int(wall))
+        self._hang(14)
+        self._furnish(22)
+        self._stand_up(10)
+        self._partition()
+        self._box("cabinet", (0.0, 0.0, 0.55), (0.9, 0.6, 1.1), self._finish(0.1))
+
+    @property
+    def settings(self) -> list[str]:
+        """Settings of the scene `static_bench` that make it this room."""
+        sizes = dict(zip(("length", "width", "height"), 2.0 * self.half, strict=True))
+        return [
+            *(f"world.{name}_m={size:.4f}" for name, size in sizes.items()),
+            f"world.wall_reflectance={self.paint}",
+            f"world.wall_roughness={self.drawn.uniform(*MOST_PAINT):.3f}",
+            f"world.shading={self.drawn.uniform(0.03, 0.12):.3f}",
+            f"world.texture={self.drawn.uniform(0.03, 0.1):.3f}",
+            "world.relief_m=0.003",
+            f"motion.height_m={SENSOR_M}",
+            "world.spheres=[]",
+            _setting("boxes", self.boxes),
+            _setting("poles", self.poles),
+        ]
+
+    def _finish(self, rough_m: float = 0.0) -> Thing:
+        """Draw a finish; one of eight things is black, one white, half have a coat, all a texture."""
+        kind = self.drawn.random()
+        grey = 0.03 * 30.0 ** self.drawn.random()
+        reflectance = self.drawn.uniform(0.01, 0.04) if kind < 0.12 else grey
+        out: Thing = {
+            "reflectance": round(float(self.drawn.uniform(0.8, 0.95) if kind > 0.88 else reflectance), 4)
+        }
+        if self.drawn.random() < 0.5:
+            out["roughness"] = round(float(self.drawn.uniform(*MOST_PAINT)), 3)
+        out["texture"] = round(float(min(0.06 * np.exp(0.9 * self.drawn.standard_normal()), 0.3)), 3)
+        out["shading"] = round(float(self.drawn.uniform(0.0, 0.3)), 3)
+        out["relief_m"] = round(float(rough_m * self.drawn.random() ** 3), 4)
+        return out
+
+    def _box(
+        self, name: str, centre: Iterable[float], size: Iterable[float], finish: Mapping[str, object]
+    ) -> None:
+        """Add a box, as much of it as is inside; z counts from the floor."""
+        middle = np.asarray(centre, float) - (0.0, 0.0, self.half[2])
+        low, high = (
+            np.clip(middle + sign * np.asarray(size) / 2, 0.001 - self.half, self.half - 0.001)
+            for sign in (-1, 1)
+        )
+        if (high - low).min() < 0.002:
+            return
+        at = (low + high) / 2 + (0.0, 0.0, self.half[2])
+        self.boxes.append(
+            {
+                "name": f"{name} {len(self.boxes)}",
+                "centre_m": at.round(4).tolist(),
+                "size_m": (high - low).round(4).tolist(),
+                **finish,
+            }
+        )
+
+    def _on_wall(
+        self, wall: int, along: float, up: float, size: tuple[float, float, float]
+    ) -> tuple[Array, Array]:
+        """Return centre and size of a box on a wall; size along the wall, upwards and away from it."""
+        axis, sign = wall // 2, 1 - 2 * (wall % 2)
+        centre, extent = np.zeros(3), np.zeros(3)
+        centre[axis], extent[axis] = sign * (self.half[axis] - size[2] / 2), size[2]
+        centre[1 - axis], extent[1 - axis] = along, size[0]
+        centre[2], extent[2] = up, size[1]
+        return centre, extent
+
+    def _windows(self, wall: int) -> None:
+        """Add panes side by side on a wall, with a frame around each and a radiator below."""
+        reach = float(self.half[1 - wall // 2])
+        count, wide = int(self.drawn.integers(1, 4)), self.drawn.uniform(0.2, 0.55) * reach
+        start = self.drawn.uniform(-reach + 0.1, max(reach - count * wide - 0.1, -reach + 0.2))
+        sill, tall = self.drawn.uniform(0.7, 1.1), self.drawn.uniform(0.9, 1.8)
+        frame = self._finish()
+        for i in range(count):
+            middle = start + (i + 0.5) * wide
+            self._box("pane", *self._on_wall(wall, middle, sill + tall / 2, (wide, tall, 0.02)), PANE)
+            for edge in (middle - wide / 2, middle + wide / 2):
+                self._box("frame", *self._on_wall(wall, edge, sill + tall / 2, (0.07, tall, 0.07)), frame)
+        self._box(
+            "sill", *self._on_wall(wall, start + count * wide / 2, sill, (count * wide, 0.05, 0.2)), frame
+        )
+        self._box(
+            "radiator",
+            *self._on_wall(wall, start + count * wide / 2, 0.45, (count * wide, 0.5, 0.12)),
+            self._finish(),
+        )
+
+    def _hang(self, count: int) -> None:
+        """Add posters, boards and plates on walls, and a frame around each third of them."""
+        for i in range(count):
+            wall = int(self.drawn.integers(4))
+            reach = float(self.half[1 - wall // 2])
+            wide, tall = 0.15 * 8.0 ** self.drawn.random(2)
+            along, up = self.drawn.uniform(-reach, reach), self.drawn.uniform(0.6, 2.0)
+            if i % 3 == 0:
+                outer = self._on_wall(wall, along, up, (wide + 0.08, tall + 0.08, 0.015))
+                self._box("frame", *outer, self._finish())
+            plate = {"retroreflection_cd_lx_m2": round(float(4.0 * 20.0 ** self.drawn.random()), 1)}
+            size = (0.4, 0.12, 0.02) if i == 0 else (float(wide), float(tall), 0.02)
+            self._box("board", *self._on_wall(wall, along, up, size), plate if i == 0 else self._finish())
+
+    def _furnish(self, count: int) -> None:
+        """Add tables, shelves, crates and cupboards, each at least 0.6 m away from the sensor."""
+        while count:
+            size = 0.08 * 18.0 ** self.drawn.random(3)
+            centre = np.append(self.drawn.uniform(-1.0, 1.0, 2) * self.half[:2], self.drawn.uniform(0.2, 2.0))
+            if self.drawn.random() < 0.6:
+                side = int(self.drawn.integers(2))
+                centre[side] = np.copysign(self.half[side] - size[side] / 2, centre[side])
+            if self.drawn.random() < 0.5:
+                centre[2] = size[2] / 2
+            if np.hypot(*np.maximum(np.abs(centre) - size / 2, 0.0)[:2]) > 0.6:
+                self._box("thing", centre, size, self._finish(0.03))
+                count -= 1
+
+    def _stand_up(self, count: int) -> None:
+        """Add cables, pipes, legs and columns."""
+        while count:
+            x, y = self.drawn.uniform(-1.0, 1.0, 2) * (self.half[:2] - 0.2)
+            if np.hypot(x, y) > 0.9:
+                tall = min(self.drawn.uniform(0.8, 4.0), 2.0 * self.half[2] - 0.01)
+                size = {
+                    "diameter_m": round(float(0.015 * 20.0 ** self.drawn.random()), 3),
+                    "height_m": round(float(tall), 3),
+                }
+                self.poles.append(
+                    {
+                        "name": f"pole {count}",
+                        "foot_m": [round(float(x), 3), round(float(y), 3), 0.0],
+                        **size,
+                        **self._finish(0.005),
+                    }
+                )
+                count -= 1
+
+    def _partition(self) -> None:
+        """Add a wall with an opening, and extend the hall behind it by up to 20 m."""
+        at, (_, wide, tall) = float(self.half[0]), self.half
+        self.half[0] += self.drawn.uniform(1.0, 10.0)
+        finish = {**self._finish(), "reflectance": self.paint, "relief_m": 0.003}
+        left, right = sorted(self.drawn.uniform(-0.8, 0.8, 2) * wide)
+        for side, other in ((-wide, left), (right, wide)):
+            self._box("partition", (at, (side + other) / 2, tall), (0.1, other - side, 2 * tall), finish)
+        self._box("parapet", (at, (left + right) / 2, 0.4), (0.1, right - left, 0.8), finish)
+
+
+def _setting(kind: str, things: Iterable[Thing]) -> str:
+    """Return the setting of a list of things, in TOML."""
+    rows = (", ".join(f"{key} = {json.dumps(value)}" for key, value in one.items()) for one in things)
+    return f"world.{kind}=[{', '.join(f'{{{row}}}' for row in rows)}]"
