@@ -107,6 +107,17 @@ def test_readings_are_late_scaled_and_warm_up(field):
     np.testing.assert_array_equal(part.specific_force_m_s2, read.specific_force_m_s2[1500:1507])
 
 
+def test_a_walk_in_the_field_has_no_flight(field):
+    """A walking person always has a foot on the ground, so that the pack never falls freely, and is pushed by
+    less than 1 g beside its weight; `motion.gait = "strong"` pushes it by more than that."""
+    strong = Emulator(HALL, {"imu.preset": "ideal", "motion.gait": "strong"}).parts.imu
+    (peak, beyond) = (
+        np.abs(np.linalg.norm(imu.read(0, 4000).true_specific_force_m_s2, axis=1) - 9.81).max()
+        for imu in (field.parts.imu, strong)
+    )
+    assert 4.0 < peak < 9.81 < beyond
+
+
 @pytest.mark.parametrize("clock_ppm", [10_000.0, -10_000.0, 40.0])
 def test_the_clock_of_the_inertial_unit_drifts(clock_ppm):
     """A fit of stamps on true times has the slope of the clock, from the first sample on; readings are those
