@@ -41,6 +41,8 @@ def test_keys_of_the_field_are_those_that_are_not_given():
     assert (field.imu.preset, field.imu.mount.error_deg) == ("tactical", 0.3)
     assert (field.motion.mast.bending_hz, field.motion.mast.damping_ratio) == (5.0, 0.05)
     assert (field.motion.mount.error_mm, field.motion.mount.error_deg) == (1.0, 0.3)
+    assert set(field.motion.harness.frequency_hz) == {4.0}
+    assert load(FIELD, ["imu.delay_s=[0,0]", "motion.harness.yaw_hz=9"]).imu.delay_s == (0.0, 0.0)
     assert field.wind is None  # in a hall
     assert load("birch_walk", ["conditions=field"]).wind.speed_m_s == 2.0
     assert (field.motion.gait.preset, field.motion.gait.variation) == ("uneven", 0.082)
@@ -76,17 +78,18 @@ def test_truth_has_the_true_extrinsics_and_what_users_are_given(field, tmp_path)
         assert 0.001 < np.linalg.norm(off[:3, 3]) < 0.02
     table = np.genfromtxt(tmp_path / "truth" / "imu.csv", delimiter=",", names=True)
     late_s = table["stamp_utc_s"] - table["t_utc_s"]
-    assert late_s.min() > 0.0019
-    assert late_s.max() < 0.0081
+    assert late_s.min() > 0.0159
+    assert late_s.max() < 0.0241
+    assert late_s.mean() == pytest.approx(0.020, abs=0.0021)
 
 
 def test_readings_are_late_scaled_and_warm_up(field):
-    """Stamps rise, 2 to 8 ms late; readings are a matrix near the identity times the truth, plus a bias
+    """Stamps rise, 16 to 24 ms late; readings are a matrix near the identity times the truth, plus a bias
     that drifts as it warms up."""
     imu = field.parts.imu
     read = imu.read(0, 4000)
     late_ms = (read.stamp_ns - read.t_ns) / 1e6
-    assert 2.0 <= late_ms.min() < late_ms.max() <= 8.0
+    assert 16.0 <= late_ms.min() < late_ms.max() <= 24.0
     assert np.ptp(late_ms) == pytest.approx(4.0, abs=0.1)
     assert (np.diff(read.stamp_ns) > 0).all()
     for true, found, bias in (
@@ -102,6 +105,17 @@ def test_readings_are_late_scaled_and_warm_up(field):
     part = imu.read(1500, 7)
     np.testing.assert_array_equal(part.stamp_ns, read.stamp_ns[1500:1507])
     np.testing.assert_array_equal(part.specific_force_m_s2, read.specific_force_m_s2[1500:1507])
+
+
+def test_a_walk_in_the_field_has_no_flight(field):
+    """A walking person always has a foot on the ground, so that the pack never falls freely, and is pushed by
+    less than 1 g beside its weight; `motion.gait = "strong"` pushes it by more than that."""
+    strong = Emulator(HALL, {"imu.preset": "ideal", "motion.gait": "strong"}).parts.imu
+    (peak, beyond) = (
+        np.abs(np.linalg.norm(imu.read(0, 4000).true_specific_force_m_s2, axis=1) - 9.81).max()
+        for imu in (field.parts.imu, strong)
+    )
+    assert 4.0 < peak < 9.81 < beyond
 
 
 @pytest.mark.parametrize("clock_ppm", [10_000.0, -10_000.0, 40.0])

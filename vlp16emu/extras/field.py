@@ -4,12 +4,24 @@ from vlp16emu.settings import merge_tables
 from vlp16emu.trees import Tree
 
 _MOUNT = {"error_deg": 0.3, "error_mm": 5.0}
-_FIELD: Tree = {"imu": {"preset": "field", "mount": _MOUNT}}
-"""Tables of `conditions = "field"`. Extrinsics of a backpack are known within a degree and a centimetre by
-self-calibration (Pan, Shao et al., IEEE TGRS 61, 5703713, 2023); from a drawing within a third of a degree
-and half a centimetre for each axis (assumption)."""
+"""Extrinsics of a backpack are known within a degree and a centimetre by self-calibration (Pan, Shao et al.,
+IEEE TGRS 61, 5703713, 2023); from a drawing within a third of a degree and half a centimetre for each axis
+(assumption)."""
+_DELAY_S = (0.016, 0.020)
+"""With the 4 ms of jitter of `imu.preset = "field"` 20 ms on average, as between a Velodyne and other sensors
+without a wire for their clocks (ros-drivers/velodyne, pull request 88)."""
+_FIELD: Tree = {"imu": {"preset": "field", "delay_s": _DELAY_S, "mount": _MOUNT}}
+_STRAPS_HZ = 4.0
+"""Straps of a pack worn tight: twice the 2 Hz of suspended packs (source in `Harness`), assumption."""
+_AXES = ("fore_aft", "sideways", "vertical", "roll", "pitch", "yaw")
 _ON_FOOT: Tree = {
-    "motion": {"kind": "walk", "gait": {"preset": "uneven"}, "mount": _MOUNT, "mast": {}},
+    "motion": {
+        "kind": "walk",
+        "gait": {"preset": "uneven"},
+        "harness": {f"{axis}_hz": _STRAPS_HZ for axis in _AXES},
+        "mount": _MOUNT,
+        "mast": {},
+    },
     "people": {},
 }
 _FORESTS = ("forest", "plot")

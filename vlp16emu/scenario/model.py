@@ -218,8 +218,8 @@ class Scenario(Section):
     """People beside a walking carrier; none without this table."""
     conditions: Literal["perfect", "field"] = "perfect"
     """Preset; `field` sets some keys of a real walk unless given: errors of the extrinsics, a
-    bending `mast`, `imu.preset = "field"`, steps as on uneven ground, a light wind in a forest, and
-    `people`."""
+    bending `mast`, `imu.preset = "field"` with stamps 20 ms late, steps as on uneven ground, straps that give
+    (`harness`), a light wind in a forest, and `people`."""
 
     @field_validator("start_utc")
     @classmethod
