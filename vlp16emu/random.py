@@ -64,6 +64,7 @@ class Purpose(IntEnum):
     PASSER = 133
     POWER_UP = 134
     LOSS = 135
+    LOSS_SPOT = 136
     SCORE_DISK = 92
 
 

@@ -24,7 +24,7 @@ from vlp16emu.returns.echoes import (
     gather,
     highest_peak,
 )
-from vlp16emu.returns.lost import lose, raised_code
+from vlp16emu.returns.lost import Sight, lose, raised_code
 from vlp16emu.returns.noise import (
     NO_RETURN_KNOTS,
     REFLECTIVITY_TAIL,
@@ -93,7 +93,7 @@ def detect(
     exact_m = np.zeros(shape if truth else (0, 0, 3), np.float32)
     most_nodes = int(hits.count.max(initial=1)) + 1  # the air's own echo is one more
     peaks = np.empty((COLUMNS, _PEAKS_PER_NODE * most_nodes))
-    noise = np.zeros((5, lasers))
+    noise = np.zeros((7, lasers))
     room = np.empty((COLUMNS, most_nodes)), peaks, np.empty(3, np.int64), noise
     reflectance = np.ascontiguousarray(surfaces["reflectance"])
     rays = SubRays(hits.count, hits.range_m, hits.surface, hits.cos_incidence, reflectance)
@@ -106,9 +106,11 @@ def detect(
         detector.codes,
         np.zeros(lasers) if detector.no_return is None else detector.no_return,
         _sheets(surfaces),
+        detector.near_lost,
     )
+    sight = Sight(firings.origin_m, firings.direction)
     block = block or max(shape[0], 1)
-    _detect(constants, first, block, errors, rays, room, distance_m, reflectivity, exact_m)
+    _detect(constants, first, block, errors, (rays, sight), room, distance_m, reflectivity, exact_m)
     if detector.parity is not None:
         _apply_parity(detector.parity, distance_m)
     if detector.no_return is not None:
@@ -148,6 +150,7 @@ class _Errors(NamedTuple):
     codes: U1
     no_return: F8
     sheet: U4
+    near_lost: F8
 
 
 @kernel
@@ -156,7 +159,7 @@ def _detect(
     first: int,
     block: int,
     errors: _Errors,
-    rays: SubRays,
+    pulses: tuple[SubRays, Sight],
     room: tuple[F8, F8, I8, F8],
     distance_m: F4,
     reflectivity: U1,
@@ -172,6 +175,7 @@ def _detect(
     exact_m : output, ranges before errors; may be empty
     """
     nodes, peaks, chosen, noise = room
+    rays, sight = pulses
     stop = ZERO
     keeps_exact = exact_m.shape[0] > 0
     lasers = rays.counts.shape[1]
@@ -207,15 +211,18 @@ def _detect(
             elif lit > 1 and light >= 0.0:  # also if the highest peak is not detected: another may be
                 _choose(constants, n, j, peaks, find_peaks(nodes, lit, constants.sigma_m, peaks), chosen)
                 _write(constants, n, j, laser_errors, peaks, chosen, distance_m[i, j], reflectivity[i, j])
+                if chosen[_STRONGEST] >= 0:
+                    at_m = peaks[RANGE, chosen[_STRONGEST]]
                 for column in range(3 if keeps_exact else 0):
                     if chosen[column] >= 0:
                         exact_m[i, j, column] = peaks[RANGE, chosen[column]]
-            if rates.any > 0.0:
+            if rates.step > 0.0:
                 pulse = (rays, errors.sheet, start, stop)
+                place = (constants.seed, sight, i, at_m, errors.near_lost[j])
                 dual = not constants.strongest_only
                 drawn = (noise[0, j], noise[1, j])
                 code = errors.no_return[j]
-                lose(rates, drawn, pulse, before, j, code, dual, distance_m[i, j], reflectivity[i, j])
+                lose(rates, drawn, pulse, place, before, j, code, dual, distance_m[i, j], reflectivity[i, j])
 
 
 @kernel
@@ -273,7 +280,7 @@ def _apply_parity(parity: F8, distance_m: F4) -> None:
 def _draws_noise(constants: DetectorConstants) -> bool:
     """Return True if the errors of a pulse, or its loss, need random numbers."""
     reflectivity_noise = constants.reflectivity_noise + constants.reflectivity_noise_share
-    return constants.range_noise_m + reflectivity_noise + constants.lost.any > 0.0
+    return constants.range_noise_m + reflectivity_noise + constants.lost.step > 0.0
 
 
 @inline_kernel

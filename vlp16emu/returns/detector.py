@@ -7,7 +7,7 @@ import numpy as np
 
 from vlp16emu.elementary import exp
 from vlp16emu.random import Purpose, normal, uniform
-from vlp16emu.returns.lost import loss_rates
+from vlp16emu.returns.lost import loss_rates, near_rates
 from vlp16emu.returns.noise import (
     gain,
     no_return_multiples,
@@ -38,6 +38,7 @@ class UnitDetector:
     range_noise_share: F8  # (L,) white range noise of each laser relative to the unit's
     gain: F8  # (L,) factor on reflectivity
     range_beat_m: F8  # (5,) error of the range by (24 sequence + laser) mod 5
+    near_lost: F8  # (L,) share of near records that each laser loses
     parity: F8 | None  # (L,) share of odd distance codes minus one half; None if it is one half
     codes: U1  # (L, 100 * CODE_PARTS + 1) code that is sent for each reflectivity, from `sent_codes`
     no_return: F8 | None
@@ -123,6 +124,7 @@ class UnitDetector:
             ),
             gain=gain(seed, noise.gain_spread, elevation_deg),
             range_beat_m=range_beat_m(seed, noise.range_beat_m, noise.range_beat_phase_deg),
+            near_lost=near_rates(seed, lasers, noise.records_lost),
             parity=_parity(seed, lasers, noise.odd_codes_spread) if noise.odd_codes_spread else None,
             codes=sent_codes(seed, lasers, noise.reflectivity_step),
             no_return=no_return,
@@ -155,6 +157,7 @@ class UnitDetector:
             range_noise_share=np.ones_like(self.range_noise_share),
             gain=np.ones_like(self.gain),
             range_beat_m=np.zeros_like(self.range_beat_m),
+            near_lost=np.zeros_like(self.near_lost),
             parity=None,
             codes=sent_codes(0, len(self.gain), 0.0),
             no_return=None,

@@ -168,9 +168,10 @@ class LossRates(NamedTuple):
     up: float
     down: float
     dark: float
-    any: float
+    gloss: float  # of records at places of uneven brightness
     raise_code: float  # code of a return next to which half of the no-returns are raised; 0 for none
     bright: float  # at a step up by 100 codes, for any factor
+    again: float  # of records that follow a lost one
 
 
 class DetectorConstants(NamedTuple):
