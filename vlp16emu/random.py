@@ -65,6 +65,7 @@ class Purpose(IntEnum):
     POWER_UP = 134
     LOSS = 135
     LOSS_SPOT = 136
+    STRENGTH = 137
     SCORE_DISK = 92
 
 
