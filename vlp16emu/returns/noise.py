@@ -220,8 +220,9 @@ def reflectivity_byte(
     if percent <= RETROREFLECTIVE:
         (step, top) = scale
         code = in_steps(min(max(gain * percent + noise, 0.0), top), step)
-        if code > 100.0 and top > 100.0:
-            return np.uint8(min(np.floor(code) + 1.0, top))
-        return codes[np.int64(CODE_PARTS * min(code, 100.0))]
+        sent = codes[np.int64(CODE_PARTS * min(code, 100.0))]
+        if top > 100.0 and sent == 100:  # such a laser sends no 100
+            return np.uint8(min(np.floor(max(code, 100.0)) + 1.0, top))
+        return sent
     code = 101.0 + _COUNTS_PER_E_FOLD * log(0.01 * gain * percent) + noise
     return np.uint8(min(max(np.rint(code), 101.0), 255.0))

@@ -37,7 +37,7 @@ _PRESETS: dict[str, dict[str, object]] = {
         "no_return_reflectivity": True,
         "no_return_wander": 1.5,
         "records_lost": 1.0,
-        "gain_spread": 0.08,
+        "gain_spread": 0.06,
         "gain_by_range": 0.15,
     },
 }

@@ -21,7 +21,6 @@ PARITIES = 1024  # strengths with a correction of their own
 STEP = 0  # columns of `Strength.by_range`
 GAIN = 1
 TOP = 2
-_LEAST_STEP = 0.5  # of codes, by which a step of 0 is replaced
 _FIRST_STEP = 8.5  # number of that step at `_FINEST`, half a step after its first strength
 _FINEST = law("strength.from_code")
 _DIFFUSE = 100.0
@@ -144,7 +143,7 @@ def in_steps(code: float, step: float) -> float:
 @inline_kernel
 def fine_strength(code: float, step: float, parts: float) -> float:
     """Return the strength of a code before rounding, of which each step has some `parts`."""
-    return parts * ((code - _FINEST) / max(step, _LEAST_STEP) + _FIRST_STEP)
+    return parts * ((code - _FINEST) / (step if step > 0.0 else 1.0) + _FIRST_STEP)
 
 
 @inline_kernel
