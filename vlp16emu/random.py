@@ -64,6 +64,8 @@ class Purpose(IntEnum):
     PASSER = 133
     POWER_UP = 134
     LOSS = 135
+    LOSS_SPOT = 136
+    STRENGTH = 137
     RECEIVER = 140
     SCORE_DISK = 92
 

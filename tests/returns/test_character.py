@@ -31,15 +31,91 @@ def test_the_beat_repeats_every_five_pulses():
     assert first_mm == pytest.approx(6.0 * (1.0 + 0.25 * np.cos(np.radians(85.0))), abs=0.01)
 
 
-def test_odd_codes_have_their_share():
-    """Over a smooth spread of ranges each laser's share of odd codes is that of the unit, by the binomial
-    law."""
-    noise = {"odd_codes_spread": 0.15, "range_noise_m": 0.02}
-    odd = np.rint(wall(noise, 3000).distance_m[..., 0].astype(float) * 500) % 2
-    plain = np.rint(wall({"range_noise_m": 0.02}, 3000).distance_m[..., 0].astype(float) * 500) % 2
-    assert 0.08 < odd.mean(axis=0).std() < 0.25
-    assert stats.binomtest(int(plain.sum()), plain.size).pvalue > 1e-3
-    assert abs(plain.mean(axis=0) - 0.5).max() < 0.04
+COUNTS = {"range_counts": True, "range_noise_m": 0.02, "reflectivity_noise_share": 0.03}
+
+
+def test_ranges_are_counts_of_4_mm_and_a_correction():
+    """Neighbours of equal code differ by an even number of 2 mm in 0.77 to 0.95 of all pairs on real units,
+    those of other codes in 0.5 to 0.7; without counts in half.
+
+    The correction of a strength is the same in a capture, and the lasers' are independent.
+    """
+    even = []
+    for noise in (COUNTS, COUNTS | {"range_counts": False}):
+        outs = [wall(noise, 2000, reflectance=0.3, seed=seed) for seed in range(4)]
+        step = np.concatenate([np.diff(np.rint(500.0 * out.distance_m[..., 0]), axis=0) for out in outs])
+        change = np.concatenate([np.diff(out.reflectivity[..., 0].astype(int), axis=0) for out in outs])
+        even += [(step % 2 == 0)[change == 0].mean(), (step % 2 == 0)[np.abs(change) > 2].mean()]
+    assert 0.75 < even[0] < 0.95
+    assert 0.45 < even[1] < 0.65
+    np.testing.assert_allclose(even[2:], 0.5, atol=0.02)
+    parity = 1.0 - 2.0 * detector(COUNTS).strength.parity
+    cosine = parity @ parity.T / parity.shape[1]
+    assert np.abs(cosine[np.triu_indices(16, 1)]).max() < 0.25
+    assert abs(parity[:, :200].mean()) < 0.03
+
+
+def test_counts_do_not_shift_ranges():
+    """The mean of many ranges is that without counts within 0.1 mm, and their resolution is 4 mm: uniform
+    errors of 1.15 mm."""
+    exact, counted = (
+        wall(COUNTS | {"range_counts": counts}, 4000, reflectance=0.5).distance_m[..., 0].astype(float)
+        for counts in (False, True)
+    )
+    error_mm = 1e3 * (counted - exact)
+    assert abs(error_mm.mean()) < 0.1
+    assert error_mm.std() == pytest.approx(4.0 / np.sqrt(12.0), rel=0.03)
+    assert np.abs(error_mm).max() < 2.01
+
+
+def test_the_greatest_range_has_a_code():
+    """No range exceeds the greatest one by its correction."""
+    noise = {"range_counts": True}
+    hits = pulses(50, [131.07])
+    out = detect(firings(50), hits, table(0.9), detector(noise, max_range_m=131.07), truth=False)
+    codes = np.rint(500.0 * out.distance_m[..., 0].astype(float))
+    assert 65_530 < codes.min() <= codes.max() <= 65_535
+
+
+def test_codes_have_steps_by_laser_and_range():
+    """One at 2 to 4 m, several at 0.5 m and beyond 8 m, others on each laser; none below code 4."""
+    noise = {"reflectivity_far_step": 2.4, "reflectivity_noise_share": 0.15}
+    sent = {}
+    for range_m in (0.6, 2.5, 12.0):
+        codes = wall(noise, 3000, range_m=range_m, reflectance=0.25).reflectivity[..., 0]
+        sent[range_m] = np.array([np.bincount(of, minlength=101)[15:35] > 0 for of in codes.T])
+    shares = [sent[range_m].mean() for range_m in sent]
+    assert 0.2 < shares[0] < 0.6
+    assert 0.7 < shares[1] < 0.98
+    assert 0.2 < shares[2] < 0.6
+    assert len(np.unique(sent[12.0], axis=0)) > 8
+    dark = wall(noise, 3000, range_m=12.0, reflectance=0.02).reflectivity[..., 0]
+    assert set(range(1, 4)) <= set(dark.ravel().tolist())
+
+
+def test_gains_change_with_range():
+    """By the spread that is set, smoothly: little within a tenth of the range, independently beyond a factor
+    of two."""
+    noise = {"gain_by_range": 0.15}
+    ln = {
+        range_m: np.log([wall(noise, 1, range_m=range_m, seed=s).reflectivity[0, :, 0] for s in range(40)])
+        for range_m in (3.0, 3.1, 7.0)
+    }
+    assert ln[3.0].std() == pytest.approx(0.15, rel=0.15)
+    assert np.corrcoef(ln[3.0].ravel(), ln[3.1].ravel())[0, 1] > 0.8
+    assert abs(np.corrcoef(ln[3.0].ravel(), ln[7.0].ravel())[0, 1]) < 0.2
+
+
+def test_some_lasers_do_not_clip():
+    """On half of the units a few lasers send codes above 100 of a bright surface, and never 100."""
+    outs = [
+        wall({"preset": "unit"}, 100, reflectance=1.0, seed=seed).reflectivity[..., 0] for seed in range(30)
+    ]
+    above = np.array([(codes > 100).any(axis=0) for codes in outs])
+    assert 0.25 < above.any(axis=1).mean() < 0.65
+    assert above.sum(axis=1).max() < 8
+    for codes, of_laser in zip(outs, above, strict=True):
+        assert not (codes[:, of_laser] == 100).any()
 
 
 def test_bright_codes_are_coarse_and_dark_ones_sticky():

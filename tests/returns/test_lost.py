@@ -1,14 +1,26 @@
 """Records that real units lose, and the codes of no-returns beside returns: rates of the captures."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from returns.kit import LASERS, detector, firings, table
+from returns.kit import ELEVATION_DEG, LASERS, detector, firings, table
 
 from vlp16emu.returns.detect import detect
 from vlp16emu.returns.lost import loss_rates
 from vlp16emu.types import NO_SURFACE, Hits, PlantPart, Semantic
 
 LOSSES = {"records_lost": 1.0, "no_return_reflectivity": True, "no_return_level": 5.0}
+
+
+def turning(k, index=0):
+    """Firings of a sensor at rest, 0.2 deg from one to the next, 1800 in a revolution."""
+    at = np.radians(0.2 * np.arange(index, index + k))[:, None]
+    up = np.radians(ELEVATION_DEG)
+    direction = np.stack(
+        [np.cos(up) * np.cos(at), -np.cos(up) * np.sin(at), np.broadcast_to(np.sin(up), (k, LASERS))], axis=2
+    )
+    return replace(firings(k, index), direction=direction)
 
 
 def seen(surfaces, range_m, surface, noise=LOSSES, *, index=0, block=None, **unit):
@@ -20,23 +32,45 @@ def seen(surfaces, range_m, surface, noise=LOSSES, *, index=0, block=None, **uni
         np.broadcast_to(surface, np.shape(range_m)).astype(np.uint32).reshape(-1),
         np.ones(k * lasers * s, np.float32),
     )
-    return detect(firings(k, index), hits, surfaces, detector(noise, **unit), truth=False, block=block)
+    return detect(turning(k, index), hits, surfaces, detector(noise, **unit), truth=False, block=block)
 
 
 def lost(out):
     return out.distance_m[..., 0] == 0
 
 
-def test_an_even_wall_is_nearly_whole():
-    """Between equal ranges and codes 0.04 to 0.25 % are lost where it is bright, and more where it is
-    black and near."""
-    range_m = np.full((4000, LASERS, 1), 3.0)
-    bright, black = (
-        np.mean([lost(seen(table(one), range_m, 0, seed=seed)).mean() for seed in range(5)])
-        for one in (0.7, 0.02)
-    )
-    assert 0.0003 < bright < 0.0025
-    assert 0.005 < black < 0.025
+def runs(of):
+    """Lengths of the runs of True along each laser of (k, L)."""
+    edge = np.diff(np.pad(of, ((1, 1), (0, 0))).astype(int), axis=0).T
+    return np.nonzero(edge == -1)[1] - np.nonzero(edge == 1)[1]
+
+
+def test_a_calm_wall_is_whole_where_it_is_not_dark_or_near():
+    """From 1 m on and at codes of 20 and more no record is lost: none of 244 000 on six real units.
+
+    Black walls lose 0.4 to 3 % of their records, near ones 0.1 to 2 %, those at 20 m few.
+    """
+    shares = []
+    for reflectance, away_m in ((0.25, 1.1), (0.7, 3.0), (0.02, 3.0), (0.7, 0.7), (0.02, 20.0)):
+        range_m = np.full((3600, LASERS, 1), away_m)
+        shares.append(np.mean([lost(seen(table(reflectance), range_m, 0, seed=s)).mean() for s in range(8)]))
+    assert shares[:2] == [0.0, 0.0]
+    assert 0.004 < shares[2] < 0.03
+    assert 0.001 < shares[3] < 0.02
+    assert shares[4] < 0.1 * shares[2]
+
+
+def test_spots_have_a_place():
+    """A laser loses the same records of a dark wall in each revolution, in runs, with others beside them;
+    another laser others."""
+    out = lost(seen(table(0.02), np.full((3600, LASERS, 1), 3.0), 0, LOSSES | {"records_lost": 2.0}))
+    first, again = out[:1800], out[1800:]
+    assert (first & again).sum() / first.sum() > 0.6
+    assert 0.3 < (runs(out) > 1).sum() / (runs(out) == 1).sum() < 3.0
+    beside = np.stack([np.convolve(first[:, laser], np.ones(61), "same") for laser in range(LASERS)], axis=1)
+    assert (beside[first] > 1.0).mean() > 0.9
+    assert (beside > 0.0).mean() < 0.75 * (1.0 - (1.0 - first.mean()) ** 61)  # of losses strewn evenly
+    assert abs(np.corrcoef(first.T)[np.triu_indices(LASERS, 1)]).max() < 0.2
 
 
 def test_a_step_of_brightness_costs_a_record():
@@ -77,14 +111,15 @@ def test_lost_records_exceed_100_at_retroreflectors():
     ("sheet", "least", "most"), [("plants", 0.12, 0.5), ("one", 0.0, 0.004), ("ground", 0.0, 0.004)]
 )
 def test_two_surfaces_in_a_pulse_cost_it(sheet, least, most):
-    """Half of the light each, half a metre apart, lose 0.12 to 0.5 of the records by unit; a slanted
-    surface none, nor two tiles of the ground."""
+    """Half of the light each, half a metre apart, lose 0.12 to 0.5 of the records by unit, if the one before
+    is not lost; a slanted surface none, nor two tiles of the ground."""
     surfaces = table(0.5, 0.5)
     surfaces["part"] = PlantPart.LEAF if sheet == "plants" else PlantPart.NONE
     surfaces["semantic"] = Semantic.GROUND if sheet == "ground" else Semantic.OTHER
     range_m = np.broadcast_to(np.repeat([3.0, 3.5], 4), (500, LASERS, 8))
     met = np.repeat([0, int(sheet == "ground")], 4)
-    rates = [lost(seen(surfaces, range_m, met, seed=seed)).mean() for seed in range(12)]
+    outs = [lost(seen(surfaces, range_m, met, seed=seed)) for seed in range(12)]
+    rates = [out[1:][~out[:-1]].mean() for out in outs]  # after a lost one more are lost
     assert least - 0.02 <= min(rates) <= max(rates) <= most + 0.02
 
 

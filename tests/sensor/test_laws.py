@@ -32,7 +32,8 @@ def test_every_law_is_used():
     """The package names each law, or its section with all names of `LossRates`."""
     texts = [path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py")]
     used = {name for text in texts for name in re.findall(r'(?:law|span)\("([\w.]+)"\)', text)}
-    rates = {f"loss.{name}" for name in ("step", "up", "down", "dark", "any", "raise_code", "bright")}
+    names = ("step", "up", "down", "dark", "gloss", "raise_code", "bright", "again")
+    rates = {f"loss.{name}" for name in names}
     assert used | rates == set(ROWS)
 
 

@@ -25,7 +25,7 @@ from vlp16emu.returns.echoes import (
     gather,
     highest_peak,
 )
-from vlp16emu.returns.lost import lose, raised_code
+from vlp16emu.returns.lost import Sight, lose, raised_code
 from vlp16emu.returns.noise import (
     NO_RETURN_KNOTS,
     REFLECTIVITY_TAIL,
@@ -34,6 +34,8 @@ from vlp16emu.returns.noise import (
     with_heavy_tails,
 )
 from vlp16emu.returns.settings import DetectorConstants
+from vlp16emu.returns.strength import GAIN as GAIN_AT_RANGE
+from vlp16emu.returns.strength import STEP, TOP, at_range, fine_strength, with_parity
 from vlp16emu.sensor.laws import law
 from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, I8, U1, U4, Firings, Hits, PlantPart, Returns, Semantic
@@ -45,13 +47,12 @@ _PEAKS_PER_NODE = 3  # at most: one at the node, and one on each side
 _CERTAIN_SIGMAS = 6.0  # noise does not exceed this: probability 2e-9
 _DETECTION = ZERO + Purpose.DETECTION
 _RANGE_NOISE = ZERO + Purpose.RANGE_NOISE
-_CODES_PER_M = 500.0  # distance codes of a packet per metre: 2 mm
 _MOST_NO_RETURN = law("no_return.most")
 _UNSHIFTED_CODE = 40.0  # code at which reflectivity does not change the range
 _Pair = tuple[float, float]
-_Laser = tuple[float, float, float, U1]
-"""Range error of a laser in metres, its factor on the white range noise, its gain, and codes as in
-`sent_codes`."""
+_Laser = tuple[float, float, float, U1, F8, U1, float]
+"""Range error of a laser in metres, its factor on the white range noise, its gain, codes as in `sent_codes`,
+and its tables and parts as in `Strength`."""
 _LANE_BITS = 16  # lane of a random number: the laser in the lower bits, rank or column of the echo above them
 
 
@@ -94,7 +95,7 @@ def detect(
     exact_m = np.zeros(shape if truth else (0, 0, 3), np.float32)
     most_nodes = int(hits.count.max(initial=1)) + 1  # the air's own echo is one more
     peaks = np.empty((COLUMNS, _PEAKS_PER_NODE * most_nodes))
-    noise = np.zeros((5, lasers))
+    noise = np.zeros((7, lasers))
     room = np.empty((COLUMNS, most_nodes)), peaks, np.empty(3, np.int64), noise
     reflectance, sheet = _columns_of(surfaces)
     rays = SubRays(hits.count, hits.range_m, hits.surface, hits.cos_incidence, reflectance)
@@ -107,11 +108,12 @@ def detect(
         detector.codes,
         np.zeros(lasers) if detector.no_return is None else detector.no_return,
         sheet,
+        detector.near_lost,
+        *detector.strength,
     )
+    sight = Sight(firings.origin_m, firings.direction)
     block = block or max(shape[0], 1)
-    _detect(constants, first, block, errors, rays, room, distance_m, reflectivity, exact_m)
-    if detector.parity is not None:
-        _apply_parity(detector.parity, distance_m)
+    _detect(constants, first, block, errors, (rays, sight), room, distance_m, reflectivity, exact_m)
     if detector.no_return is not None:
         place = firings.azimuth_deg[:, 0] % 360.0 * (NO_RETURN_KNOTS / 360.0)
         _fill_no_returns(
@@ -151,6 +153,10 @@ class _Errors(NamedTuple):
     codes: U1
     no_return: F8
     sheet: U4
+    near_lost: F8
+    by_range: F8
+    parity: U1
+    parts: float
 
 
 @kernel
@@ -159,7 +165,7 @@ def _detect(
     first: int,
     block: int,
     errors: _Errors,
-    rays: SubRays,
+    pulses: tuple[SubRays, Sight],
     room: tuple[F8, F8, I8, F8],
     distance_m: F4,
     reflectivity: U1,
@@ -175,6 +181,7 @@ def _detect(
     exact_m : output, ranges before errors; may be empty
     """
     nodes, peaks, chosen, noise = room
+    rays, sight = pulses
     stop = ZERO
     keeps_exact = exact_m.shape[0] > 0
     lasers = rays.counts.shape[1]
@@ -192,7 +199,15 @@ def _detect(
         for j in range(lasers):
             start, stop = stop, stop + int(rays.counts[i, j])
             error_m = errors.bias_m[j] + errors.drift_m[i] + errors.beat_m[(slot + j) % 5]
-            laser_errors = error_m, errors.noise_share[j], errors.gain[j], errors.codes[j]
+            laser_errors = (
+                error_m,
+                errors.noise_share[j],
+                errors.gain[j],
+                errors.codes[j],
+                errors.by_range[j],
+                errors.parity[j],
+                errors.parts,
+            )
             lit = gather(constants, rays, start, stop, nodes)
             if constants.extinction_per_m > 0.0:
                 air_m, air = clutter_echo(constants, n, j, start, stop, rays.range_m)
@@ -210,15 +225,18 @@ def _detect(
             elif lit > 1 and light >= 0.0:  # also if the highest peak is not detected: another may be
                 _choose(constants, n, j, peaks, find_peaks(nodes, lit, constants.sigma_m, peaks), chosen)
                 _write(constants, n, j, laser_errors, peaks, chosen, distance_m[i, j], reflectivity[i, j])
+                if chosen[_STRONGEST] >= 0:
+                    at_m = peaks[RANGE, chosen[_STRONGEST]]
                 for column in range(3 if keeps_exact else 0):
                     if chosen[column] >= 0:
                         exact_m[i, j, column] = peaks[RANGE, chosen[column]]
-            if rates.any > 0.0:
+            if rates.step > 0.0:
                 pulse = (rays, errors.sheet, start, stop)
+                place = (constants.seed, sight, i, at_m, errors.near_lost[j])
                 dual = not constants.strongest_only
                 drawn = (noise[0, j], noise[1, j])
                 code = errors.no_return[j]
-                lose(rates, drawn, pulse, before, j, code, dual, distance_m[i, j], reflectivity[i, j])
+                lose(rates, drawn, pulse, place, before, j, code, dual, distance_m[i, j], reflectivity[i, j])
 
 
 @kernel
@@ -258,25 +276,11 @@ def _fill_no_returns(
                 reflectivity[i, j, :_SECOND] = np.uint8(higher if higher > 0.0 else code)
 
 
-@kernel
-def _apply_parity(parity: F8, distance_m: F4) -> None:
-    """Move distances at the edges of odd codes, so that each laser has its share of them."""
-    for i in range(distance_m.shape[0]):
-        for j in range(distance_m.shape[1]):
-            for column in range(3):
-                if distance_m[i, j, column] > 0.0:
-                    code = distance_m[i, j, column] * _CODES_PER_M
-                    below = np.floor(code)
-                    # Codes are rounded: the edge is halfway between two codes, below or above an odd one.
-                    upward = 1.0 if below % 2.0 == 0.0 else -1.0
-                    distance_m[i, j, column] = np.float32((code + upward * parity[j]) / _CODES_PER_M)
-
-
 @inline_kernel
 def _draws_noise(constants: DetectorConstants) -> bool:
     """Return True if the errors of a pulse, or its loss, need random numbers."""
     reflectivity_noise = constants.reflectivity_noise + constants.reflectivity_noise_share
-    return constants.range_noise_m + reflectivity_noise + constants.lost.any > 0.0
+    return constants.range_noise_m + reflectivity_noise + constants.lost.step > 0.0
 
 
 @inline_kernel
@@ -353,7 +357,7 @@ def _measure(
     The distance is 0 below the least range, and both are 0 beyond the greatest.
     """
     (range_noise, other_noise) = noise
-    (error_m, share, gain, codes) = laser_errors
+    (error_m, share, gain, codes, by_range, parity, parts) = laser_errors
     reflectance = amplitude * range_m * range_m
     shown = min(100.0 * reflectance, 100.0)
     measured_m = range_m + error_m + constants.range_walk_m * (shown - _UNSHIFTED_CODE)
@@ -367,7 +371,14 @@ def _measure(
         return np.float32(0.0), np.uint8(0)
     if not measured_m >= constants.min_range_m:
         measured_m = 0.0
-    return np.float32(measured_m), reflectivity_byte(100.0 * reflectance, gain, counts, codes)
+    gain *= at_range(by_range, range_m, GAIN_AT_RANGE)
+    step = at_range(by_range, range_m, STEP)
+    if parity.shape[0] > 0 and measured_m > 0.0:
+        code = min(max(100.0 * reflectance * gain + counts, 0.0), 100.0)
+        fine = fine_strength(code, step, parts)
+        measured_m = with_parity(parity, fine, measured_m, constants.max_range_m)
+    top = at_range(by_range, range_m, TOP)
+    return np.float32(measured_m), reflectivity_byte(100.0 * reflectance, gain, counts, (step, top), codes)
 
 
 @kernel

@@ -7,7 +7,7 @@ import numpy as np
 
 from vlp16emu.elementary import exp
 from vlp16emu.random import Purpose, normal, uniform
-from vlp16emu.returns.lost import loss_rates
+from vlp16emu.returns.lost import loss_rates, near_rates
 from vlp16emu.returns.noise import (
     gain,
     no_return_multiples,
@@ -17,6 +17,7 @@ from vlp16emu.returns.noise import (
     sent_codes,
 )
 from vlp16emu.returns.settings import Detector, DetectorConstants, LossRates, Noise, Weather
+from vlp16emu.returns.strength import Strength, strength_of
 from vlp16emu.sensor.laws import law, span
 from vlp16emu.types import F8, I8, U1, ReturnMode
 from vlp16emu.units import INCLUSIVE
@@ -24,8 +25,6 @@ from vlp16emu.units import INCLUSIVE
 _HALF_LIGHT_M_PER_NS = 0.299792458 / 2.0
 _FWHM_SIGMAS = 2.3548200450309493  # 2 sqrt(2 ln 2)
 _CALIBRATION_REFLECTANCE = 0.1
-_MOST_PARITY = 0.4
-_BALANCED = 0.6
 _WARM_UP_S = 900.0  # time constant (assumption)
 
 
@@ -38,7 +37,8 @@ class UnitDetector:
     range_noise_share: F8  # (L,) white range noise of each laser relative to the unit's
     gain: F8  # (L,) factor on reflectivity
     range_beat_m: F8  # (5,) error of the range by (24 sequence + laser) mod 5
-    parity: F8 | None  # (L,) share of odd distance codes minus one half; None if it is one half
+    near_lost: F8  # (L,) share of near records that each laser loses
+    strength: Strength
     codes: U1  # (L, 100 * CODE_PARTS + 1) code that is sent for each reflectivity, from `sent_codes`
     no_return: F8 | None
     """(L,) reflectivity of records without a return, truncated to integers when sent; None for 0."""
@@ -123,7 +123,16 @@ class UnitDetector:
             ),
             gain=gain(seed, noise.gain_spread, elevation_deg),
             range_beat_m=range_beat_m(seed, noise.range_beat_m, noise.range_beat_phase_deg),
-            parity=_parity(seed, lasers, noise.odd_codes_spread) if noise.odd_codes_spread else None,
+            near_lost=near_rates(seed, lasers, noise.records_lost),
+            strength=strength_of(
+                seed,
+                lasers,
+                far_step=noise.reflectivity_far_step,
+                unit_spread=noise.unit_spread,
+                gain_spread=noise.gain_by_range,
+                has_counts=noise.range_counts,
+                is_real=noise.is_real,
+            ),
             codes=sent_codes(seed, lasers, noise.reflectivity_step),
             no_return=no_return,
             multiples=multiples,
@@ -155,7 +164,16 @@ class UnitDetector:
             range_noise_share=np.ones_like(self.range_noise_share),
             gain=np.ones_like(self.gain),
             range_beat_m=np.zeros_like(self.range_beat_m),
-            parity=None,
+            near_lost=np.zeros_like(self.near_lost),
+            strength=strength_of(
+                0,
+                len(self.gain),
+                far_step=0.0,
+                unit_spread=0.0,
+                gain_spread=0.0,
+                has_counts=False,
+                is_real=False,
+            ),
             codes=sent_codes(0, len(self.gain), 0.0),
             no_return=None,
             multiples=self.multiples[:0],
@@ -170,16 +188,6 @@ class UnitDetector:
         if not self.noise.warm_up_m:
             return np.zeros(t_ns.shape)
         return np.asarray(self.noise.warm_up_m * exp(-1e-9 * (t_ns - self.power_up_ns) / _WARM_UP_S))
-
-
-def _parity(seed: int, lasers: int, spread: float) -> F8:
-    """Draw the share of odd codes of each laser minus one half, (lasers,).
-
-    Real lasers have 20 to 82 % odd codes. Over all lasers, four real units have 48.5, 50.1, 50.4 and 51.5 %:
-    closer to one half than by chance.
-    """
-    drawn = spread * normal(seed, Purpose.DISTANCE_PARITY, 0, lasers)
-    return np.clip(drawn - _BALANCED * drawn.mean(), -_MOST_PARITY, _MOST_PARITY)
 
 
 def threshold_of(detector: Detector) -> tuple[float, float]:

@@ -2,26 +2,33 @@
 
 The receiver sets the laser power from previous pulses, so a record is lost at a step of brightness. A pulse
 that hits two surfaces gives the strongest or the last return as the manual says, and rarely nothing; a dark
-record is lost occasionally. Rates and their sources are the laws `loss` and `raised` of
-`vlp16emu/sensor/laws.toml`.
+record is lost occasionally. Where a surface is dark, near, or changes its brightness, it has spots: places at
+which a laser loses its records in each revolution, in runs, with other spots beside them. On calm surfaces
+with codes of 20 and more, from 1 m on, nothing is lost. Rates and their sources are the laws `loss`, `spot`
+and `raised` of `vlp16emu/sensor/laws.toml`.
 """
+
+import math
+from typing import NamedTuple
 
 import numpy as np
 
-from vlp16emu.elementary import power
+from vlp16emu.elementary import exp, power
 from vlp16emu.kernels.compiler import inline_kernel
-from vlp16emu.random import Purpose, uniform, uniform_pair
+from vlp16emu.random import Purpose, normal, uniform, uniform_pair
 from vlp16emu.returns.echoes import SubRays
 from vlp16emu.returns.settings import LossRates
 from vlp16emu.sensor.laws import law, span
-from vlp16emu.trig import ZERO
+from vlp16emu.trig import ZERO, fold
 from vlp16emu.types import F4, F8, U1, U4
 
 _EDGE = ZERO + Purpose.NO_RETURN
+_SPOT = ZERO + Purpose.LOSS_SPOT
 # Steps of brightness, and of range.
 _UP_HALF = law("loss.up_half")
 _DOWN_HALF = law("loss.down_half")
 _FLOOR_CODE = law("loss.floor_code")
+_STEP_FROM = law("loss.step_from")
 _POWER_GAIN = law("loss.power_gain")
 _ROUGH_M = law("loss.rough_m")
 _MOST_ROUGH_M = law("loss.most_rough_m")
@@ -30,6 +37,15 @@ _BLACK_CODE = law("loss.black_code")
 _NEAR_M = law("loss.near_m")
 _ODD_ALONE = law("loss.odd_alone")
 _EITHER_ALONE = law("loss.either_alone")
+
+# Spots of surfaces.
+_BRIGHT_CODE = law("spot.bright_code")
+_CALM_FROM_M = law("spot.calm_from_m")
+_SPOT_RAD = law("spot.least_rad")
+_SPOTS_ACROSS_BITS = int(law("spot.across_bits"))
+_DENSITY = law("spot.density")
+_NEAREST_SPOT_M = 0.5  # range below which spots no longer become smaller: no unit has a return there
+_LASER_BITS = 24  # bits of a cell's number beside which the laser is written
 
 # Raised codes of records without a range.
 _REACH = int(law("raised.reach"))
@@ -48,6 +64,27 @@ _DIGITS = 1048576.0
 """Scale of a normal number; the fraction behind its first 20 binary digits is uniform, and has no visible
 effect on the value."""
 _ANEW = 64.0  # the fraction of a uniform number times this is uniform too, and as good as independent
+
+
+class Sight(NamedTuple):
+    """Origins and directions (k, L, 3) of pulses, as in `Firings`."""
+
+    origin_m: F8
+    direction: F8
+
+
+def near_rates(seed: int, lasers: int, share: float) -> F8:
+    """Draw the share of records (lasers,) that each laser of a unit loses nearer than `spot.calm_from_m`.
+
+    Parameters
+    ----------
+    share : as in `loss_rates`
+    """
+    low, high = span("spot.near")
+    of_unit = low * power(high / low, float(uniform(seed, Purpose.LOSS_SPOT, 0, 1, 1 << 16)[0]))
+    spread = law("spot.near_lasers")
+    of_laser = exp(spread * normal(seed, Purpose.LOSS_SPOT, 1, lasers, 1 << 16) - 0.5 * spread * spread)
+    return np.asarray(share * of_unit * of_laser)
 
 
 def loss_rates(seed: int, share: float, *, raised: bool) -> LossRates:
@@ -112,6 +149,7 @@ def lose(
     rates: LossRates,
     noise: tuple[float, float],
     pulse: tuple[SubRays, U4, int, int],
+    place: tuple[int, Sight, int, float, float],
     before: F8,
     laser: int,
     no_return: float,
@@ -123,9 +161,12 @@ def lose(
 
     Parameters
     ----------
-    noise : normal numbers of the pulse, whose last digits decide
+    noise : normal numbers of the pulse, whose last digits decide on losses at steps
     pulse : its sub-rays, as in `second_surface_share`
-    before : (3, L) state of each laser: mean code, -1 for none, last range, and mean change of range
+    place : seed of the unit, pulses and row of this one, its range before errors, and the share of near
+        records that its laser loses
+    before : (5, L) state of each laser: mean code, -1 for none, last range, mean change of range, mean change
+        of code over the mean code, at most 1, and 1 if its last pulse was lost
     no_return : code of a record without range
     """
     if distance_m[0] <= 0.0:
@@ -140,29 +181,21 @@ def lose(
     before[2, laser] += _POWER_GAIN * (change_m - before[2, laser])
     before[1, laser] = range_m
     before[0, laser] = code if level < 0.0 else level + _POWER_GAIN * (code - level)
-    jump = 0.0
+    change = min(abs(code - level) / max(level, _BRIGHT_CODE), 1.0) if level >= 0.0 else 0.0
+    is_uneven = before[3, laser] > _STEP_FROM
+    before[3, laser] += _POWER_GAIN * (change - before[3, laser])
     is_up = code > level
-    if level >= 0.0:
-        y = (
-            0.5 * (code + _FLOOR_CODE) / (level + _FLOOR_CODE) - 1.0
-            if is_up
-            else 0.5 * (level + _FLOOR_CODE) / (code + _FLOOR_CODE) - 1.0
-        )
-        y = max(y, 0.0) * max(y, 0.0)
-        jump = rates.up * y * y / (y * y + _UP_HALF) if is_up else rates.down * y / (y + _DOWN_HALF)
-        if is_up:
-            jump += rates.bright * (0.01 * (code - level)) * (0.01 * (code - level))
-        jump *= calm
-    black = max(0.0, 1.0 - code / _BLACK_CODE)
-    near = min(1.0, _NEAR_M / range_m)
-    sure = jump + rates.any + rates.dark * black * near * near
+    jump = calm * _loss_at_step(rates, level, code) if change > _STEP_FROM else 0.0
+    sure = jump + before[4, laser] * rates.again
+    before[4, laser] = 0.0
     lost = _fraction(noise[0] * _DIGITS)  # no further number is drawn
-    if lost >= sure:
+    if lost >= sure and not _is_in_spot(_spot_rate(rates, code, range_m, is_uneven, place[4]), place, laser):
         if lost >= sure + calm * rates.step or pulse[3] - pulse[2] < 2:
             return
         share = second_surface_share(*pulse)
         if lost >= sure + calm * rates.step * 4.0 * share * (1.0 - share):
             return
+    before[4, laser] = 1.0
     choice = _fraction(noise[1] * _DIGITS)
     if dual and choice < _EITHER_ALONE and lost >= jump:
         column = (
@@ -180,6 +213,67 @@ def lose(
         reflectivity[column] = np.uint8(shown_code if column < 2 else 0.0)
     if shown_code > 0.0 and dual and np.sqrt(_fraction(_ANEW * choice)) * _UNEQUAL_CODE < shown_code:
         reflectivity[1] = np.uint8(_multiple(_LAST_FACTOR * shown_code + no_return, no_return, _FULL))
+
+
+@inline_kernel
+def _loss_at_step(rates: LossRates, level: float, code: float) -> float:
+    """Return the share of records that a step of brightness costs, from the level of a laser to a code."""
+    if code > level:
+        y = max(0.5 * (code + _FLOOR_CODE) / (level + _FLOOR_CODE) - 1.0, 0.0)
+        y *= y
+        height = 0.01 * (code - level)
+        return rates.up * y * y / (y * y + _UP_HALF) + rates.bright * height * height
+    y = max(0.5 * (level + _FLOOR_CODE) / (code + _FLOOR_CODE) - 1.0, 0.0)
+    y *= y
+    return rates.down * y / (y + _DOWN_HALF)
+
+
+@inline_kernel
+def _spot_rate(rates: LossRates, code: float, range_m: float, is_uneven: bool, near_rate: float) -> float:
+    """Return the share of records that spots cost: dark ones, near ones, and where brightness is uneven.
+
+    It is 0 on a calm surface that is neither dark nor near.
+    """
+    black = max(0.0, 1.0 - code / _BLACK_CODE)
+    far = min(1.0, _NEAR_M / range_m)
+    rate = rates.dark * black * far * far
+    if range_m < _CALM_FROM_M:
+        rate += near_rate
+    if code >= _BRIGHT_CODE and is_uneven:
+        rate += rates.gloss
+    return rate
+
+
+@inline_kernel
+def _is_in_spot(rate: float, place: tuple[int, Sight, int, float, float], laser: int) -> bool:
+    """Return True if a laser loses its records at the place of a pulse, for a share of lost records.
+
+    Cells of the world have the size of some records at their range. A few areas, of many cells, have spots;
+    there a cell has one with the probability `spot.density`. Folds make the borders of cells irregular.
+    """
+    if rate <= 0.0:
+        return False
+    (seed, sight, row, at_m, _) = place
+    size_m = _SPOT_RAD * _NEAREST_SPOT_M
+    while size_m < _SPOT_RAD * at_m:
+        size_m *= 2.0
+    x = (sight.origin_m[row, laser, 0] + at_m * sight.direction[row, laser, 0]) / size_m
+    y = (sight.origin_m[row, laser, 1] + at_m * sight.direction[row, laser, 1]) / size_m
+    z = (sight.origin_m[row, laser, 2] + at_m * sight.direction[row, laser, 2]) / size_m
+    u = np.int64(math.floor(x + fold(0.37 * y + 0.61 * z)))
+    v = np.int64(math.floor(y + fold(0.53 * z - 0.41 * x)))
+    w = np.int64(math.floor(z + fold(0.43 * x + 0.57 * y)))
+    across = _SPOTS_ACROSS_BITS
+    drawn = _draw_cell(seed, u >> across, v >> across, (w >> across) << 1 | 1, laser)
+    return drawn * _DENSITY < rate and _draw_cell(seed, u, v, w << 1, laser) < _DENSITY
+
+
+@inline_kernel
+def _draw_cell(seed: int, u: np.int64, v: np.int64, w: np.int64, laser: int) -> float:
+    """Draw the number of a cell for a laser."""
+    of_laser = (u & ((1 << _LASER_BITS) - 1)) | (laser << _LASER_BITS)
+    drawn, _ = uniform_pair(seed, _SPOT, of_laser | (v << 32), w & 0xFFFFFFFF)
+    return drawn
 
 
 @inline_kernel

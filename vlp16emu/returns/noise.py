@@ -11,6 +11,7 @@ from vlp16emu.elementary import cos, exp, log, power
 from vlp16emu.kernels.compiler import inline_kernel
 from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.returns.settings import DetectorConstants
+from vlp16emu.returns.strength import in_steps
 from vlp16emu.sensor.laws import law, span
 from vlp16emu.types import F8, U1
 
@@ -200,7 +201,9 @@ assumption: it is logarithmic between them."""
 
 
 @inline_kernel
-def reflectivity_byte(percent: float, gain: float, noise: float, codes: U1) -> np.uint8:
+def reflectivity_byte(
+    percent: float, gain: float, noise: float, scale: tuple[float, float], codes: U1
+) -> np.uint8:
     """Return the byte of a reflectivity: 0..100 for a diffuse target, 101..255 for a retroreflector.
 
     Source: 63-9243 Rev D, section 6.1. Neither gain nor noise moves a target from one class to the other,
@@ -211,9 +214,15 @@ def reflectivity_byte(percent: float, gain: float, noise: float, codes: U1) -> n
     percent : range-corrected brightness in percent of a perpendicular white Lambertian surface
     gain : gain of the laser
     noise : noise in counts
+    scale : step of codes at the range, 0 for none, and greatest code of a matt surface
     codes : (100 * CODE_PARTS + 1,) codes that the laser sends, from `sent_codes`
     """
     if percent <= RETROREFLECTIVE:
-        return codes[np.int64(CODE_PARTS * min(max(gain * percent + noise, 0.0), 100.0))]
+        (step, top) = scale
+        code = in_steps(min(max(gain * percent + noise, 0.0), top), step)
+        sent = codes[np.int64(CODE_PARTS * min(code, 100.0))]
+        if top > 100.0 and sent == 100:  # such a laser sends no 100
+            return np.uint8(min(np.floor(max(code, 100.0)) + 1.0, top))
+        return sent
     code = 101.0 + _COUNTS_PER_E_FOLD * log(0.01 * gain * percent) + noise
     return np.uint8(min(max(np.rint(code), 101.0), 255.0))

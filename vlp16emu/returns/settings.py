@@ -32,11 +32,13 @@ _PRESETS: dict[str, dict[str, object]] = {
         "reflectivity_noise_share": 0.029,
         "reflectivity_step": 2.15,
         "unit_spread": 0.15,
-        "odd_codes_spread": 0.1,
+        "reflectivity_far_step": 2.1,
+        "range_counts": True,
         "no_return_reflectivity": True,
         "no_return_wander": 1.5,
         "records_lost": 1.0,
-        "gain_spread": 0.08,
+        "gain_spread": 0.06,
+        "gain_by_range": 0.15,
     },
 }
 
@@ -95,11 +97,18 @@ class Noise(Preset):
     code."""
     unit_spread: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Unit-to-unit spread of the white errors, one sigma of the logarithm. 0 for exactly the set values."""
-    odd_codes_spread: Annotated[float, Field(ge=0, le=0.4)] = 0.0
-    """Spread of the share of odd distance codes over the lasers, one sigma; 0.08 to 0.17 on real units."""
+    reflectivity_far_step: Annotated[float, Field(ge=0, le=8)] = 0.0
+    """Spacing of the reflectivity codes of a laser beyond 8 m, at codes up to 60: 1.5 to 4 on real units,
+    which send strengths of echoes as integers times a factor of laser and range. It is about 1 at 2 to 4 m,
+    and 3 at 0.5 m. 0 sends every code at all ranges."""
+    range_counts: bool = False
+    """True if ranges are counts of 4 mm plus a correction in steps of 2 mm by laser and strength, as on real
+    units: neighbours of equal strength then differ by a multiple of 4 mm."""
     gain_spread: Annotated[float, Field(ge=0, le=0.3)] = 0.03
     """Relative error of reflectivity per laser, one sigma, as far as neighbours in elevation differ; 0.057 to
     0.097 on real units."""
+    gain_by_range: Annotated[float, Field(ge=0, le=0.5)] = 0.0
+    """Relative error of reflectivity per laser that changes with range, one sigma; 0.15 on real units."""
     records_lost: Annotated[float, Field(ge=0, le=2)] = 0.0
     """Factor on the loss of records at steps of brightness or range, and on dark surfaces; 1 for the random
     rates of real units, 0 for none."""
@@ -168,9 +177,10 @@ class LossRates(NamedTuple):
     up: float
     down: float
     dark: float
-    any: float
+    gloss: float  # of records at places of uneven brightness
     raise_code: float  # code of a return next to which half of the no-returns are raised; 0 for none
     bright: float  # at a step up by 100 codes, for any factor
+    again: float  # of records that follow a lost one
 
 
 class DetectorConstants(NamedTuple):

@@ -34,6 +34,11 @@ _TOP = 90.0
 packets; greatest step; reflectivities at which the step is 1 and at which the key gives it."""
 _OTHER_MM = 2.6
 """White error from the detector and the 2 mm of a code, beside the setting; from our own packets."""
+_COUNTS_EVEN = 0.65  # 0.5 where each range has its own code of 2 mm, 0.77 to 0.95 on real units
+_CONSTANT_GAIN = 0.57
+_GAIN_BY_RANGE = 1.42
+"""Shares of the spread of gains over lasers, as both kinds of sectors show it: keys of our own packets over
+their statistic. One capture does not tell them apart."""
 _LEAST_SILENT = 50
 _MOST_LOST = 2.0
 _HALF_DEG_PER_US = 0.0018  # half of the turn of a rotor at 600 rpm in a microsecond
@@ -72,10 +77,12 @@ def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
         step = _EQUAL_STEPS * scatter * found["reflectivity.equal_60_99"]
         at_top = 1.0 + (step - 1.0) * (_TOP - _FROM) / (_LEVEL - _FROM)
         out["reflectivity_step"] = round(min(max(at_top, 0.0), _COARSEST), 2)
-    if "residue.odd_spread" in found:
-        out["odd_codes_spread"] = round(found["residue.odd_spread"], 3)
+    if "residue.even_at_equal_codes" in found:
+        out["range_counts"] = found["residue.even_at_equal_codes"] > _COUNTS_EVEN
     if "reflectivity.gain_spread" in found:
-        out["gain_spread"] = round(min(found["reflectivity.gain_spread"], 0.3), 3)
+        spread = found["reflectivity.gain_spread"]
+        out["gain_spread"] = round(min(_CONSTANT_GAIN * spread, 0.3), 3)
+        out["gain_by_range"] = round(min(_GAIN_BY_RANGE * spread, 0.5), 3)
     # Rates of lost records relative to the geometric mean of those of real units.
     rates = [
         found[name] / math.sqrt(REAL[name].low * REAL[name].high)

@@ -207,10 +207,12 @@ def gains(sequences: Sequences) -> Statistics:
 # least number of records at edges and of packets for a statistic
 _LEAST_EDGES = 15
 _LEAST_PACKETS = 250
+_ALIKE_LSB = 12
 _FLAT_LSB = 20
 _EQUAL_LSB = 15
 _STEPS_LSB = (150, 700)
-"""Greatest change of range beside a record, and across it, on one surface; least near and far steps."""
+"""Greatest change of range between neighbours whose parity counts, beside a record, and across it, on one
+surface; least near and far steps."""
 _CODE_STEP = 20
 _RAISED = 1.5  # code of a no-return over the commonest of its laser at which it is raised
 # codes of returns beside which raised no-returns are counted
@@ -389,13 +391,22 @@ def rotation(sequences: Sequences) -> Statistics:
 
 
 def _residues(sequences: Sequences) -> Statistics:
-    """Return the spread over lasers of the share of odd distances, and how uneven remainders of four are."""
+    """Return the spread over lasers of the share of odd distances, and how uneven remainders of four are.
+
+    Also the share of even changes between neighbours of a laser that have one code and nearly one range.
+    """
     d = sequences.distance_lsb
     odd = [(codes[codes > 0] % 2).mean() for codes in d.T if (codes > 0).sum() >= _LEAST]
     if len(odd) < 5:
         return {}
     by_four = np.bincount(d[d > 0] % 4, minlength=4) / (d > 0).sum()
-    return {"residue.odd_spread": np.std(odd), "residue.mod_4": np.abs(by_four - 0.25).max()}
+    out = {"residue.odd_spread": float(np.std(odd)), "residue.mod_4": float(np.abs(by_four - 0.25).max())}
+    step_lsb = np.abs(np.diff(d, axis=0))
+    alike = (np.minimum(d[1:], d[:-1]) > 0) & (step_lsb < _ALIKE_LSB)
+    alike &= np.diff(sequences.reflectivity, axis=0) == 0
+    if alike.sum() >= _LEAST:
+        out["residue.even_at_equal_codes"] = float((step_lsb[alike] % 2 == 0).mean())
+    return out
 
 
 def _clocks(sequences: Sequences) -> Statistics:

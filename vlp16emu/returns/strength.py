@@ -1,0 +1,156 @@
+"""Strength of an echo as an integer of the receiver: steps of reflectivity codes, and parity of ranges.
+
+A code is the strength times a factor of the laser and the range. A range is twice a count of 4 mm, plus a
+correction in steps of 2 mm from a table by laser and strength. Sources: the laws `strength` of
+`vlp16emu/sensor/laws.toml`.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vlp16emu.elementary import exp, log
+from vlp16emu.kernels.compiler import inline_kernel
+from vlp16emu.random import Purpose, normal, uniform
+from vlp16emu.sensor.laws import law, span
+from vlp16emu.types import F8, U1
+
+_BINS_PER_M = 16
+_BINS = 1024  # up to 64 m, beyond which factors no longer change
+PARITIES = 1024  # strengths with a correction of their own
+STEP = 0  # columns of `Strength.by_range`
+GAIN = 1
+TOP = 2
+_FIRST_STEP = 8.5  # number of that step at `_FINEST`, half a step after its first strength
+_FINEST = law("strength.from_code")
+_DIFFUSE = 100.0
+_FULL = 255.0
+_RANGE_LSB_PER_M = 500.0  # of a packet: 2 mm
+
+
+class Strength(NamedTuple):
+    """Properties of a unit; L lasers."""
+
+    by_range: F8
+    """(L, bins, 3) step of a code, 0 for none, gain, and greatest code of a matt surface, every 1/16 m."""
+    parity: U1  # (L, PARITIES) correction of the range by fine strength, modulo 2; empty for none
+    parts: float  # fine strengths in a step of a code
+
+
+def strength_of(
+    seed: int,
+    lasers: int,
+    *,
+    far_step: float,
+    unit_spread: float,
+    gain_spread: float,
+    has_counts: bool,
+    is_real: bool,
+) -> Strength:
+    """Draw the tables of a unit.
+
+    Parameters
+    ----------
+    far_step : median step of codes beyond 8 m; 0 for no steps
+    unit_spread : above 0, units differ in that step
+    gain_spread : spread of the logarithm of a laser's gain over ranges
+    has_counts : True if ranges are counts of 4 mm and a correction
+    is_real : True if lasers of some units do not clip at code 100
+    """
+    by_range = np.zeros((lasers, _BINS, 3))
+    by_range[..., TOP] = _tops(seed, lasers)[:, None] if is_real else _DIFFUSE
+    at = np.maximum(np.arange(_BINS), 1) / _BINS_PER_M
+    for laser in range(lasers):
+        by_range[laser, :, GAIN] = exp(_wave(seed, laser, gain_spread, at))
+        if far_step > 0.0:
+            by_range[laser, :, STEP] = _steps(seed, laser, far_step, unit_spread, at)
+    parts = law("strength.parts_least")
+    parts += (law("strength.parts_most") - parts) * float(uniform(seed, Purpose.STRENGTH, 0, 1)[0])
+    parity = _parities(seed, lasers) if has_counts else np.zeros((lasers, 0), np.uint8)
+    return Strength(by_range, parity, parts)
+
+
+def _tops(seed: int, lasers: int) -> F8:
+    """Draw the greatest code of a matt surface of each laser, (lasers,)."""
+    of_unit = uniform(seed, Purpose.STRENGTH, 2, 1)[0]
+    of_laser = uniform(seed, Purpose.STRENGTH, 3, lasers)
+    is_open = (of_unit < law("strength.open_units")) & (of_laser < law("strength.open_lasers"))
+    return np.where(is_open, _FULL, _DIFFUSE)
+
+
+def _wave(seed: int, laser: int, spread: float, at_m: F8) -> F8:
+    """Return a smooth random function of the logarithm of ranges (n,), between knots a quarter apart."""
+    knots = normal(seed, Purpose.STRENGTH, 0, 32, 1 + laser)
+    place = log(at_m * _BINS_PER_M) / law("strength.knot_e_folds")
+    knot = np.minimum(place.astype(np.int64), len(knots) - 2)
+    fraction = place - knot
+    value = (1.0 - fraction) * knots[knot] + fraction * knots[knot + 1]
+    even = (1.0 - fraction) * (1.0 - fraction) + fraction * fraction
+    return np.asarray(spread * value / np.sqrt(even))
+
+
+def _steps(seed: int, laser: int, far_step: float, unit_spread: float, at_m: F8) -> F8:
+    """Return the steps of codes of a laser at ranges (n,): one at 2 to 4 m, more beyond and below."""
+    spread_of_units = law("strength.step_of_units") if unit_spread > 0.0 else 0.0
+    far = far_step * float(exp(spread_of_units * normal(seed, Purpose.STRENGTH, 1, 1))[0])
+    own = float(exp(law("strength.step_of_lasers") * normal(seed, Purpose.STRENGTH, 2 + laser, 1))[0])
+    near_m, fine_m, coarse_m, far_m = span("strength.ranges_m")
+    near, fine = span("strength.near_steps")
+    below = np.clip(log(fine_m / at_m) / log(np.array(fine_m / near_m)), 0.0, 1.0)
+    beyond = np.clip(log(at_m / coarse_m) / log(np.array(far_m / coarse_m)), 0.0, 1.0)
+    fold = below * log(np.array(near / fine)) + beyond * log(np.array(max(far, fine) / fine))
+    return np.asarray(own * fine * exp(fold))
+
+
+def _parities(seed: int, lasers: int) -> U1:
+    """Draw whether the correction of each laser and fine strength is odd, (lasers, PARITIES).
+
+    In each block of strengths, laser by laser, what would make odd ranges of all lasers more or less than one
+    half is exchanged.
+    """
+    changes = 0.5 - 0.5 * law("strength.parity_correlation")
+    block = int(law("strength.balanced_over"))
+    out = np.zeros((lasers, PARITIES), np.uint8)
+    total = np.zeros(PARITIES // block)
+    for laser in range(lasers):
+        drawn = uniform(seed, Purpose.DISTANCE_PARITY, 0, PARITIES, laser)
+        drawn[0] = np.where(drawn[0] < 0.5, 0.0, 1.0)
+        odd = np.cumsum(drawn < changes) % 2
+        sums = 2.0 * odd.reshape(-1, block).sum(axis=1) - block
+        exchanged = total * sums > 0.0
+        total += np.where(exchanged, -sums, sums)
+        out[laser] = odd ^ np.repeat(exchanged, block)
+    return out
+
+
+@inline_kernel
+def at_range(table: F8, range_m: float, column: int) -> float:
+    """Return a column of a laser's table (bins, 3) at a range, interpolated."""
+    place = min(range_m * _BINS_PER_M, _BINS - 1.001)
+    knot = np.int64(place)
+    fraction = place - knot
+    return table[knot, column] + fraction * (table[knot + 1, column] - table[knot, column])
+
+
+@inline_kernel
+def in_steps(code: float, step: float) -> float:
+    """Return a code as a multiple of its step; the darkest and the brightest codes have no steps."""
+    if step <= 0.0 or code < _FINEST or code >= _DIFFUSE:
+        return code
+    return _FINEST + step * np.floor((code - _FINEST) / step + 0.5)
+
+
+@inline_kernel
+def fine_strength(code: float, step: float, parts: float) -> float:
+    """Return the strength of a code before rounding, of which each step has some `parts`."""
+    return parts * ((code - _FINEST) / (step if step > 0.0 else 1.0) + _FIRST_STEP)
+
+
+@inline_kernel
+def with_parity(parity: U1, fine: float, range_m: float, most_m: float) -> float:
+    """Return a range as a count of 4 mm and the correction of a fine strength; `most_m` is its limit."""
+    odd = np.float64(parity[np.int64(min(max(fine, 0.0), PARITIES - 1.0))])
+    counts = 2.0 * np.floor(0.5 * (range_m * _RANGE_LSB_PER_M - odd) + 0.5) + odd
+    if counts > most_m * _RANGE_LSB_PER_M:
+        counts -= 2.0
+    return counts / _RANGE_LSB_PER_M
