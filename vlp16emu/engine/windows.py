@@ -101,18 +101,25 @@ class Windows(Generic[S]):
     batching : sizes of blocks and segments
     moves : whether each segment needs its own window; if nothing moves, the window of segment 0 serves all
     threads : number of workers, which may be that many blocks ahead of the receiver
+    prepare_thread : called at the begin of the thread that opens windows
     """
 
     kept = 2  # windows, with a few threads
 
     def __init__(
-        self, open_segment: Callable[[Any], S], batching: Batching, *, moves: bool, threads: int
+        self,
+        open_segment: Callable[[Any], S],
+        batching: Batching,
+        *,
+        moves: bool,
+        threads: int,
+        prepare_thread: Callable[[], None] | None = None,
     ) -> None:
         self._block_ns = batching.block_ns
         self._per_segment = batching.segment if moves else None
         self._free = int((1 - _LEAD - _LAG) * batching.segment)
         self._parts = batching.parts
-        opener = ThreadPoolExecutor(1, "open", self.prepare_thread)
+        opener = ThreadPoolExecutor(1, "open", prepare_thread)
         too_far = max(0, threads + 1 - self._free)
 
         @lru_cache(self.kept + math.ceil(too_far / batching.segment))
@@ -136,9 +143,6 @@ class Windows(Generic[S]):
             with suppress(TimeoutError):
                 return future.result(_POLL_S)
         return future.result()
-
-    def prepare_thread(self) -> None:
-        """Prepare a thread that opens windows; its priority is that of the others."""
 
     def name_of(self, block: int) -> Hashable:
         """Name of the window of a block: its segment."""

@@ -308,13 +308,13 @@ def test_the_windows_of_the_first_seconds_are_opened_before_the_start(live_windo
 
 def test_opening_gets_less_of_the_processor_once_the_body_flies(live_windows, monkeypatch):
     """Threads that open windows have the priority of others before the first pulse, and a lower one after."""
-    of, _ = live_windows
+    openers = live_windows[0].openers
     lowered = []
     monkeypatch.setattr(windows, "lower_priority", lowered.append)
-    of.prepare_thread()
+    openers.prepare_thread()
     assert not lowered
-    of.begin()
+    openers.begin()
     assert lowered == [threading.get_native_id()]
-    of.prepare_thread()
-    of.begin()
+    openers.prepare_thread()
+    openers.begin()
     assert len(lowered) == 2

@@ -232,7 +232,7 @@ class Flight(PosePart):
         in_ns = _START_NS
         if self._stream.options.now:
             in_ns += (start_ns - time.time_ns() - in_ns) % S_NS
-        self._windows.begin()
+        self._windows.openers.begin()
         self._motion.begin(self._clock_ns() + in_ns)
         self._stream.pacer.begin(start_ns, -in_ns)
         self._open.enter_context(SkyAhead(self._engine, self._motion))

@@ -10,7 +10,7 @@ import math
 import os
 import sys
 import threading
-from collections.abc import Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import repeat
 from typing import TYPE_CHECKING, NamedTuple, Protocol, Self, runtime_checkable
@@ -144,9 +144,17 @@ class CubeWindows(Windows[Geometry]):
     ahead = 4  # windows of them that are opened ahead; others serve the present and the sky of a moment ago
 
     def __init__(
-        self, parts: Parts, start_ns: int, batching: Batching, threads: int, motion: Motion, *, builders: int
+        self,
+        parts: Parts,
+        start_ns: int,
+        batching: Batching,
+        threads: int,
+        motion: Motion,
+        *,
+        builders: int,
+        prepare_thread: Callable[[], None] | None = None,
     ) -> None:
-        built = caster(parts.world, ThreadPoolExecutor(builders, "build", self.prepare_thread))
+        built = caster(parts.world, ThreadPoolExecutor(builders, "build", prepare_thread))
         arm_m = max(float(norm(np.array(unit.mount.lever_arm_m))) for unit in parts.units)
 
         def open_window(name: tuple[Cube, int]) -> Geometry:
@@ -154,7 +162,7 @@ class CubeWindows(Windows[Geometry]):
             edges_ns = start_ns + batching.edges_ns(segment)
             return built.open(window_around(parts, cube.track_m(arm_m), edges_ns))
 
-        super().__init__(open_window, batching, moves=True, threads=threads)
+        super().__init__(open_window, batching, moves=True, threads=threads, prepare_thread=prepare_thread)
         self._start_ns = start_ns
         self._motion = motion
         self._segment = batching.segment if parts.wind is not None else None  # time counts if trees sway
@@ -237,31 +245,41 @@ def lower_priority(thread: int) -> None:
         os.setpriority(os.PRIO_PROCESS, thread, os.getpriority(os.PRIO_PROCESS, thread) + _NICE)
 
 
+class Openers:
+    """The threads that open windows of a live run; they do not keep the windows alive."""
+
+    def __init__(self) -> None:
+        self._threads = list[int]()  # by their numbers in the system
+        self._is_flying = False
+
+    def prepare_thread(self) -> None:
+        """Prepare a thread that opens windows; once the body flies, with a lower priority."""
+        self._threads.append(threading.get_native_id())
+        if self._is_flying:
+            lower_priority(self._threads[-1])
+
+    def begin(self) -> None:
+        """Lower the priority of the threads that open windows: the next one can wait, casting cannot."""
+        if not self._is_flying:
+            self._is_flying = True
+            for thread in self._threads:
+                lower_priority(thread)
+
+
 class LiveWindows(CubeWindows):
     """Windows of a run that is being flown."""
 
     def __init__(
         self, parts: Parts, start_ns: int, batching: Batching, threads: int, motion: "LiveMotion"
     ) -> None:
-        self._openers = list[int]()  # system's numbers of the threads that open windows
-        self._is_flying = False
+        self.openers = Openers()
         # With more builders than one, casting threads wait for the interpreter.
-        super().__init__(parts, start_ns, batching, threads, motion, builders=1)
+        prepare_thread = self.openers.prepare_thread
+        super().__init__(
+            parts, start_ns, batching, threads, motion, builders=1, prepare_thread=prepare_thread
+        )
         self._live = motion
         self.left_out = 0  # blocks that were not cast because their time was over
-
-    def prepare_thread(self) -> None:
-        """Prepare a thread that opens windows; once the body flies, with a lower priority."""
-        self._openers.append(threading.get_native_id())
-        if self._is_flying:
-            lower_priority(self._openers[-1])
-
-    def begin(self) -> None:
-        """Lower the priority of the threads that open windows: the next one can wait, casting cannot."""
-        if not self._is_flying:
-            self._is_flying = True
-            for thread in self._openers:
-                lower_priority(thread)
 
     def course(self, t_ns: int) -> Course:
         """Return the course of the body; at the start that of its last pose, as it rests before its knots."""
