@@ -95,6 +95,8 @@ def ranked_by(
         l2_regularization=1.0,
         random_state=0,
     )
+    unknown = ~np.isfinite(x[learnt]).any(axis=0)  # bins need a value; trees cannot split at a constant
+    x = np.where(unknown, 0.0, x)
     trees.fit(x[learnt], positive[learnt], weights_of(data, learnt, positive))
     return roc_auc_score(positive[ranked], trees.decision_function(x[ranked])), trees
 
