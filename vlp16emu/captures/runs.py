@@ -99,10 +99,11 @@ def run_of(held: bytes, begin: int, again: bytes, form: RecordForm, near_s: int)
 @inline_kernel
 def _u4(content: U1, at: int | np.int64, is_big_endian: bool) -> np.int64:
     """Read an unsigned integer of 4 bytes."""
-    a, b, c, d = np.int64(content[at]), np.int64(content[at + 1]), np.int64(content[at + 2]), content[at + 3]
-    if is_big_endian:
-        return (a << 24) | (b << 16) | (c << 8) | np.int64(d)
-    return (np.int64(d) << 24) | (c << 16) | (b << 8) | a
+    value = np.int64(0)
+    for i in range(4):
+        place = 3 - i if is_big_endian else i
+        value |= np.int64(content[at + i]) << (8 * place)
+    return value
 
 
 @inline_kernel
