@@ -73,7 +73,7 @@ def _stems(window: TiledWindow, tiles: Mapping[Name, FarTile], rows: Mapping[Nam
     bent_m = hypot(stems["aside_m"][:, 0], stems["aside_m"][:, 1]).max(axis=1)
     line = np.column_stack([foot_m, stems["axis"], radius_m.max(axis=1), bent_m])
     surface = stems["row"] + base[:, None]
-    sway = window.sway and _sway_of(window, window.sway, stems, surface[:, 1])
+    sway = None if window.sway is None else _sway_of(window, window.sway, stems, surface[:, 1])
     return stems_of(line, profile, surface, stems["flare_m"].copy(), sway)
 
 
