@@ -186,7 +186,6 @@ def _detect(
     keeps_exact = exact_m.shape[0] > 0
     lasers = rays.counts.shape[1]
     columns = _LAST if constants.strongest_only else _SECOND  # columns that a single echo fills
-    rates = constants.lost
     before = noise[2:]
     for i in range(rays.counts.shape[0]):
         n = first + i
@@ -230,13 +229,29 @@ def _detect(
                 for column in range(3 if keeps_exact else 0):
                     if chosen[column] >= 0:
                         exact_m[i, j, column] = peaks[RANGE, chosen[column]]
-            if rates.step > 0.0:
-                pulse = (rays, errors.sheet, start, stop)
+            if constants.lost.step > 0.0:
                 place = (constants.seed, sight, i, at_m, errors.near_lost[j])
-                dual = not constants.strongest_only
-                drawn = (noise[0, j], noise[1, j])
-                code = errors.no_return[j]
-                lose(rates, drawn, pulse, place, before, j, code, dual, distance_m[i, j], reflectivity[i, j])
+                pulse = (rays, errors.sheet, start, stop)
+                _lose(constants, errors.no_return[j], pulse, place, noise, j, distance_m, reflectivity)
+
+
+@inline_kernel
+def _lose(
+    constants: DetectorConstants,
+    no_return: float,
+    pulse: tuple[SubRays, U4, int, int],
+    place: tuple[int, Sight, int, float, float],
+    noise: F8,
+    j: int,
+    distance_m: F4,
+    reflectivity: U1,
+) -> None:
+    """Remove the returns of laser j if its pulse is lost; all other arguments as in `lose`."""
+    i = place[2]
+    drawn = (noise[0, j], noise[1, j])
+    dual = not constants.strongest_only
+    distances_m = distance_m[i, j]
+    lose(constants.lost, drawn, pulse, place, noise[2:], j, no_return, dual, distances_m, reflectivity[i, j])
 
 
 @kernel

@@ -142,7 +142,7 @@ def in_steps(code: float, step: float) -> float:
 
 @inline_kernel
 def fine_strength(code: float, step: float, parts: float) -> float:
-    """Return the strength of a code before rounding, of which each step has some `parts`."""
+    """Return the strength of a code before rounding; a step of codes has `parts` strengths."""
     return parts * ((code - _FINEST) / (step if step > 0.0 else 1.0) + _FIRST_STEP)
 
 

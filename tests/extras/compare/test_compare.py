@@ -176,8 +176,8 @@ FITTED = (
     *("no_return.above_0", "no_return.mean", "rotation.o", "rotation.r"),
     *("residue.odd", "residue.even"),
 )
-"""Beginnings of the names of statistics that follow from keys which `fit` gives. Remainders of four do not: where a
-hall has one brightness, few strengths decide on odd and even."""
+"""Beginnings of the names of statistics that follow from keys which `fit` gives. Remainders of four do not:
+where a hall has one brightness, few strengths decide on odd and even."""
 
 
 @pytest.mark.parametrize("name", ["mrpt", "nebula", "einride", "2014"])

@@ -38,7 +38,7 @@ _COUNTS_EVEN = 0.65  # 0.5 where each range has its own code of 2 mm, 0.77 to 0.
 _CONSTANT_GAIN = 0.57
 _GAIN_BY_RANGE = 1.42
 """Shares of the spread of gains over lasers, as both kinds of sectors show it: keys of our own packets over
-their statistic. One capture does not tell them apart."""
+their statistic. One capture does not separate them."""
 _LEAST_SILENT = 50
 _MOST_LOST = 2.0
 _HALF_DEG_PER_US = 0.0018  # half of the turn of a rotor at 600 rpm in a microsecond
