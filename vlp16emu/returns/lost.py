@@ -175,7 +175,7 @@ def lose(
     code = min(np.float64(reflectivity[0]), 100.0)
     level = before[0, laser]
     range_m = np.float64(distance_m[0])
-    # Where ranges jump, as in trees, steps lose fewer records.
+    # Where ranges jump, as in trees, steps and spots lose fewer records.
     calm = _ROUGH_M / (_ROUGH_M + before[2, laser])
     change_m = min(abs(range_m - before[1, laser]), _MOST_ROUGH_M)
     before[2, laser] += _POWER_GAIN * (change_m - before[2, laser])
@@ -186,10 +186,11 @@ def lose(
     before[3, laser] += _POWER_GAIN * (change - before[3, laser])
     is_up = code > level
     jump = calm * _loss_at_step(rates, level, code) if change > _STEP_FROM else 0.0
-    sure = jump + before[4, laser] * rates.again
+    sure = jump + calm * before[4, laser] * rates.again
     before[4, laser] = 0.0
     lost = _fraction(noise[0] * _DIGITS)  # no further number is drawn
-    if lost >= sure and not _is_in_spot(_spot_rate(rates, code, range_m, is_uneven, place[4]), place, laser):
+    gloss = calm * rates.gloss if is_uneven else 0.0
+    if lost >= sure and not _is_in_spot(_spot_rate(rates, code, range_m, gloss, place[4]), place, laser):
         if lost >= sure + calm * rates.step or pulse[3] - pulse[2] < 2:
             return
         share = second_surface_share(*pulse)
@@ -229,18 +230,18 @@ def _loss_at_step(rates: LossRates, level: float, code: float) -> float:
 
 
 @inline_kernel
-def _spot_rate(rates: LossRates, code: float, range_m: float, is_uneven: bool, near_rate: float) -> float:
+def _spot_rate(rates: LossRates, code: float, range_m: float, gloss: float, near_rate: float) -> float:
     """Return the share of records that spots cost: dark ones, near ones, and where brightness is uneven.
 
-    It is 0 on a calm surface that is neither dark nor near.
+    It is 0 on a calm surface that is neither dark nor near. `gloss` is the share of bright records.
     """
     black = max(0.0, 1.0 - code / _BLACK_CODE)
     far = min(1.0, _NEAR_M / range_m)
     rate = rates.dark * black * far * far
     if range_m < _CALM_FROM_M:
         rate += near_rate
-    if code >= _BRIGHT_CODE and is_uneven:
-        rate += rates.gloss
+    if code >= _BRIGHT_CODE:
+        rate += gloss
     return rate
 
 
