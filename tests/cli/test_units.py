@@ -48,11 +48,17 @@ def test_verify_reads_a_capture_of_many_units_twice(cli, rig, tmp_path, monkeypa
     frames = [record[:address] + struct.pack(">I", 0x0A000000 + i) + record[address + 4 :] for i in range(40)]
     path = tmp_path / "crowd.pcap"
     path.write_bytes(content[:24] + b"".join(frames))
-    parsed = []
-    parse = capture.Capture._datagram
-    monkeypatch.setattr(capture.Capture, "_datagram", lambda *frame: parsed.append(1) or parse(*frame))
+    seen = []
+    datagrams = capture.Capture.__iter__
+
+    def counted(self):
+        for datagram in datagrams(self):
+            seen.append(datagram)
+            yield datagram
+
+    monkeypatch.setattr(capture.Capture, "__iter__", counted)
     tree = cli("verify", path, "--json").tree
-    assert (len(tree["units"]), len(parsed)) == (40, 80)
+    assert (len(tree["units"]), len(seen)) == (40, 80)
     assert {unit["packets"] for unit in tree["units"]} == {1}
     line = cli("decode", path).err
     assert line.endswith(f"{capture._NAMED} (10.0.0.{capture._NAMED - 1}:2368), ... 40\n")

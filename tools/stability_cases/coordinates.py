@@ -32,6 +32,7 @@ schema = 1
 title = "A plot at some place"
 seed = 3
 sensor = {{ max_range_m = 20.0 }}
+noise = {noise}
 motion = {motion}
 
 [world]
@@ -81,13 +82,15 @@ def _write_plot(folder: Path, files_m: tuple[int, ...], scene_m: tuple[int, ...]
         motion = f'{{ kind = "walk", way_points_m = [{way}] }}'
     origin = ", ".join(f"{file - at}.0" for file, at in zip(files_m, scene_m, strict=True))
     scene = folder / "plot.toml"
-    # Patches of texture, and leaves beyond `near_m`, are drawn by their place in the world: a world that
-    # stands elsewhere has others. So the moved one has no texture, and is of faces as far as the
-    # sensor reaches.
+    # Patches of texture, spots that lose records, and leaves beyond `near_m`, are drawn by their place in the
+    # world: a world that stands elsewhere has others. So the moved one has no texture and no losses, and is of
+    # faces as far as the sensor reaches.
     texture = 0.1 if walk else 0.0
     near_m = 12.0 if walk else 20.0
+    noise = "{}" if walk else "{ records_lost = 0.0 }"
     place = {"x": f"{x + 4}.0", "y": f"{y - 3}.0"}
-    scene.write_text(_SCENE.format(motion=motion, origin=origin, texture=texture, near_m=near_m, **place))
+    drawn = {"texture": texture, "near_m": near_m, "noise": noise}
+    scene.write_text(_SCENE.format(motion=motion, origin=origin, **drawn, **place))
     return scene
 
 
