@@ -5,7 +5,7 @@ import struct
 import numpy as np
 import pytest
 
-from vlp16emu.captures import capture
+from vlp16emu.captures import capture, survey
 
 RIG = (
     "rig=[{mount={pitch_deg=-35.0}},"
@@ -61,7 +61,7 @@ def test_verify_reads_a_capture_of_many_units_twice(cli, rig, tmp_path, monkeypa
     assert (len(tree["units"]), len(seen)) == (40, 80)
     assert {unit["packets"] for unit in tree["units"]} == {1}
     line = cli("decode", path).err
-    assert line.endswith(f"{capture._NAMED} (10.0.0.{capture._NAMED - 1}:2368), ... 40\n")
+    assert line.endswith(f"{survey._NAMED} (10.0.0.{survey._NAMED - 1}:2368), ... 40\n")
 
 
 @pytest.mark.parametrize(

@@ -83,8 +83,8 @@ def _write_plot(folder: Path, files_m: tuple[int, ...], scene_m: tuple[int, ...]
     origin = ", ".join(f"{file - at}.0" for file, at in zip(files_m, scene_m, strict=True))
     scene = folder / "plot.toml"
     # Patches of texture, spots that lose records, and leaves beyond `near_m`, are drawn by their place in the
-    # world: a world that stands elsewhere has others. So the moved one has no texture and no losses, and is of
-    # faces as far as the sensor reaches.
+    # world: a world that stands elsewhere has others. So the moved one has no texture and no losses, and is
+    # of faces as far as the sensor reaches.
     texture = 0.1 if walk else 0.0
     near_m = 12.0 if walk else 20.0
     noise = "{}" if walk else "{ records_lost = 0.0 }"
