@@ -1,4 +1,4 @@
-"""What `tools/unmask` says of captures: who made them, and what it measures on them."""
+"""`tools/unmask`: the units that made captures, and the statistics that it measures on them."""
 
 import dataclasses
 
@@ -23,8 +23,8 @@ def captures(tmp_path_factory):
 
 
 def test_captures_of_one_unit_are_found(captures, tool_named):
-    """Codes of no-returns tell that two captures are of one unit, wherever it stood, and a third of another;
-    in a table the two are one unit."""
+    """Codes of no-returns identify two captures of one unit, wherever it stood, and set a third apart; in a
+    table the two are one unit."""
     unmask = tool_named("unmask")
     assert unmask.is_same_unit(captures["one"], captures["again"])
     assert not unmask.is_same_unit(captures["one"], captures["other"])

@@ -29,7 +29,7 @@ WITHOUT_CUBIC = np.eye(PULSES) - POWERS @ np.linalg.pinv(POWERS)
 
 
 class Capture(NamedTuple):
-    """What the rows are computed from."""
+    """Columns of a capture from which the rows are computed."""
 
     sequences: Sequences
     found: Mapping[str, float]

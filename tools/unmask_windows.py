@@ -14,7 +14,7 @@ from vlp16emu.packets.layout import AZIMUTH_CODES
 SEQUENCES = 600
 """Firing sequences of a window: 25 packets of single return."""
 MOST_WINDOWS = 14
-"""Most windows of a capture: all units count equally, and neighbouring windows tell the same."""
+"""Most windows of a capture: all units count equally, and neighbouring windows hold the same information."""
 FLAT_LSB = 20
 """Largest change of range between neighbours on one surface: 40 mm."""
 LEVELS = tuple(pairwise((0, 5, 20, 60, 101)))

@@ -13,7 +13,7 @@ from vlp16emu.units import HOUR_NS, US_NS
 
 
 def random_packets(mode):
-    """Packets with random ranges, of which a third is missing, that turn across azimuth 0 and the hour."""
+    """Packets with random ranges, a third of them missing, that turn across azimuth 0 and the hour."""
     random = np.random.default_rng(7)
     packets = np.zeros(40, DATA_PAYLOAD)
     blocks = packets["blocks"]

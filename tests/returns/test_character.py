@@ -94,8 +94,8 @@ def test_codes_have_steps_by_laser_and_range():
 
 
 def test_gains_change_with_range():
-    """By the spread that is set, smoothly: little within a tenth of the range, independently beyond a factor
-    of two."""
+    """Gains differ by the spread that is set, and smoothly: little within a tenth of the range, independently
+    beyond a factor of two."""
     noise = {"gain_by_range": 0.15}
     ln = {
         range_m: np.log([wall(noise, 1, range_m=range_m, seed=s).reflectivity[0, :, 0] for s in range(40)])

@@ -268,7 +268,7 @@ def test_streams_that_overlap_leave_the_switch_interval_as_it_was():
 
 
 def test_collections_spare_what_was_alive_until_the_last_stream_ends():
-    """What is alive when memory is settled is out of all collections, as long as any stream is active."""
+    """Objects that are alive when memory is settled are out of all collections while any stream is active."""
     first, second = prompt(), prompt()
     first.__enter__()
     second.__enter__()
