@@ -15,9 +15,10 @@ from vlp16emu.doors import Part
 from vlp16emu.elementary import exp, log
 from vlp16emu.engine import Engine
 from vlp16emu.errors import InputError, OutputError
+from vlp16emu.kernels.compiler import kernel
 from vlp16emu.output import STDOUT, spare
 from vlp16emu.packets import Link, returns_in
-from vlp16emu.random import Purpose, normal, uniform
+from vlp16emu.random import Purpose, normal, normal_pair, uniform_pair
 from vlp16emu.run.options import BagOptions, RecordOptions, TruthTo
 from vlp16emu.run.report import About, Recording, UnitSent
 from vlp16emu.scenario.model import CaptureClock
@@ -200,10 +201,17 @@ class HostClock:
         section = self._section
         number = packet.due_ns // US_NS
         lane = packet.unit * _LANES_PER_UNIT + _LANE[packet.kind]
-        delay_us = section.jitter_us * abs(
-            float(normal(self._seed, Purpose.CAPTURE_STAMP, number, 1, lane)[0])
-        )
-        is_late, how = uniform(self._seed, Purpose.CAPTURE_LATE, 2 * number, 2, lane).tolist()
-        if is_late < section.late_share:
-            delay_us += -section.late_us * log(1.0 - how)
-        return min(delay_us, _LONGEST_US)
+        law = section.jitter_us, section.late_share, section.late_us
+        return _draw_delay_us(self._seed, number, lane, *law)
+
+
+@kernel
+def _draw_delay_us(
+    seed: int, number: int, lane: int, jitter_us: float, late_share: float, late_us: float
+) -> float:
+    """Draw the time that a host takes to stamp a packet: half of a normal law, rarely an exponential one."""
+    delay_us = jitter_us * abs(normal_pair(seed, Purpose.CAPTURE_STAMP, number, lane)[0])
+    is_late = uniform_pair(seed, Purpose.CAPTURE_LATE, 2 * number, lane)[0]
+    if is_late < late_share:
+        delay_us += -late_us * log(1.0 - uniform_pair(seed, Purpose.CAPTURE_LATE, 2 * number + 1, lane)[0])
+    return min(delay_us, _LONGEST_US)

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from vlp16emu.run.record import HostClock
+from vlp16emu.elementary import log
+from vlp16emu.random import Purpose, normal, uniform
+from vlp16emu.run.record import HostClock, _draw_delay_us
 from vlp16emu.scenario.model import CaptureClock
 from vlp16emu.types import Packet, PacketKind
 
@@ -44,3 +46,16 @@ def test_a_piece_has_the_stamps_of_the_whole():
     whole, piece = stamps_ns(preset="quiet_pc"), stamps_ns(PACKETS[777:], preset="quiet_pc")
     np.testing.assert_array_equal(whole[777:], piece)
     assert stamps_ns(PACKETS[:10], preset="ideal").tolist() == [packet.due_ns for packet in PACKETS[:10]]
+
+
+def test_a_delay_is_that_of_plain_python():
+    """The kernel's delays are those of the drawn numbers, to the bit."""
+    late = 0
+    for number in range(1_700_000_000_000_000, 1_700_000_000_002_000):
+        delay_us = 0.75 * abs(float(normal(5, Purpose.CAPTURE_STAMP, number, 1, 9)[0]))
+        is_late, how = uniform(5, Purpose.CAPTURE_LATE, 2 * number, 2, 9).tolist()
+        if is_late < 0.06:
+            late += 1
+            delay_us += -900.0 * log(1.0 - how)
+        assert _draw_delay_us(5, number, 9, 0.75, 0.06, 900.0) == min(delay_us, 4_500.0)
+    assert 80 < late < 160
