@@ -17,6 +17,7 @@ from vlp16emu.types import F8, Firings, Hits, Window, World
 _log = logging.getLogger(__name__)  # at DEBUG it names each look at the sky
 _RINGS = 16
 _SECTORS = 16  # rings of equal solid angle, and rays on each: 256 rays give a share within 0.03
+_STEEP_COSINE = 0.55  # of the elevation from which a ray is cast with steep ones
 
 
 class Geometry(Protocol):
@@ -75,16 +76,23 @@ def sky_cover(geometry: Geometry, t_ns: int, position_m: F8, lowest_deg: float, 
     _log.debug("casts the sky at %d", t_ns)
     direction = _directions(sin(math.radians(lowest_deg)))
     rays = Firings.rays(t_ns, position_m, direction)
-    hits = geometry.as_far.cast(rays, np.zeros(direction.shape[1]), far_m)
+    hits = geometry.as_far.cast(rays, np.zeros(1), far_m)
     return float(np.isfinite(hits.range_m).mean())
 
 
 def _directions(lowest_sine: float) -> F8:
-    """Return unit directions (sectors, rings, 3): rays that are cast together are neighbours on a ring."""
+    """Return unit directions (rays, 1, 3).
+
+    Rays that are cast together are neighbours: the steep ones, which pass beside stems all around, apart from
+    the others, and each of both from azimuth to azimuth.
+    """
     sine = lowest_sine + (1.0 - lowest_sine) * (np.arange(_RINGS) + 0.5) / _RINGS
     # Rings are rotated by the golden ratio against each other, without gaps and rows.
     start = np.arange(_RINGS) * (math.sqrt(5.0) - 1.0) / 2.0
     azimuth = 2.0 * math.pi / _SECTORS * (np.arange(_SECTORS)[:, None] + start % 1.0)
     across = np.sqrt(1.0 - sine * sine)
     up = np.broadcast_to(sine, azimuth.shape)
-    return np.stack([across * sin(azimuth), across * cos(azimuth), up], axis=-1)
+    direction = np.stack([across * sin(azimuth), across * cos(azimuth), up], axis=-1)
+    is_steep = np.broadcast_to(across < _STEEP_COSINE, azimuth.shape)
+    order = np.lexsort([azimuth.ravel(), is_steep.ravel()])
+    return direction.reshape(-1, 1, 3)[order]
