@@ -56,7 +56,7 @@ of a core. With 3, every other step is late while a window is opened."""
 
 
 _EARLY = 1
-"""Steps before the begin of a step at which it is late in its submission: usually it is submitted three
+"""Steps before its begin by which a step must be submitted, else it is late; usually it is submitted three
 before."""
 _REST_S = 0.05
 """Longest time for which a part of a window, 5 to 90 ms of work, gives way to late steps: a machine that is
