@@ -2,6 +2,7 @@
 
 import math
 import threading
+from concurrent.futures import Future, ThreadPoolExecutor
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,7 +13,7 @@ from vlp16emu.engine import Batching
 from vlp16emu.extras.live import windows
 from vlp16emu.extras.live.flown import FLOWN_HEADER, FlownMotion, flown_rows
 from vlp16emu.extras.live.knots import STATE, STEP_NS, Knots
-from vlp16emu.extras.live.windows import Course, Cube, CubeWindows, LiveWindows
+from vlp16emu.extras.live.windows import Builders, Course, Cube, CubeWindows, LiveWindows, Openers
 from vlp16emu.foliage.polyline import distance_m
 from vlp16emu.units import S_NS
 
@@ -43,7 +44,7 @@ def windows_of(monkeypatch):
 
     def of(motion, wind=None):
         parts = SimpleNamespace(world=None, units=[unit], wind=wind)
-        return CubeWindows(parts, START_NS, PARTS, 1, motion, builders=1)
+        return CubeWindows(parts, START_NS, PARTS, 1, motion, builders=ThreadPoolExecutor(1))
 
     return of
 
@@ -278,9 +279,10 @@ def live_windows(monkeypatch):
     return LiveWindows(parts, START_NS, PARTS, 1, live), live
 
 
-def test_late_steps_are_taken_together(live_windows):
+def test_late_steps_are_taken_together(live_windows, asked):
     """Each of two threads takes half of the late steps, none across a block of 0.1 s; more are left out."""
     of, live = live_windows
+    asked.watch(of)
     steps = of.runs(range(37, 1000), 1, 2)
     taken = []
     for late in (0, 1, 2, 4, 6, 7, 0):
@@ -318,3 +320,83 @@ def test_opening_gets_less_of_the_processor_once_the_body_flies(live_windows, mo
     openers.prepare_thread()
     openers.begin()
     assert len(lowered) == 2
+
+
+@pytest.fixture
+def late(monkeypatch):
+    """Openers of a run by a clock of the test, in ns since the first pulse, which naps advance."""
+    clock = SimpleNamespace(now_ns=0, naps=0, at_nap=lambda _: None)
+    openers = Openers(lambda: clock.now_ns)
+
+    def sleep(duration_s):
+        clock.now_ns += round(duration_s * S_NS)
+        clock.naps += 1
+        clock.at_nap(openers)
+
+    by_clock = SimpleNamespace(monotonic=lambda: clock.now_ns / S_NS, sleep=sleep)
+    monkeypatch.setattr(windows, "time", by_clock)
+    return openers, clock
+
+
+def opened():
+    window = Future()
+    window.set_result(None)
+    return window
+
+
+def test_opening_gives_way_to_late_steps(late):
+    """A part of a window waits until the late step has begun, and not at all while steps are in time."""
+    openers, clock = late
+    openers.give_way()  # before the first step
+    openers.goes_on(50_000_000, opened())
+    openers.give_way()
+    assert clock.naps == 0
+    clock.now_ns = 60_000_000
+    clock.at_nap = lambda of: of.goes_on(80_000_000, opened()) if clock.naps == 3 else None
+    openers.give_way()
+    assert clock.naps == 3
+
+
+def test_opening_goes_on_if_all_steps_are_late(late):
+    """On a machine that is late on the whole, each part of a window waits for 50 ms at most."""
+    openers, clock = late
+    openers.goes_on(0, opened())
+    clock.now_ns = begun_ns = 10 * S_NS
+    openers.give_way()
+    assert 0 < clock.now_ns - begun_ns <= 52_000_000
+
+
+def test_opening_does_not_give_way_to_steps_that_wait_for_it(late):
+    """Steps whose window is not open yet are late because of it: opening goes on at once."""
+    openers, clock = late
+    openers.goes_on(0, Future())
+    clock.now_ns = 10 * S_NS
+    openers.give_way()
+    assert clock.naps == 0
+
+
+def test_each_part_of_a_window_gives_way(late, monkeypatch):
+    """Parts that are submitted or mapped give way first, each once, and have their results."""
+    openers, _ = late
+    given = []
+    monkeypatch.setattr(openers, "give_way", lambda: given.append(threading.current_thread().name))
+    with Builders(openers) as builders:
+        assert builders.submit(divmod, 7, 2).result() == (3, 1)
+        assert list(builders.map(abs, [-1, 2, -3])) == [1, 2, 3]
+    assert given == ["build_0"] * 4
+
+
+def test_steps_tell_openers_when_the_next_one_shall_begin(live_windows, asked):
+    """Opening is in the way if two steps more than usual have passed since the last step was begun."""
+    of, live = live_windows
+    asked.watch(of)
+    steps = of.runs(range(40, 1000), 1, 2)
+    live.elapsed_ns = 37 * PARTS.block_ns  # two threads work, and a third step waits
+    next(steps)
+    live.elapsed_ns = 39 * PARTS.block_ns
+    assert not of.openers.is_in_the_way
+    live.elapsed_ns += 1
+    assert of.openers.is_in_the_way
+    live.elapsed_ns = 38 * PARTS.block_ns
+    next(steps)
+    assert not of.openers.is_in_the_way

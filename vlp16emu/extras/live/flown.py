@@ -1,5 +1,6 @@
 """The table of knots of a live run, which gives the same motion bit for bit."""
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from vlp16emu.engine import Parts
@@ -56,4 +57,5 @@ class FlownMotion(Knots):
 
     def windows(self, parts: Parts, start_ns: int, batching: Batching, threads: int) -> Windows[Geometry]:
         """Return the windows of the run that was flown; parameters as in `engine.windows.windows_of`."""
-        return CubeWindows(parts, start_ns, batching, threads, self, builders=threads)
+        builders = ThreadPoolExecutor(threads, "build")
+        return CubeWindows(parts, start_ns, batching, threads, self, builders=builders)

@@ -10,10 +10,11 @@ import math
 import os
 import sys
 import threading
+import time
 from collections.abc import Callable, Hashable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from itertools import repeat
-from typing import TYPE_CHECKING, NamedTuple, Protocol, Self, runtime_checkable
+from typing import TYPE_CHECKING, NamedTuple, ParamSpec, Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -53,6 +54,17 @@ _NICE = 10
 """Niceness of threads that open windows of a live run above the casting threads, which then get nine tenths
 of a core. With 3, every other step is late while a window is opened."""
 
+
+_EARLY = 1
+"""Steps before its begin by which a step must be submitted, else it is late; usually it is submitted three
+before."""
+_REST_S = 0.05
+"""Longest time for which a part of a window, 5 to 90 ms of work, gives way to late steps: a machine that is
+late on the whole opens windows too."""
+_NAP_S = 0.002  # interval at which it looks whether they still are
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 ASIDE_M = 100.0
 """Distance around a pose in which a world must have windows: a cube and its margin, and the way that a body
@@ -137,7 +149,7 @@ class Course(NamedTuple):
 class CubeWindows(Windows[Geometry]):
     """The world in windows of cubes; parameters as in `windows_of`, and the motion of the body.
 
-    `builders` is the number of threads that build a window.
+    `builders` runs the parts of building a window.
     """
 
     kept = 6
@@ -151,10 +163,10 @@ class CubeWindows(Windows[Geometry]):
         threads: int,
         motion: Motion,
         *,
-        builders: int,
+        builders: Executor,
         prepare_thread: Callable[[], None] | None = None,
     ) -> None:
-        built = caster(parts.world, ThreadPoolExecutor(builders, "build", prepare_thread))
+        built = caster(parts.world, builders)
         arm_m = max(float(norm(np.array(unit.mount.lever_arm_m))) for unit in parts.units)
 
         def open_window(name: tuple[Cube, int]) -> Geometry:
@@ -248,9 +260,11 @@ def lower_priority(thread: int) -> None:
 class Openers:
     """The threads that open windows of a live run; they do not keep the windows alive."""
 
-    def __init__(self) -> None:
+    def __init__(self, elapsed_ns: Callable[[], int]) -> None:
+        self._elapsed_ns = elapsed_ns  # time since the first pulse
         self._threads = list[int]()  # by their numbers in the system
         self._is_flying = False
+        self._next: tuple[int, Future[Geometry]] | None = None
 
     def prepare_thread(self) -> None:
         """Prepare a thread that opens windows; once the body flies, with a lower priority."""
@@ -265,6 +279,42 @@ class Openers:
             for thread in self._threads:
                 lower_priority(thread)
 
+    def goes_on(self, by_ns: int, window: Future[Geometry]) -> None:
+        """Take the time since the first pulse by which the next step shall begin, and its window."""
+        self._next = by_ns, window
+
+    @property
+    def is_in_the_way(self) -> bool:
+        """True if steps are late, and do not wait for a window."""
+        if self._next is None:
+            return False
+        by_ns, window = self._next
+        return window.done() and self._elapsed_ns() > by_ns
+
+    def give_way(self) -> None:
+        """Wait while steps are late, for some time: the interpreter runs one thread at a time."""
+        until_s = time.monotonic() + _REST_S
+        while self.is_in_the_way and time.monotonic() < until_s:
+            time.sleep(_NAP_S)
+
+
+class Builders(ThreadPoolExecutor):
+    """A thread that builds windows of a live run, and gives way to late steps before each part of one."""
+
+    def __init__(self, openers: Openers) -> None:
+        # With more threads than one, casting threads wait for the interpreter.
+        super().__init__(1, "build", openers.prepare_thread)
+        self._openers = openers
+
+    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        """Run a part of building a window."""
+
+        def part() -> T:
+            self._openers.give_way()
+            return fn(*args, **kwargs)
+
+        return super().submit(part)
+
 
 class LiveWindows(CubeWindows):
     """Windows of a run that is being flown."""
@@ -272,11 +322,11 @@ class LiveWindows(CubeWindows):
     def __init__(
         self, parts: Parts, start_ns: int, batching: Batching, threads: int, motion: "LiveMotion"
     ) -> None:
-        self.openers = Openers()
-        # With more builders than one, casting threads wait for the interpreter.
+        self.openers = Openers(lambda: motion.elapsed_ns)
+        builders = Builders(self.openers)
         prepare_thread = self.openers.prepare_thread
         super().__init__(
-            parts, start_ns, batching, threads, motion, builders=1, prepare_thread=prepare_thread
+            parts, start_ns, batching, threads, motion, builders=builders, prepare_thread=prepare_thread
         )
         self._live = motion
         self.left_out = 0  # blocks that were not cast because their time was over
@@ -309,5 +359,6 @@ class LiveWindows(CubeWindows):
                 block += late
                 continue
             size = min(max(late // threads, 1), self._parts - block % self._parts, blocks.stop - block)
+            self.openers.goes_on((block - _EARLY) * self._block_ns, self.at_block(block))
             yield range(block, block + size)
             block += size
