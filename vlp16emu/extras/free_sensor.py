@@ -65,11 +65,13 @@ class FreeSensor(Lidar):
         """
         import numpy as np
 
-        from vlp16emu.sensor.beams import table_of, through_lens_m
+        from vlp16emu.elementary import tan
+        from vlp16emu.sensor.beams import table_of
 
         elevation_deg = self.beam_elevations_deg
         radius_m = self.lens_radius_m
         sequence_ns = round(self.azimuth_resolution_deg / (6 * self.rpm) * S_NS)
-        offset_m = through_lens_m(elevation_deg, radius_m)
+        # where lines through the lens meet the axis
+        offset_m = -radius_m * tan(np.radians(np.array(elevation_deg)))
         firing_ns = np.arange(len(elevation_deg), dtype=np.int64) * (sequence_ns // len(elevation_deg))
         return table_of(elevation_deg, offset_m, radius_m, sequence_ns, firing_ns)

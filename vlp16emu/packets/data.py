@@ -71,7 +71,8 @@ def data_payloads(returns: Returns, mode: ReturnMode, model: SensorModel) -> U1:
     blocks["azimuth_cdeg"] = codes[:, -1:]  # of blocks that hold nothing
     used["azimuth_cdeg"] = codes[:, :, None, None]
     if mode is ReturnMode.DUAL:
-        last, other = used["records"][..., 0, :], used["records"][..., 1, :]
+        last = used["records"][..., 0, :]
+        other = used["records"][..., 1, :]
         _write(last, returns.distance_m[..., _LAST], returns.reflectivity[..., _LAST], of_model.model)
         place = odd_column(returns)[..., None]
         distance_m = np.take_along_axis(returns.distance_m, place, axis=-1)

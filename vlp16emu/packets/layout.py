@@ -122,7 +122,7 @@ class Layout:
     def measured_period_ns(self, step_us: I8) -> int:
         """Return the time from packet to packet: the manual's, or of a model whose units differ the mean.
 
-        `step_us` (n,) are steps of stamps, of which those count that are regular.
+        `step_us` (n,) are steps of stamps; only regular ones count.
         """
         least_us, most_us = self.steps_us
         regular_us = step_us[(step_us >= least_us) & (step_us <= most_us)]

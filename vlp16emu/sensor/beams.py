@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.elementary import cos, tan
+from vlp16emu.elementary import cos
 from vlp16emu.random import Purpose, normal
 from vlp16emu.sensor.models import model_table
 from vlp16emu.types import F8, I8, SensorModel
@@ -69,11 +69,6 @@ def table_of(
     )
 
 
-def through_lens_m(elevation_deg: Sequence[float], lens_radius_m: float) -> F8:
-    """Return the heights (L,) at which lines through one point of a lens at height 0 meet the spin axis."""
-    return np.asarray(-lens_radius_m * tan(np.radians(np.array(elevation_deg))))
-
-
 BLOCK_RECORDS = 32  # records of a data block of all models (63-9243 Rev D, section 9.3.2, p. 56)
 
 
@@ -107,10 +102,6 @@ class Model:
         slots = np.array(firing["slots"], np.int64)
         firing_ns = np.repeat(slots * firing["slot_ns"], firing["lasers_per_slot"])
         lasers = len(firing_ns)
-        radius_m = beams["lens_radius_mm"] * 1e-3
-        offset_m = through_lens_m(beams["elevation_deg"], radius_m)
-        if "vertical_correction_mm" in beams:
-            offset_m = np.array(beams["vertical_correction_mm"], np.float64) * 1e-3
         return cls(
             name=name,
             title=table["title"],
@@ -124,8 +115,8 @@ class Model:
             rpm=tuple(table["motor"]["rpm"]),
             beams=table_of(
                 beams["elevation_deg"],
-                offset_m,
-                radius_m,
+                np.array(beams["vertical_correction_mm"], np.float64) * 1e-3,
+                beams["lens_radius_mm"] * 1e-3,
                 firing["sequence_ns"],
                 firing_ns,
                 azimuth_offset_deg=np.resize(np.array(beams["azimuth_offset_deg"], np.float64), lasers),

@@ -62,8 +62,8 @@ def age_ns(packet: Packet) -> int:
     """Return the time from the stamp of a packet to its sending: for a data packet the time to fill it."""
     if packet.kind is not PacketKind.DATA:
         return STAMP_LEAD_NS if packet.kind is PacketKind.POSITION else 0
-    mode, product, *_ = *packet.payload[_MODE_AT:], 0, 0  # a truncated packet has none
-    return layout.layout_of_bytes(mode, product).age_ns
+    factory = packet.payload[_MODE_AT:] or b"\0"  # a truncated packet has none, or no product
+    return layout.layout_of_bytes(factory[0], factory[-1]).age_ns
 
 
 def shift_packet(packet: Packet, by_s: int, now_ns: int | None = None) -> Packet:
