@@ -1,9 +1,10 @@
--- Wireshark dissector for the data and position packets of the Velodyne VLP-16, Puck LITE and Puck Hi-Res.
+-- Wireshark dissector for the data and position packets of the Velodyne VLP-16, Puck LITE, Puck Hi-Res, HDL-32E,
+-- VLP-32C and VLS-128.
 --
 --     tshark -X lua_script:velodyne.lua -r walk.pcap -Y 'velodyne.azimuth < 10' -T fields -e velodyne.distance
 --
 -- or put it into Wireshark's folder of personal Lua plug-ins. Bytes, times and angles: data_packet.toml,
--- position_packet.toml and timing.toml beside this file. Keeps to what Lua 5.2, 5.3 and 5.4 share.
+-- position_packet.toml and models/ beside this file. Keeps to what Lua 5.2, 5.3 and 5.4 share.
 
 local velodyne = Proto("velodyne", "Velodyne VLP-16")
 
@@ -13,25 +14,123 @@ velodyne.prefs.position_port = Pref.uint("Position port", 8308, "UDP port of pos
 -- ---- what the bytes mean ------------------------------------------------------------------------
 
 local DATA_BYTES, POSITION_BYTES = 1206, 512
-local BLOCKS, BLOCK_BYTES, RECORDS, RECORD_BYTES, LASERS = 12, 100, 32, 3, 16
-local FLAG = 0xEEFF
+local BLOCKS, BLOCK_BYTES, RECORDS, RECORD_BYTES = 12, 100, 32, 3
 local AZIMUTH_MAX = 35999
-local DISTANCE_MIN = 250 -- smallest code of a return
 local TIMESTAMP_MAX = 3599999999 -- us, one hour
-local LASER_NS, SEQUENCE_NS, BLOCK_NS, HOUR_NS = 2304, 55296, 110592, 3600000000000
+local HOUR_NS = 3600000000000
 
 local STRONGEST, LAST, DUAL = 0x37, 0x38, 0x39
 local MODES = { [STRONGEST] = "strongest", [LAST] = "last", [DUAL] = "dual" }
-local PRODUCTS = { [0x22] = "VLP-16", [0x24] = "Puck Hi-Res" }
 local PPS_STATES = { [0] = "absent", [1] = "synchronizing", [2] = "locked", [3] = "error" }
 local THERMAL_STATES = { [0] = "ok", [1] = "shut down" }
 local CALIBRATION_REASONS =
     { [0] = "none", [1] = "power-on", [2] = "manual", [3] = "temperature", [4] = "periodic" }
 
-local ELEVATION_DEG = {
-    [0x22] = { -15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15 },
-    [0x24] = { -10, 0.667, -8.667, 2, -7.333, 3.333, -6, 4.667, -4.667, 6, -3.333, 7.333, -2, 8.667, -0.667, 10 },
+-- The tables of models/ by product. An unknown product is read as a VLP-16.
+local MODELS = {
+    [0x22] = {
+        title = "VLP-16",
+        flags = { 0xEEFF },
+        counts_per_m = 500,
+        least = 250,
+        stamp_after_ns = 0,
+        sequence_ns = 55296,
+        slot_ns = 2304,
+        lasers_per_slot = 1,
+        slots = {
+            0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15,
+        },
+        elevation_deg = {
+            -15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15,
+        },
+    },
+    [0x24] = {
+        title = "Puck Hi-Res",
+        flags = { 0xEEFF },
+        counts_per_m = 500,
+        least = 250,
+        stamp_after_ns = 0,
+        sequence_ns = 55296,
+        slot_ns = 2304,
+        lasers_per_slot = 1,
+        slots = {
+            0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15,
+        },
+        elevation_deg = {
+            -10, 0.667, -8.667, 2, -7.333, 3.333, -6, 4.667, -4.667, 6, -3.333, 7.333,
+            -2, 8.667, -0.667, 10,
+        },
+    },
+    [0x21] = {
+        title = "HDL-32E",
+        flags = { 0xEEFF },
+        counts_per_m = 500,
+        least = 84,
+        stamp_after_ns = 0,
+        sequence_ns = 46080,
+        slot_ns = 1152,
+        lasers_per_slot = 1,
+        slots = {
+            0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20,
+            21, 22, 23, 24, 25, 26, 27, 28, 29, 30, 31,
+        },
+        elevation_deg = {
+            -30.67, -9.33, -29.33, -8, -28, -6.67, -26.67, -5.33, -25.33, -4, -24,
+            -2.67, -22.67, -1.33, -21.33, 0, -20, 1.33, -18.67, 2.67, -17.33, 4, -16,
+            5.33, -14.67, 6.67, -13.33, 8, -12, 9.33, -10.67, 10.67,
+        },
+    },
+    [0x28] = {
+        title = "VLP-32C",
+        flags = { 0xEEFF },
+        counts_per_m = 250,
+        least = 125,
+        stamp_after_ns = 0,
+        sequence_ns = 55296,
+        slot_ns = 2304,
+        lasers_per_slot = 2,
+        slots = {
+            0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15,
+        },
+        elevation_deg = {
+            -25, -1, -1.667, -15.639, -11.31, 0, -0.667, -8.843, -7.254, 0.333, -0.333,
+            -6.148, -5.333, 1.333, 0.667, -4, -4.667, 1.667, 1, -3.667, -3.333, 3.333,
+            2.333, -2.667, -3, 7, 4.667, -2.333, -2, 15, 10.333, -1.333,
+        },
+    },
+    [0xa1] = {
+        title = "VLS-128",
+        flags = { 0xEEFF, 0xDDFF, 0xCCFF, 0xBBFF },
+        counts_per_m = 250,
+        least = 125,
+        stamp_after_ns = 8700,
+        sequence_ns = 53300,
+        slot_ns = 2665,
+        lasers_per_slot = 8,
+        slots = {
+            0, 1, 2, 3, 4, 5, 6, 7, 9, 10, 11, 12, 13, 14, 15, 16,
+        },
+        elevation_deg = {
+            -11.742, -1.99, 3.4, -5.29, -0.78, 4.61, -4.08, 1.31, -6.5, -1.11, 4.28,
+            -4.41, 0.1, 6.48, -3.2, 2.19, -3.86, 1.53, -9.244, -1.77, 2.74, -5.95,
+            -0.56, 4.83, -2.98, 2.41, -6.28, -0.89, 3.62, -5.07, 0.32, 7.58, -0.34,
+            5.18, -3.64, 1.75, -25, -2.43, 2.96, -5.73, 0.54, 9.7, -2.76, 2.63, -7.65,
+            -1.55, 3.84, -4.85, 3.18, -5.51, -0.12, 5.73, -4.3, 1.09, -16.042, -2.21,
+            4.06, -4.63, 0.76, 15, -3.42, 1.97, -6.85, -1.33, -5.62, -0.23, 5.43, -3.53,
+            0.98, -19.582, -2.32, 3.07, -4.74, 0.65, 11.75, -2.65, 1.86, -7.15, -1.44,
+            3.95, -2.1, 3.29, -5.4, -0.01, 4.5, -4.19, 1.2, -13.565, -1.22, 4.17, -4.52,
+            0.87, 6.08, -3.31, 2.08, -6.65, 1.42, -10.346, -1.88, 3.51, -6.06, -0.67,
+            4.72, -3.97, 2.3, -6.39, -1, 4.39, -5.18, 0.21, 6.98, -3.09, 4.98, -3.75,
+            1.64, -8.352, -2.54, 2.85, -5.84, -0.45, 8.43, -2.87, 2.52, -6.17, -1.66,
+            3.73, -4.96, 0.43,
+        },
+    },
 }
+
+local PRODUCTS = {}
+for product, model in pairs(MODELS) do
+    PRODUCTS[product] = model.title
+end
 
 -- ---- fields -------------------------------------------------------------------------------------
 
@@ -81,7 +180,7 @@ local e = {
     flag = malformed("flag", "Block does not start with FF EE"),
     azimuth = malformed("azimuth", "Azimuth is not below 360 degrees"),
     pair = malformed("pair", "Blocks of a dual pair differ in azimuth"),
-    distance = malformed("distance", "Distance code in 1..249"),
+    distance = malformed("distance", "Distance code below the least"),
     timestamp = malformed("timestamp", "Time stamp is not below one hour"),
     mode = malformed("return_mode", "Unknown return mode"),
     factory = malformed("factory", "Unknown product"),
@@ -99,9 +198,21 @@ local function return_of(mode, block)
     return block % 2 == 0 and "last" or "strongest or second strongest"
 end
 
-local function first_ns(mode, block)
-    -- In dual return both blocks of a pair hold the same two firing sequences.
-    return BLOCK_NS * (mode == DUAL and math.floor(block / 2) or block)
+local function layout_of(mode, factory)
+    -- A reading of the azimuth has `banks` blocks with the lasers of a firing sequence, or one of two sequences of 16;
+    -- in dual return each block stands twice.
+    local model = MODELS[factory] or MODELS[0x22]
+    local banks, copies = #model.flags, mode == DUAL and 2 or 1
+    local lasers = #model.elevation_deg
+    return {
+        model = model,
+        banks = banks,
+        copies = copies,
+        lasers = lasers,
+        sequences = RECORDS * banks / lasers, -- of a reading
+        blocks = math.floor(BLOCKS / (banks * copies)) * banks * copies, -- the others hold nothing
+        elevation_deg = MODELS[factory] and model.elevation_deg or {},
+    }
 end
 
 local function add_timestamp(tvb, tree, offset)
@@ -123,8 +234,7 @@ local function records_wanted(tree)
     return false
 end
 
-local function add_record(tvb, tree, offset, code, laser, elevation_deg, time_us)
-    local distance_m = code / 500 -- dividing, not times 0.002: gives the double nearest to the decimal number
+local function add_record(tvb, tree, offset, code, distance_m, laser, elevation_deg, time_us)
     local record = tree:add(f.record, tvb(offset, RECORD_BYTES))
     record:set_text(
         code == 0 and string.format("Laser %d: no return", laser)
@@ -139,31 +249,45 @@ local function add_record(tvb, tree, offset, code, laser, elevation_deg, time_us
     record:add(f.reflectivity, tvb(offset + 2, 1))
 end
 
-local function add_records(tvb, tree, offset, timestamp_ns, elevation_deg)
-    local wanted = records_wanted(tree)
+local function add_records(tvb, tree, block, layout)
+    local wanted, model = records_wanted(tree), layout.model
+    local reading = math.floor(block / (layout.banks * layout.copies))
+    local bank = math.floor(block / layout.copies) % layout.banks
+    local first_ns = tvb(1200, 4):le_uint() * 1000 - model.stamp_after_ns
     for r = 0, RECORDS - 1 do
-        local at, laser = offset + RECORD_BYTES * r, r % LASERS
+        local at, pulse = BLOCK_BYTES * block + 4 + RECORD_BYTES * r, RECORDS * bank + r
+        local laser = pulse % layout.lasers
         local code = tvb(at, 2):le_uint()
         if wanted then
-            local time_ns = timestamp_ns + SEQUENCE_NS * math.floor(r / LASERS) + LASER_NS * laser
-            add_record(tvb, tree, at, code, laser, elevation_deg[laser + 1], time_ns % HOUR_NS / 1000)
+            local sequence = layout.sequences * reading + math.floor(pulse / layout.lasers)
+            local slot = model.slots[math.floor(laser / model.lasers_per_slot) + 1]
+            local time_ns = first_ns + model.sequence_ns * sequence + model.slot_ns * slot
+            -- Dividing, not times 0.002, gives the double nearest to the decimal number.
+            local distance_m = code / model.counts_per_m
+            add_record(tvb, tree, at, code, distance_m, laser, layout.elevation_deg[laser + 1], time_ns % HOUR_NS / 1000)
         end
-        if code > 0 and code < DISTANCE_MIN then
-            local text = string.format("Laser %d: distance code %d, the least is %d", laser, code, DISTANCE_MIN)
+        if code > 0 and code < model.least then
+            local text = string.format("Laser %d: distance code %d, the least is %d", laser, code, model.least)
             tree:add_proto_expert_info(e.distance, text)
         end
     end
 end
 
-local function add_block(tvb, tree, block, mode, factory)
+local function add_block(tvb, tree, block, mode, layout)
     local offset = BLOCK_BYTES * block
     local azimuth = tvb(offset + 2, 2):le_uint()
-    local timestamp_ns = tvb(1200, 4):le_uint() * 1000 + first_ns(mode, block)
     local subtree = tree:add(f.block, tvb(offset, BLOCK_BYTES))
+    if block >= layout.blocks then
+        subtree:set_text(string.format("Block %d: nothing", block))
+        return
+    end
     subtree:set_text(string.format("Block %d: azimuth %.2f deg, %s", block, azimuth / 100, return_of(mode, block)))
     local item = subtree:add_le(f.flag, tvb(offset, 2))
-    if tvb(offset, 2):le_uint() ~= FLAG then
-        item:add_proto_expert_info(e.flag)
+    local flag = layout.model.flags[math.floor(block / layout.copies) % layout.banks + 1]
+    if tvb(offset, 2):le_uint() ~= flag then
+        item:add_proto_expert_info(
+            e.flag, string.format("Block does not start with %02X %02X", flag % 256, math.floor(flag / 256))
+        )
     end
     item = subtree:add(f.azimuth, tvb(offset + 2, 2), azimuth / 100)
     if azimuth > AZIMUTH_MAX then
@@ -173,7 +297,7 @@ local function add_block(tvb, tree, block, mode, factory)
         item:add_proto_expert_info(e.pair)
     end
     subtree:add(f.returns, tvb(offset, BLOCK_BYTES), return_of(mode, block)):set_generated()
-    add_records(tvb, subtree, offset + 4, timestamp_ns, ELEVATION_DEG[factory] or {})
+    add_records(tvb, subtree, block, layout)
 end
 
 local function dissect_data(tvb, pinfo, tree)
@@ -186,8 +310,9 @@ local function dissect_data(tvb, pinfo, tree)
         tvb(BLOCK_BYTES * (BLOCKS - 1) + 2, 2):le_uint() / 100,
         tvb(1200, 4):le_uint()
     )
+    local layout = layout_of(mode, factory)
     for block = 0, BLOCKS - 1 do
-        add_block(tvb, tree, block, mode, factory)
+        add_block(tvb, tree, block, mode, layout)
     end
     add_timestamp(tvb, tree, 1200)
     local item = tree:add(f.mode, tvb(1204, 1))
@@ -247,7 +372,7 @@ function velodyne.dissector(tvb, pinfo, tree)
     local subtree = tree:add(velodyne, tvb())
     local length = tvb:reported_len()
     if length ~= DATA_BYTES and length ~= POSITION_BYTES then
-        pinfo.cols.info = string.format("%d bytes: no VLP-16 packet", length)
+        pinfo.cols.info = string.format("%d bytes: no Velodyne packet", length)
         subtree:add_proto_expert_info(e.length)
     elseif tvb:len() < length then
         pinfo.cols.info = string.format("%d of %d bytes captured", tvb:len(), length)

@@ -134,6 +134,7 @@ OPENS = {
     "kernels/compiler.py": "its own table, and /dev/null",
     "output.py": "all outputs",
     "sensor/laws.py": "its own table",
+    "sensor/models.py": "its own tables",
     "store.py": "the cache",
 }
 OPENERS = {"open", "read_bytes", "read_text", "memmap", "fromfile", "open_memmap", "loadtxt", "genfromtxt"}

@@ -27,7 +27,7 @@ def core(tmp_path_factory):
     shutil.copytree(
         ROOT / "vlp16emu", folder / "vlp16emu", ignore=shutil.ignore_patterns("__pycache__", *AROUND)
     )
-    for name in ("scenes", "pyproject.toml"):
+    for name in ("protocol", "scenes", "pyproject.toml"):
         (folder / name).symlink_to(ROOT / name)
     env = os.environ | {"PYTHONPATH": str(folder)}
 

@@ -67,9 +67,12 @@ DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its obje
     },
     "sensors": {
         "free": "vlp16emu.extras.free_sensor:FreeSensor",
+        "hdl-32e": "vlp16emu.sensor.settings:Sensor",
         "puck-hi-res": "vlp16emu.sensor.settings:Sensor",
         "puck-lite": "vlp16emu.sensor.settings:Sensor",
         "vlp-16": "vlp16emu.sensor.settings:Sensor",
+        "vlp-32c": "vlp16emu.sensor.settings:Sensor",
+        "vls-128": "vlp16emu.sensor.settings:Sensor",
     },
     "scenes": {},  # folders of scene files
     "clouds": {

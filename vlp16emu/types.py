@@ -35,11 +35,14 @@ class ReturnMode(StrEnum):
 
 
 class SensorModel(StrEnum):
-    """Sensor models whose packets can be made."""
+    """Sensor models whose packets are known: the tables of `protocol/models`."""
 
     VLP_16 = "vlp-16"
     PUCK_LITE = "puck-lite"
     PUCK_HI_RES = "puck-hi-res"
+    HDL_32E = "hdl-32e"
+    VLP_32C = "vlp-32c"
+    VLS_128 = "vls-128"
 
 
 class PpsState(IntEnum):

@@ -27,10 +27,10 @@ def make_returns(
     )
 
 
-def random_returns(sequences, seed):
+def random_returns(sequences, seed, lasers=16):
     """Firing sequences with one, two, three or no returns per pulse, and a rotor that turns."""
     random = np.random.default_rng(seed)
-    shape = (sequences, 16)
+    shape = (sequences, lasers)
     distance_m = random.uniform(0.0, 140.0, (*shape, 3)).astype(np.float32)
     kind = random.integers(0, 4, shape)
     # The strongest is the last in kinds 1 and 3; there is no second strongest in kind 1; kind 0 is a miss.
@@ -48,4 +48,5 @@ def random_returns(sequences, seed):
         reading_deg=(random.uniform(0, 360) + turned_deg) % 360,
         distance_m=distance_m,
         reflectivity=reflectivity,
+        lasers=lasers,
     )

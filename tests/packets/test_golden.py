@@ -11,6 +11,7 @@ import pytest
 from packets.kit import make_returns
 
 from vlp16emu.packets import data_payloads, pack_position, rmc
+from vlp16emu.sensor.beams import MODELS
 from vlp16emu.types import GnssFix, PpsState, ReturnMode, SensorModel
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -33,8 +34,9 @@ def fix_of(meaning):
 def test_pack_data(name):
     """What the sensor measured becomes exactly the golden bytes."""
     meaning = MEANINGS[name]
-    sequences = 2 * len(meaning["input"]["reading_deg"])
-    distance_m, reflectivity = np.zeros((2, sequences, 16, 3))
+    model = MODELS[SensorModel(meaning["model"])]
+    sequences = model.beams.per_reading * len(meaning["input"]["reading_deg"])
+    distance_m, reflectivity = np.zeros((2, sequences, model.lasers, 3))
     for pulse in meaning["pulse"]:
         for axis, which in enumerate(("strongest", "last", "second")):
             at = pulse["sequence"], pulse["laser"], axis
@@ -42,11 +44,12 @@ def test_pack_data(name):
     returns = make_returns(
         sequences,
         clock_ns=meaning["input"]["clock_ns"],
-        reading_deg=np.repeat(meaning["input"]["reading_deg"], 2),
+        reading_deg=np.repeat(meaning["input"]["reading_deg"], model.beams.per_reading),
         distance_m=distance_m.astype(np.float32),
         reflectivity=reflectivity.astype(np.uint8),
+        lasers=model.lasers,
     )
-    payloads = data_payloads(returns, ReturnMode(meaning["return_mode"]), SensorModel(meaning["model"]))
+    payloads = data_payloads(returns, ReturnMode(meaning["return_mode"]), model.name)
     assert payloads.tobytes().hex() == golden(name).hex()
 
 

@@ -15,11 +15,17 @@ def load(name):
     return tomllib.loads((PROTOCOL / name).read_text(encoding="utf-8"))
 
 
+MODELS = {
+    path.stem: load(path.relative_to(PROTOCOL)) for path in sorted((PROTOCOL / "models").glob("*.toml"))
+}
+
+
 class Oracle:
-    """Decodes a data payload with the standard library, from data_packet.toml and timing.toml alone."""
+    """Decodes a data payload with the standard library, from data_packet.toml and models/ alone."""
 
     def __init__(self):
         self.data, self.timing = load("data_packet.toml"), load("timing.toml")
+        self.models = MODELS
 
     def row(self, table, name):
         """One row of data_packet.toml."""
@@ -44,39 +50,50 @@ class Oracle:
         return self.row("payload", name)["values"][meaning]
 
     def records(self, payload):
-        """All 384 records as dictionaries, in the order of the payload."""
-        firing = self.timing["firing"]
+        """All records of the blocks that are used, as dictionaries, in the order of the payload."""
         mode = self.meaning("payload", "return_mode", self.field("payload", "return_mode", payload))
-        model = self.meaning("payload", "factory", self.field("payload", "factory", payload))
-        start_ns = self.field("payload", "timestamp", payload) * 1000
+        name = self.meaning("payload", "factory", self.field("payload", "factory", payload))
+        packet, firing = self.models[name]["packet"], self.models[name]["firing"]
+        lasers = len(firing["slots"]) * firing["lasers_per_slot"]
+        banks, copies = len(packet["flags"]), 2 if mode == "dual" else 1
+        per_reading = 32 * banks // lasers
+        start_ns = self.field("payload", "timestamp", payload) * 1000 - packet["stamp_after_first_ns"]
         hour_ns = self.timing["packet"]["timestamp"]["hour_us"] * 1000
         rows = []
         for b, block in enumerate(self.array("payload", "blocks")):
-            slot = b // 2 if mode == "dual" else b
+            reading, place = divmod(b, banks * copies)
+            if reading >= 12 // (banks * copies):
+                continue
             for r, record in enumerate(self.array("block", "records", block)):
-                sequence, laser = divmod(r, firing["lasers"])
+                sequence, laser = divmod(32 * (place // copies) + r, lasers)
+                slot = firing["slots"][laser // firing["lasers_per_slot"]]
                 code = self.field("record", "distance", payload, record)
-                time_ns = (
-                    start_ns
-                    + slot * firing["block_period_ns"]
-                    + sequence * firing["sequence_period_ns"]
-                    + laser * firing["laser_period_ns"]
-                )
+                sequences = reading * per_reading + sequence
+                time_ns = start_ns + sequences * firing["sequence_ns"] + slot * firing["slot_ns"]
                 rows.append(
                     {
                         "block": b,
+                        "flag": self.field("block", "flag", payload, block),
+                        "bank": place // copies,
+                        "sequence": sequences,
                         "laser": laser,
                         "return": self.data["returns"][mode][b % len(self.data["returns"][mode])],
                         "azimuth_deg": self.field("block", "azimuth", payload, block)
                         * self.row("block", "azimuth")["scale"],
                         "time_ns": time_ns % hour_ns,
-                        "distance_m": code * self.row("record", "distance")["scale"],
+                        "distance_m": code * packet["distance_mm"] / 1000,
                         "distance_code": code,
                         "reflectivity": self.field("record", "reflectivity", payload, record),
-                        "elevation_deg": self.timing["beams"][model]["elevation_deg"][laser],
+                        "elevation_deg": self.models[name]["beams"]["elevation_deg"][laser],
                     }
                 )
         return rows
+
+
+@pytest.fixture(scope="session")
+def models():
+    """The tables of models by name."""
+    return MODELS
 
 
 @pytest.fixture(scope="session")

@@ -5,6 +5,7 @@ import numpy as np
 from vlp16emu.extras.bench.imu_frame import IMU_FRAME
 from vlp16emu.packets import layout
 from vlp16emu.packets.frames import FACTORY_LINK, data_header, position_frame
+from vlp16emu.sensor.beams import MODELS
 from vlp16emu.types import PpsState, ReturnMode, SensorModel
 
 DTYPES = {
@@ -119,10 +120,17 @@ def test_position_dtype_is_the_table(position_packet):
 
 def test_codes_are_those_of_the_table(data_packet, position_packet):
     """Flag, factory bytes and states of the pulse per second have the table's values."""
-    assert row_of(data_packet["block"], "flag")["values"] == {"block": layout.BLOCK_FLAG}
+    flags = {
+        "block": 0xEEFF,
+        "lasers 32 to 63": 0xDDFF,
+        "lasers 64 to 95": 0xCCFF,
+        "lasers 96 to 127": 0xBBFF,
+    }
+    assert row_of(data_packet["block"], "flag")["values"] == flags
+    assert set(flags.values()) == layout.BLOCK_FLAGS
     modes = {mode.value: layout.RETURN_MODE_BYTE[mode] for mode in ReturnMode}
     assert row_of(data_packet["payload"], "return_mode")["values"] == modes
-    products = {model.value: layout.FACTORY_BYTE[model] for model in SensorModel}
+    products = {model.value: MODELS[model].product for model in SensorModel}
     assert row_of(data_packet["payload"], "factory")["values"] == products
     states = {state.name.lower(): state.value for state in PpsState}
     assert row_of(position_packet["payload"], "pps")["values"] == states

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from kit import real_capture
 
-from vlp16emu.packets.decode import decode_data, decode_position
+from vlp16emu.packets.decode import data_fields, decode_data, decode_position, layouts_of
 
 GOLDEN = Path(__file__).parents[2] / "protocol" / "golden"
 NAMES = sorted(path.stem for path in GOLDEN.glob("*.hex"))
@@ -23,7 +23,7 @@ def golden(name):
 
 
 @pytest.mark.parametrize("name", DATA_NAMES)
-def test_golden_data(oracle, name):
+def test_golden_data(oracle, models, name):
     """Read by the tables alone, a golden data packet holds what its meaning says, and no other return."""
     payload, meaning = golden(name)
     assert oracle.field("payload", "return_mode", payload) == oracle.code(
@@ -31,20 +31,24 @@ def test_golden_data(oracle, name):
     )
     assert oracle.field("payload", "factory", payload) == oracle.code("factory", meaning["model"])
     assert oracle.field("payload", "timestamp", payload) == meaning["wire"]["timestamp_us"]
+    packet = models[meaning["model"]]["packet"]
+    banks = len(packet["flags"])
     records = oracle.records(payload)
     twins = 2 if meaning["return_mode"] == "dual" else 1
-    stated_deg = np.repeat(meaning["wire"]["azimuth_deg"], twins)
+    stated_deg = np.repeat(meaning["wire"]["azimuth_deg"], twins * banks)
     np.testing.assert_allclose([record["azimuth_deg"] for record in records[::32]], stated_deg, atol=1e-9)
+    assert all(record["flag"] == packet["flags"][record["bank"]] for record in records)
     found = {
-        (twins * (pulse["sequence"] // 2) + twin, pulse["sequence"] % 2, pulse["laser"]): wire
+        (pulse["sequence"], pulse["laser"], twin): wire
         for pulse in meaning["pulse"]
         for twin, wire in enumerate(pulse["wire"])
     }
-    for i, record in enumerate(records):
-        key = record["block"], i % 32 // 16, record["laser"]
-        distance_m, reflectivity = found.get(key, (0.0, 0))
+    for record in records:
+        key = record["sequence"], record["laser"], record["block"] % twins
+        distance_m, reflectivity = found.pop(key, (0.0, 0))
         assert record["distance_m"] == pytest.approx(distance_m, abs=1e-9), key
         assert record["reflectivity"] == reflectivity, key
+    assert not found
 
 
 @pytest.mark.parametrize("name", POSITION_NAMES)
@@ -65,12 +69,8 @@ def test_golden_position(position_packet, name):
 
 
 def in_order_of_pulses(records):
-    """Put the records of a dual pair side by side, as `decode_data` gives them."""
-    dual = records[32]["time_ns"] == records[0]["time_ns"]
-    if not dual:
-        return records
-    pairs = [records[first : first + 64] for first in range(0, 384, 64)]
-    return [record for pair in pairs for twins in zip(pair[:32], pair[32:], strict=True) for record in twins]
+    """Put records in the order of `decode_data`: by pulse, and in a pair the last return first."""
+    return sorted(records, key=lambda record: (record["sequence"], record["laser"], record["block"]))
 
 
 def assert_same(oracle, payloads):
@@ -80,10 +80,14 @@ def assert_same(oracle, payloads):
         np.testing.assert_array_equal(getattr(points, column), [record[name] for record in records])
     np.testing.assert_allclose(points.distance_m, [record["distance_m"] for record in records], rtol=1e-6)
     np.testing.assert_array_equal(points.is_last, [record["return"] == "last" for record in records])
-    twins = 2 if records[0]["time_ns"] == records[1]["time_ns"] else 1
-    firsts = np.flatnonzero(points.laser == 0).reshape(-1, 2, twins)[:, 0]  # of a block's first sequence
-    stated_deg = [[records[i]["azimuth_deg"] for i in pulse] for pulse in firsts]
-    np.testing.assert_allclose(points.azimuth_deg[firsts], stated_deg, atol=1e-9)
+    beams = layouts_of(data_fields(np.array([list(payloads[0])], np.uint8)))[0].model.beams
+    firsts = [
+        place
+        for place, record in enumerate(records)
+        if record["laser"] == 0 and record["sequence"] % beams.per_reading == 0
+    ]
+    stated_deg = np.array([records[place]["azimuth_deg"] for place in firsts]) + beams.azimuth_offset_deg[0]
+    np.testing.assert_allclose(points.azimuth_deg[firsts], stated_deg % 360.0, atol=1e-9)
     elevation_rad = np.radians([record["elevation_deg"] for record in records])
     hit = points.distance_m > 0
     across_m = np.hypot(points.xyz_m[:, 0], points.xyz_m[:, 1])[hit]

@@ -1,18 +1,10 @@
-"""Firing times and beams of timing.toml against packets/ and sensor/, and against themselves."""
+"""Firing times of timing.toml against packets/ and sensor/, and against themselves."""
 
-import math
-
-import numpy as np
 import pytest
 
 from vlp16emu.packets import layout
 from vlp16emu.sensor import beams as sensor
-from vlp16emu.types import ReturnMode, SensorModel
-
-
-def beams(timing, model):
-    table = timing["beams"][model.value]
-    return timing["beams"][table["same_as"]] if "same_as" in table else table
+from vlp16emu.types import ReturnMode
 
 
 def test_periods_are_made_of_each_other(timing):
@@ -39,25 +31,3 @@ def test_periods_of_packets_and_sensor(timing):
         packet = timing["packet"]["dual" if mode is ReturnMode.DUAL else "single"]
         assert layout.SEQUENCES_PER_PACKET[mode] == packet["sequences"]
         assert packet["blocks"] == layout.BLOCKS_PER_PACKET
-
-
-def test_beam_table(timing):
-    """The sensor's beams are those of the manual, in wire order."""
-    for model in SensorModel:
-        stated, made = beams(timing, model), sensor.BEAM_TABLES[model]
-        assert made.elevation_deg.tolist() == stated["elevation_deg"], model
-        stated_m = np.array(stated["vertical_correction_mm"]) / 1e3
-        assert made.vertical_offset_m == pytest.approx(stated_m, rel=1e-12), model
-
-
-@pytest.mark.parametrize(
-    ("model", "tolerance_mm"), [(SensorModel.VLP_16, 0.06), (SensorModel.PUCK_HI_RES, 0.5)]
-)
-def test_all_beams_pass_the_lens(timing, model, tolerance_mm):
-    """The stated lens radius explains every vertical correction of the VLP-16 to the last digit of the
-    table."""
-    radius_mm = timing["beams"]["lens"]["radius_mm"]
-    assert radius_mm == pytest.approx(sensor.LENS_RADIUS_M * 1e3)
-    table = beams(timing, model)
-    for elevation, correction in zip(table["elevation_deg"], table["vertical_correction_mm"], strict=True):
-        assert correction == pytest.approx(-radius_mm * math.tan(math.radians(elevation)), abs=tolerance_mm)

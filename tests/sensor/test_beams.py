@@ -55,7 +55,8 @@ def test_a_free_sensor_fires_evenly_once_per_step(beams, resolution_deg, rpm):
     """A sequence lasts as long as the rotor takes for the step, and its lasers share that time evenly."""
     table = free(beams=beams, azimuth_resolution_deg=resolution_deg, rpm=rpm)
     assert table.sequence_ns == pytest.approx(resolution_deg / (rpm * 6) * 1e9, abs=0.5)
-    assert 0 <= table.sequence_ns - beams * table.laser_ns < beams
+    assert (np.diff(table.firing_ns) == table.sequence_ns // beams).all()
+    assert 0 <= table.sequence_ns - beams * (table.sequence_ns // beams) < beams
 
 
 def test_free_beams_pass_through_the_lens():

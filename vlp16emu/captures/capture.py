@@ -30,6 +30,7 @@ from vlp16emu.inputs import open_input
 from vlp16emu.packets.layout import (
     BLOCK,
     BLOCK_FLAG,
+    BLOCK_FLAGS,
     BLOCKS_PER_PACKET,
     DATA_BYTES,
     DATA_PAYLOAD,
@@ -51,6 +52,7 @@ _UDP_START = struct.Struct(">3H")
 _UNFRAGMENTED = b"\x40\0", b"\0\0"
 _TUNNELS = (4789).to_bytes(2), (6081).to_bytes(2)  # UDP ports of VXLAN and Geneve (RFC 7348, RFC 8926)
 _FLAG = BLOCK_FLAG.to_bytes(2, "little")
+_FLAGS = {flag.to_bytes(2, "little") for flag in (0, *BLOCK_FLAGS)}  # 0 of blocks that hold nothing
 _BAG_FILES = (".db3", ".mcap")  # of a folder of ROS 2, in order of their numbers
 _OTHERS = 32  # frames from one that is not plain on that are read one by one
 _MOST_HEADERS = 1024  # whose senders are remembered
@@ -303,7 +305,7 @@ def _is_data(payload: bytes) -> bool:
     """Return whether a payload has the flags of all blocks, and ends as a data packet does."""
     size = BLOCK.itemsize
     flags = {payload[at : at + 2] for at in range(0, BLOCKS_PER_PACKET * size, size)}
-    return flags == {_FLAG} and payload[-2] in RETURN_MODE_BYTE.values()
+    return payload.startswith(_FLAG) and flags <= _FLAGS and payload[-2] in RETURN_MODE_BYTE.values()
 
 
 def _parts(datagram: Datagram) -> Iterable[Datagram]:

@@ -12,7 +12,7 @@ from vlp16emu.packets.decode import decode_position
 from vlp16emu.packets.layout import DATA_BYTES, POSITION_BYTES
 from vlp16emu.packets.nmea import rmc_time
 from vlp16emu.packets.table import Clock, PacketClock
-from vlp16emu.types import PpsState
+from vlp16emu.types import PpsState, SensorModel
 from vlp16emu.units import S_NS
 
 _CLOSE_NS = S_NS  # without position packets, a clock this close to the host's is taken as UTC
@@ -37,6 +37,7 @@ def unit_clocks(
     where: str = "clock",
     stop: Event | None = None,
     survey: Survey | None = None,
+    model: SensorModel | None = None,
 ) -> list[UnitClock]:
     """Choose the clock of each unit of a capture.
 
@@ -48,6 +49,7 @@ def unit_clocks(
         everything else of a recording, fitted to the sensor's; the sensor's if the host's stamps do not go on
     where : name of the option in error lines
     survey : survey of the capture; made here if it is needed and None
+    model : sensor model of prototype units, whose product byte names another sensor
 
     Raises CaptureError if the file is not a capture; InputError if there is no such clock, or no valid
     sentence for "gps"; CancelledError once `stop` is set.
@@ -60,24 +62,28 @@ def unit_clocks(
             seen[unit].take(datagram)
         if all(of.is_known(wants_sentence=name == Clock.GPS) for of in seen):
             break
-    chosen = [of.clock(path, name, where) for of in seen]
+    chosen = [of.clock(path, name, where, model) for of in seen]
     wanted = [each.clock.clock is Clock.HOST and name != Clock.HOST for each in chosen]
     if not any(wanted):
         return chosen
     survey = survey or Survey(path, stop)
     return [
-        _fitted(path, each, survey.arrivals(unit), name, where) if is_wanted else each
+        _fitted(path, each, survey.arrivals(unit), name, where, model) if is_wanted else each
         for each, unit, is_wanted in zip(chosen, units, wanted, strict=True)
     ]
 
 
-def _fitted(path: Path, chosen: UnitClock, arrivals: Arrivals, name: str | None, where: str) -> UnitClock:
+def _fitted(
+    path: Path, chosen: UnitClock, arrivals: Arrivals, name: str | None, where: str, model: SensorModel | None
+) -> UnitClock:
     """Return the host's clock fitted to the sensor's, or the sensor's if that cannot be."""
-    fit = arrivals.fit()
+    fit = arrivals.fit(model)
     if fit is not None:
         first = fit.parts[0]
         begin_ns = chosen.first_ns + first.host_ns - chosen.arrived_ns
-        return UnitClock(PacketClock(Clock.FITTED, fit=fit), begin_ns, chosen.arrived_ns, chosen.sensor_ns)
+        return UnitClock(
+            PacketClock(Clock.FITTED, fit=fit, model=model), begin_ns, chosen.arrived_ns, chosen.sensor_ns
+        )
     stamps = arrivals.stamps()
     if name == Clock.FITTED and stamps.steps:
         raise InputError(where, f"found fitted, but in {path} {stamps.fault}", "sensor")
@@ -92,6 +98,7 @@ def packet_clock(
     where: str = "clock",
     stop: Event | None = None,
     survey: Survey | None = None,
+    model: SensorModel | None = None,
 ) -> PacketClock:
     """Return the clock for the packets of one unit, as `unit_clocks`.
 
@@ -101,8 +108,9 @@ def packet_clock(
     if path.is_fifo() and name in (None, *Clock):
         if name in (Clock.GPS, Clock.FITTED):
             raise InputError(where, f"found {name} for the pipe {path}", "sensor or host, or a file")
-        return PacketClock(Clock(name or Clock.SENSOR))
-    return unit_clocks(path, [unit], name, where=where, stop=stop, survey=survey)[0].clock
+        return PacketClock(Clock(name or Clock.SENSOR), model=model)
+    clocks = unit_clocks(path, [unit], name, where=where, stop=stop, survey=survey, model=model)
+    return clocks[0].clock
 
 
 class _Seen:
@@ -136,20 +144,20 @@ class _Seen:
             self.behind_ns is not None if wants_sentence else self.pps is not None or self.count > _LOOKED_AT
         )
 
-    def clock(self, path: Path, name: str | None, where: str) -> UnitClock:
+    def clock(self, path: Path, name: str | None, where: str, model: SensorModel | None) -> UnitClock:
         """Return the clock of this name, or the one that follows UTC; errors as in `unit_clocks`."""
         behind_ns = self.behind_ns if name == Clock.GPS else 0
         if behind_ns is None:
             raise InputError(where, f"no valid sentence of a GPS receiver in {path}", "sensor or host")
         if self.data is None:
-            return UnitClock(PacketClock(_before_fit(name or Clock.SENSOR), behind_ns), 0)
-        first = table_of([self.data], PacketClock(Clock.HOST, behind_ns))[0]
+            return UnitClock(PacketClock(_before_fit(name or Clock.SENSOR), behind_ns, model=model), 0)
+        first = table_of([self.data], PacketClock(Clock.HOST, behind_ns, model=model))[0]
         follows_utc = self.pps is PpsState.LOCKED
         if self.pps is None:
             follows_utc = abs(first["utc_ns"] - first["sensor_ns"]) <= _CLOSE_NS
         clock = _before_fit(name) if name else Clock.SENSOR if follows_utc else Clock.HOST
         first_ns = first["utc_ns"] if clock is Clock.HOST else first["sensor_ns"]
-        found = PacketClock(clock, behind_ns)
+        found = PacketClock(clock, behind_ns, model=model)
         return UnitClock(found, int(first_ns), self.data.stamp_ns, int(first["sensor_ns"]))
 
 

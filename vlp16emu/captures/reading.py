@@ -17,18 +17,21 @@ from vlp16emu.packets.decode import (
     PointFrame,
     Points,
     PositionFields,
+    block_since_ns,
     decode_position,
     faults_in,
+    layouts_of,
     points_in,
+    readings_in,
     repeats_in,
     scan_starts,
 )
 from vlp16emu.packets.table import Clock, PacketClock, PacketTable, utc_ns_of
+from vlp16emu.sensor.beams import BLOCK_RECORDS
 from vlp16emu.types import I8, U1, U2, ReturnMode, SensorModel
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
 _CHUNK = 2_000  # packets read at once: 0.8 million records, some 50 MB of points
-_BLOCK_RECORDS = 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +100,9 @@ class CaptureReader:
         self._unit = unit
         self._capture = Capture(path, stop=stop, is_quiet=is_quiet, progress=progress)
         self._codes = np.zeros(2**16, np.int64)
+        self._records = 0
         self._azimuth_cdeg = list[U2]()
+        self._block_ns = list[I8]()
         self._packet_ns = list[I8]()
         self._modes = list[U1]()
         self._factory: int | None = None
@@ -156,27 +161,24 @@ class CaptureReader:
         host_step_ns = np.diff(host_ns)
         is_jump = (step_ns < 0) | (np.abs(host_step_ns) < np.abs(step_ns))  # the host's clock may be set too
         is_jump &= np.abs(step_ns - host_step_ns) > JUMP_NS
-        block_ns = np.arange(layout.BLOCKS_PER_PACKET) * layout.BLOCK_PERIOD_NS
-        starts = scan_starts(azimuth_cdeg.ravel() / 100, (packet_ns[:, None] + block_ns).ravel())
-        whole = np.diff(starts)[1:] * _BLOCK_RECORDS
+        block_ns = packet_ns[:, None] + np.concatenate(self._block_ns)
+        starts = scan_starts(azimuth_cdeg.ravel() / 100, block_ns.ravel())
+        whole = np.diff(starts)[1:] * (self._records / azimuth_cdeg.size)
         names = {code: mode for mode, code in layout.RETURN_MODE_BYTE.items()}
         points = int(self._codes[1:].sum())
         no_returns = int(self._codes[0])
         start = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=self.first_stamp_ns // US_NS)
         gps = self._gps
         return Summary(
-            model=next(
-                (model for model in SensorModel if layout.FACTORY_BYTE[model] == self._factory),
-                self._model or SensorModel.VLP_16,
-            ),
+            model=self._single.model.name,
             return_mode=", ".join(names[code] for code in dict.fromkeys(modes.tolist())),
-            rpm=round(_rpm(azimuth_cdeg, modes), 2),
+            rpm=round(self._rpm(azimuth_cdeg, modes, step_ns // US_NS), 2),
             packets=len(azimuth_cdeg),
             position_packets=self._positions,
             other_datagrams=self._others,
             points=points,
             no_returns=no_returns,
-            repeated_records=len(azimuth_cdeg) * layout.RECORDS_PER_PACKET - points - no_returns,
+            repeated_records=self._records - points - no_returns,
             scans=len(starts),
             records_per_scan=int(np.median(whole)) if len(whole) else None,
             range_m=self._ranges_m() if points else None,
@@ -219,9 +221,14 @@ class CaptureReader:
         """Note what the summary needs."""
         if not self._azimuth_cdeg:
             self._hour_ns = int(table["sensor_ns"][0]) // HOUR_NS * HOUR_NS
+            self._single, self._dual = layouts_of(table, self._model)
         self._packet_ns.append(np.stack([table["sensor_ns"], table["arrival_ns"]]))
         distance_lsb = table["blocks"]["records"]["distance_lsb"]
-        self._codes += np.bincount(distance_lsb[~repeats_in(table)], minlength=2**16)
+        is_used = readings_in(table, self._model) >= 0
+        is_own = ~repeats_in(table) & is_used[..., None]
+        self._codes += np.bincount(distance_lsb[is_own], minlength=2**16)
+        self._records += int(is_used.sum()) * BLOCK_RECORDS
+        self._block_ns.append(block_since_ns(table, self._model))
         self._azimuth_cdeg.append(table["blocks"]["azimuth_cdeg"].copy())
         self._modes.append(table["return_mode"].copy())
         self._factory = int(table["factory"][0])
@@ -243,24 +250,27 @@ class CaptureReader:
         below = np.cumsum(self._codes[1:])
         codes = np.searchsorted(below, (1, -(-below[-1] // 2), below[-1])).tolist()
         return {
-            name: round((n + 1) * layout.DISTANCE_LSB_M, 3)
+            name: round((n + 1) * self._single.model.distance_lsb_m, 3)
             for name, n in zip(("min", "median", "max"), codes, strict=True)
         }
 
+    def _rpm(self, azimuth_cdeg: U2, modes: U1, step_us: I8) -> float:
+        """Return the mean rotor speed over packets.
 
-def _rpm(azimuth_cdeg: U2, modes: U1) -> float:
-    """Return the mean rotor speed over packets.
-
-    It follows from the azimuths (n, 12) of their blocks and the return modes (n,).
-    """
-    turned_cdeg = turning_ns = 0
-    for mode in np.unique(modes):
-        # In dual return, blocks 0 and 1 share their azimuth.
-        stride = 1 + (mode == layout.RETURN_MODE_BYTE[ReturnMode.DUAL])
-        own_cdeg: I8 = azimuth_cdeg[modes == mode, ::stride].astype(np.int64)
-        step_cdeg: I8 = np.diff(own_cdeg) % layout.AZIMUTH_CODES
-        # A step far wider than its neighbours is the edge of the field of view.
-        even = step_cdeg <= 2 * np.median(step_cdeg, axis=1, keepdims=True)
-        turned_cdeg += int(step_cdeg[even].sum())
-        turning_ns += int(even.sum()) * layout.BLOCK_PERIOD_NS
-    return turned_cdeg / layout.AZIMUTH_CODES / max(turning_ns / S_NS, 1e-9) * 60
+        It follows from the azimuths (n, 12) of their blocks and the return modes (n,), and where units of a
+        model differ from the steps (n - 1,) of their stamps.
+        """
+        turned_cdeg = turning_ns = 0
+        for mode in np.unique(modes):
+            is_dual = mode == layout.RETURN_MODE_BYTE[ReturnMode.DUAL]
+            of_mode = self._dual if is_dual else self._single
+            own_cdeg: I8 = of_mode.by_reading(azimuth_cdeg[modes == mode])[:, :, 0, 0].astype(np.int64)
+            if of_mode.readings == 1:
+                own_cdeg = own_cdeg.T
+            step_cdeg: I8 = np.diff(own_cdeg) % layout.AZIMUTH_CODES
+            # A step far wider than its neighbours is the edge of the field of view.
+            even = step_cdeg <= 2 * np.median(step_cdeg, axis=1, keepdims=True)
+            turned_cdeg += int(step_cdeg[even].sum())
+            period_ns = of_mode.measured_period_ns(step_us[modes[1:] == mode])
+            turning_ns += int(even.sum()) * period_ns // of_mode.readings
+        return turned_cdeg / layout.AZIMUTH_CODES / max(turning_ns / S_NS, 1e-9) * 60

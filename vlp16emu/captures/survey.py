@@ -11,9 +11,9 @@ import numpy as np
 from vlp16emu.captures.capture import Capture, CapturedUnit, Datagram, searched
 from vlp16emu.errors import InputError
 from vlp16emu.packets.arrival import ArrivalFit, HostStamps, fit_arrivals
-from vlp16emu.packets.layout import BLOCK_FLAG, DATA_BYTES, DATA_PAYLOAD, POSITION_BYTES
-from vlp16emu.packets.table import PacketClock, periods_ns
-from vlp16emu.types import I8, U1, U4
+from vlp16emu.packets.layout import BLOCK_FLAG, DATA_BYTES, DATA_PAYLOAD, POSITION_BYTES, SPLIT_PRODUCTS
+from vlp16emu.packets.table import PacketClock, ages_ns
+from vlp16emu.types import I8, U1, U4, SensorModel
 
 _STRAY = 0.02
 """Smallest share of the data packets of the busiest unit that counts as a unit; fewer are an accident."""
@@ -28,7 +28,7 @@ class Arrivals(NamedTuple):
     number: I8  # (n,) frame numbers
     host_ns: I8  # (n,) stamps of the capture
     timestamp_us: U4  # (n,)
-    mode: U1  # (n,) return modes
+    factory: U1  # (n, 2) factory bytes: return mode and product
 
     def sensor_ns(self) -> I8:
         """Return UTC of the first pulses (n,) by the sensor's clock."""
@@ -40,22 +40,26 @@ class Arrivals(NamedTuple):
         """Judge the stamps of the capture."""
         return HostStamps.of(self.host_ns, self.sensor_ns())
 
-    def fit(self) -> ArrivalFit | None:
-        """Fit the host's clock; None without packets, or if its stamps do not go on with the sensor's."""
+    def fit(self, model: SensorModel | None = None) -> ArrivalFit | None:
+        """Fit the host's clock; None without packets, or if its stamps do not go on with the sensor's.
+
+        `model` is that of a prototype unit, whose product byte names another sensor.
+        """
         if not len(self.number) or not self.stamps().runs:
             return None
-        return fit_arrivals(self.number, self.sensor_ns() + periods_ns(self.mode), self.host_ns)
+        mode, product = self.factory.T
+        return fit_arrivals(self.number, self.sensor_ns() + ages_ns(model)[product, mode], self.host_ns)
 
 
 _NO_ARRIVALS = Arrivals(
-    np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.uint32), np.zeros(0, np.uint8)
+    np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.uint32), np.zeros((0, 2), np.uint8)
 )
 
 
 def _joined(parts: Iterable[Arrivals]) -> Arrivals:
     """Return arrivals one after the other."""
-    number, host_ns, timestamp_us, mode = zip(_NO_ARRIVALS, *parts, strict=True)
-    return Arrivals(*map(np.concatenate, (number, host_ns, timestamp_us, mode)))
+    number, host_ns, timestamp_us, factory = zip(_NO_ARRIVALS, *parts, strict=True)
+    return Arrivals(*map(np.concatenate, (number, host_ns, timestamp_us, factory)))
 
 
 class _Sender:
@@ -81,9 +85,11 @@ class _Sender:
             return
         fields = np.frombuffer(b"".join([each.payload for each in held]), DATA_PAYLOAD)
         number, host_ns = np.array([(each.number, each.stamp_ns) for each in held], np.int64).T
-        stamps_and_modes = fields["timestamp_us"].copy(), fields["return_mode"].copy()
-        self._arrivals.append(Arrivals(number, host_ns, *stamps_and_modes))
-        self.packets += int((fields["blocks"]["flag"][:, :2] == BLOCK_FLAG).all(axis=1).sum())
+        factory = np.stack([fields["return_mode"], fields["factory"]], axis=1)
+        self._arrivals.append(Arrivals(number, host_ns, fields["timestamp_us"].copy(), factory))
+        is_first = fields["blocks"]["flag"][:, :2] == BLOCK_FLAG
+        is_first[:, 1] |= np.isin(fields["factory"], SPLIT_PRODUCTS)
+        self.packets += int(is_first.all(axis=1).sum())
         self.last = held[-1].number
         self._held = []
 
@@ -183,7 +189,7 @@ class Survey:
         found = _joined([each.arrivals for each in senders if unit is None or unit.owns(each.first)])
         order = np.argsort(found.number, kind="stable")
         return Arrivals(
-            found.number[order], found.host_ns[order], found.timestamp_us[order], found.mode[order]
+            found.number[order], found.host_ns[order], found.timestamp_us[order], found.factory[order]
         )
 
 

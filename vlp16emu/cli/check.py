@@ -128,6 +128,7 @@ def _verify_bag(file: Path, unit: str | None, slam: str, *, as_json: bool) -> No
 def _members_of(result: "Verification") -> Tree:
     return {
         "clean": result.is_clean,
+        "model": result.model,
         "packets": result.data_packets,
         "position_packets": result.position_packets,
         "other_frames": result.other_frames,
@@ -146,12 +147,16 @@ def _members_of(result: "Verification") -> Tree:
 def _print_verification(title: str, result: "Verification") -> None:
     for finding in result.findings:
         print_line(str(finding))
-    listed = ("clean", "broken_rules", "notes", "findings")
+    from vlp16emu.sensor.models import model_table
+
+    listed = ("clean", "model", "broken_rules", "notes", "findings")
     tree = {name: value for name, value in _members_of(result).items() if name not in listed and value}
     rows = rows_of(tree)
     rows |= {f"broken: {rule}": str(number) for rule, number in result.counts.items()}
     rows |= {f"note: {rule}": str(number) for rule, number in result.notes.items()}
-    print_rows(f"{title}: {'clean' if result.is_clean else 'not what a VLP-16 sends'}", rows)
+    words = model_table(result.model)["title"]
+    article = "an" if words[0] in "AEFHILMNORSX" else "a"  # read letter by letter
+    print_rows(f"{title}: {'clean' if result.is_clean else f'not what {article} {words} sends'}", rows)
 
 
 def compare(

@@ -113,7 +113,7 @@ def decode(
         survey = Survey(file, progress=partial(bar.show_share, "finding sensors"))
         sensor = survey.chosen(unit, where="--unit")
         product = SensorModel(model) if model else None
-        unit_clock = packet_clock(file, sensor, clock, where="--clock", survey=survey)
+        unit_clock = packet_clock(file, sensor, clock, where="--clock", survey=survey, model=product)
         del survey
         progress = partial(bar.show_share, "decoding")
         with stop_on_ctrl_c() as stop:

@@ -30,8 +30,8 @@ from vlp16emu.sensor.head import Head
 from vlp16emu.sensor.operation import spins
 from vlp16emu.sensor.power_up import counters_of, with_start_state
 from vlp16emu.sensor.rotor import Encoder, Rotor, Swing
-from vlp16emu.sensor.settings import Lidar, require_packets
-from vlp16emu.types import F8, I8, HeightField, Inertial, MovingTrees, ReturnMode, World
+from vlp16emu.sensor.settings import Lidar, Sensor, require_packets
+from vlp16emu.types import F8, I8, HeightField, Inertial, MovingTrees, ReturnMode, SensorModel, World
 from vlp16emu.units import seconds_to_ns
 from vlp16emu.world.settings import People
 
@@ -298,7 +298,9 @@ def _unit(scenario: Scenario, number: int, mount: Mount, motion: Motion) -> Unit
         elevation_deg=head.beams.elevation_deg,
         power_up_ns=_power_up_ns(scenario, section),
     )
-    timeline = Timeline(head, stretches_of(state.operation))
+    # A sensor without packets sends in one stretch.
+    model = SensorModel(section.model) if isinstance(section, Sensor) else SensorModel.VLP_16
+    timeline = Timeline(head, stretches_of(state.operation, model))
     beam = beam_of(scenario, seed)
     return Unit(number, section, mount, seed, head, motion, beam, detector, state, timeline)
 

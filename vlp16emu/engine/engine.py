@@ -115,7 +115,7 @@ class Engine:
         """
         parts = assemble(scenario, like)
         threads = threads or usable_cores()
-        batching = Batching.of(parts.head.beams)
+        batching = Batching.of(parts.units)
         windows = windows_of(parts, scenario.start_ns, batching, threads)
         receiver = make_receiver(scenario, parts, windows) if scenario.gps.connected else None
         return cls(scenario, parts, batching, windows, receiver, threads, tuple(taps))

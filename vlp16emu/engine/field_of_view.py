@@ -16,14 +16,14 @@ _BACK_DEG = 4.3  # farthest that a standing rotor is turned back within a cell b
 
 @dataclass(frozen=True, slots=True)
 class FieldOfView:
-    """The sector that a sensor sends; a data block is sent as a whole or not at all, by its azimuth."""
+    """The sector that a sensor sends; what has one azimuth reading is sent as a whole or not at all."""
 
     head: Head
     first_deg: int
     last_deg: int  # included
 
     def inside(self, sequence: I8) -> NDArray[np.bool_]:
-        """Return whether blocks that begin at firing sequences (n,) are sent, (n,)."""
+        """Return whether what is read at firing sequences (n,) is sent, (n,)."""
         code = azimuth_cdeg(self.head.read(sequence))
         after_first = code >= 100 * self.first_deg
         before_end = code < 100 * (self.last_deg + 1)
@@ -32,7 +32,7 @@ class FieldOfView:
         return after_first | before_end
 
     def count(self, first: int, stop: int) -> int:
-        """Count the blocks of firing sequences from `first` until before `stop`, both even, that are sent.
+        """Count the azimuth readings from firing sequence `first` until before `stop` that are sent.
 
         Readings have errors that are drawn for each firing sequence, so the count has no closed form; but
         only blocks near the borders are read, of a revolution about two.
@@ -46,11 +46,12 @@ class FieldOfView:
         turned_deg[np.searchsorted(bounds, jumps, side="right") - 1] = 360.0
         is_in, is_out = self._far_from_borders(angle_deg[:-1], turned_deg)
         cells = bounds[:-1][~(is_in | is_out)]
-        blocks = (cells[:, None] + np.arange(0, _CELL, 2)).reshape(-1)
+        step = self.head.beams.per_reading
+        blocks = (cells[:, None] + np.arange(0, _CELL, step)).reshape(-1)
         blocks = blocks[blocks < stop]
         is_block_in, is_block_out = self._far_from_borders(self._angle_deg(blocks), 0.0)
         at_border = self.inside(blocks[~(is_block_in | is_block_out)])
-        in_cells = np.diff(bounds)[is_in].sum() // 2
+        in_cells = np.diff(bounds)[is_in].sum() // step
         return int(in_cells + np.count_nonzero(is_block_in) + np.count_nonzero(at_border))
 
     def _angle_deg(self, sequence: I8) -> F8:

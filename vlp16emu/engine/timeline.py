@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.engine.field_of_view import FieldOfView
-from vlp16emu.packets import SEQUENCES_PER_PACKET, pack_data
-from vlp16emu.sensor.beams import SEQUENCE_NS
+from vlp16emu.packets import layout_of, pack_data
 from vlp16emu.sensor.head import Head
 from vlp16emu.sensor.operation import Operation
 from vlp16emu.sensor.settings import ALL_AROUND
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
 TruthOf = Callable[["Unit", Returns, ReturnMode], NDArray[np.void]]
 """Function that gives the ground truth for the records of whole packets in a return mode."""
 
-_GRID = 24  # firing sequences: settings take effect between packets, in every return mode
 _AT_ONCE = 1 << 16  # firing sequences whose azimuths are read at once: 3.6 s
 _BY_SEQUENCE = ("t_ns", "clock_ns", "azimuth_deg", "reading_deg", "origin_m", "direction")
 """Arrays of `Firings`, one row each per firing sequence."""
@@ -39,11 +37,7 @@ class Stretch:
     mode: ReturnMode
     fov_deg: tuple[int, int] | None
     """First and last azimuth that is sent, in whole degrees; None for the full circle."""
-
-    @property
-    def per_packet(self) -> int:
-        """Number of firing sequences in a packet."""
-        return SEQUENCES_PER_PACKET[self.mode]
+    per_packet: int  # firing sequences in a packet
 
     def blocks(self, block: int) -> range:
         """Return the blocks of `block` firing sequences that cover the stretch, which must have an end."""
@@ -73,33 +67,39 @@ class Timeline:
         last = -(-stop_ns // self.head.beams.sequence_ns) - 1
         return last if span.stop is None else min(span.stop, last)
 
-    def in_view(self, span: Stretch, first: int, stop: int) -> NDArray[np.int64]:
-        """Find firing sequences from `first` to before `stop`, both even, in a span's field of view.
+    def begin_of_reading(self, sequence: int) -> int:
+        """Return the firing sequence of the last azimuth reading up to a firing sequence."""
+        return sequence - sequence % self.head.beams.per_reading
 
-        A data block is sent as a whole or not at all, by its azimuth; the field of view includes its last
+    def in_view(self, span: Stretch, first: int, stop: int) -> NDArray[np.int64]:
+        """Find firing sequences from `first` to before `stop`, at azimuth readings, in a field of view.
+
+        What has one azimuth reading is sent as a whole or not at all; the field of view includes its last
         degree.
         """
         every = np.arange(first, stop, dtype=np.int64)
         if span.fov_deg is None:
             return every
-        inside = FieldOfView(self.head, *span.fov_deg).inside(every[::2])
-        return every[np.repeat(inside, 2)]
+        step = self.head.beams.per_reading
+        inside = FieldOfView(self.head, *span.fov_deg).inside(every[::step])
+        return every[np.repeat(inside, step)]
 
     def _count_in_view(self, span: Stretch, stop: int) -> int:
-        """Count a span's firing sequences in view before an even one; the counts are kept."""
+        """Count a span's firing sequences in view before one with a reading; the counts are kept."""
         if span.fov_deg is None or stop <= span.first:
             return max(stop - span.first, 0)
         field_of_view = FieldOfView(self.head, *span.fov_deg)
         counts = list(self._counts.get(span, (0,)))
+        step = self.head.beams.per_reading
         place = (stop - span.first) // _AT_ONCE
         for first in range(span.first + _AT_ONCE * (len(counts) - 1), stop - _AT_ONCE + 1, _AT_ONCE):
-            counts.append(counts[-1] + 2 * field_of_view.count(first, first + _AT_ONCE))
+            counts.append(counts[-1] + step * field_of_view.count(first, first + _AT_ONCE))
         self._counts[span] = tuple(counts)
-        return counts[place] + 2 * field_of_view.count(span.first + _AT_ONCE * place, stop)
+        return counts[place] + step * field_of_view.count(span.first + _AT_ONCE * place, stop)
 
     def _packets_before(self, span: Stretch, t_ns: int) -> int:
         """Count the packets of a span that are due before a time since the first pulse."""
-        return self._count_in_view(span, self._stop_of(span, t_ns) & ~1) // span.per_packet
+        return self._count_in_view(span, self.begin_of_reading(self._stop_of(span, t_ns))) // span.per_packet
 
     def _begin_of(self, span: Stretch, start_ns: int) -> tuple[int, int]:
         """Find a firing sequence from which the packets that are due at or after a time are found.
@@ -122,12 +122,12 @@ class Timeline:
                 yield span
 
     def sequences(self, start_ns: int, stop_ns: int) -> Iterator[NDArray[np.int64]]:
-        """Yield firing sequences (n, 24) or (n, 12) of packets due in a span since the first pulse."""
+        """Yield firing sequences (n, `per_packet`) of packets due in a span since the first pulse."""
         for span in self._spans_in(start_ns, stop_ns):
             yield from self._sequences_of(span, start_ns, stop_ns)
 
     def _sequences_of(self, span: Stretch, start_ns: int, stop_ns: int) -> Iterator[NDArray[np.int64]]:
-        stop = self._stop_of(span, stop_ns) & ~1
+        stop = self.begin_of_reading(self._stop_of(span, stop_ns))
         begin, skipped = self._begin_of(span, start_ns)
         left = np.empty(0, np.int64)
         for first in range(begin, stop, _AT_ONCE):
@@ -180,15 +180,20 @@ class Timeline:
         return sent
 
 
-def stretches_of(operation: Steps[Operation]) -> tuple[Stretch, ...]:
-    """Cut a run at changes of mode, field of view, laser and power; drop spans without packets.
+def stretches_of(operation: Steps[Operation], model: SensorModel) -> tuple[Stretch, ...]:
+    """Cut a run of a model at changes of mode, field of view, laser and power; drop spans without packets.
 
     A change takes effect with the next packet of single return, and begins a packet.
     """
+    single = layout_of(model, ReturnMode.STRONGEST)
+
+    def sequence_at(since_ns: int) -> int:
+        return -(-since_ns // single.period_ns) * single.sequences
+
     spans = list[Stretch]()
     for begin_ns, end_ns, in_force in operation.spans():
-        first = _sequence(begin_ns)
-        stop = None if end_ns == FOREVER_NS else _sequence(end_ns)
+        first = sequence_at(begin_ns)
+        stop = None if end_ns == FOREVER_NS else sequence_at(end_ns)
         settings = in_force.settings
         if not in_force.is_powered or not settings.laser or first == stop:
             continue
@@ -198,12 +203,8 @@ def stretches_of(operation: Steps[Operation]) -> tuple[Stretch, ...]:
         if last and last.stop == first and (last.mode, last.fov_deg) == (mode, fov_deg):
             spans[-1] = replace(last, stop=stop)
         else:
-            spans.append(Stretch(first, stop, mode, fov_deg))
+            spans.append(Stretch(first, stop, mode, fov_deg, layout_of(model, mode).sequences))
     return tuple(spans)
-
-
-def _sequence(since_ns: int) -> int:
-    return -(-since_ns // (_GRID * SEQUENCE_NS)) * _GRID
 
 
 class Packer:
@@ -228,7 +229,8 @@ class Packer:
         first, stop = max(stretch.first, begin), min(stretch.stop or 2**62, begin + _count(returns))
         rows = self._rows(returns, first, stop)
         if first > self._reached:
-            missing = len(self._unit.timeline.in_view(stretch, self._reached, first & ~1))
+            timeline = self._unit.timeline
+            missing = len(timeline.in_view(stretch, self._reached, timeline.begin_of_reading(first)))
             self._lost += missing + (_count(self._left) if self._left else 0)
             self._left = None
         self._reached = stop
@@ -254,7 +256,8 @@ class Packer:
         begin = returns.firings.index
         if self._stretch.fov_deg is None:
             return _rows(returns, slice(first - begin, stop - begin))
-        return _rows(returns, self._unit.timeline.in_view(self._stretch, first, stop & ~1) - begin)
+        timeline = self._unit.timeline
+        return _rows(returns, timeline.in_view(self._stretch, first, timeline.begin_of_reading(stop)) - begin)
 
 
 _BY_RETURN = ("distance_m", "reflectivity", "surface", "range_m", "share")

@@ -3,11 +3,11 @@
 import logging
 import math
 from collections import deque
-from collections.abc import Callable, Hashable, Iterable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import groupby
 from threading import Event
@@ -17,16 +17,16 @@ from weakref import WeakValueDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.engine.build import Parts
+from vlp16emu.engine.build import Parts, Unit
 from vlp16emu.raycast.caster import Caster, Geometry, caster
-from vlp16emu.sensor.beams import SEQUENCE_NS, BeamTable
+from vlp16emu.sensor.settings import Sensor
 from vlp16emu.types import F8, Window
 
 _log = logging.getLogger(__name__)  # at DEBUG it names each window that is opened
 BLOCK = 1_920
 """Firing sequences of a VLP-16 computed at once, 106 ms: whole packets in every return mode, and a multiple
 of 8 rays."""
-STEPS = 20  # parts of a VLP-16 block: steps of a live run, 5.3 ms each
+STEP_NS = 5_308_416  # steps of a live run, 20 in a VLP-16 block
 SEGMENT = 64  # blocks of a VLP-16 that share a window of the world, 6.8 s or some 8 m of walking
 
 _RAYS = 8
@@ -57,11 +57,17 @@ class Batching:
     parts: int = 1  # parts of a block, for packets that do not wait for a whole block; they change no byte
 
     @classmethod
-    def of(cls, beams: BeamTable) -> Self:
-        """Return the batching of a run; for sensors with packets, blocks are cut into steps of a live run."""
-        return cls(
-            len(beams.elevation_deg), beams.sequence_ns, STEPS if beams.sequence_ns == SEQUENCE_NS else 1
-        )
+    def of(cls, units: Sequence[Unit]) -> Self:
+        """Return the batching of a run; for sensors with packets, blocks are cut into steps of a live run.
+
+        The sensors of a rig, whose firing sequences are equally long, have the blocks of the one with most
+        lasers.
+        """
+        beams = units[0].head.beams
+        batching = cls(max(len(unit.head.beams.elevation_deg) for unit in units), beams.sequence_ns)
+        if not isinstance(units[0].section, Sensor):
+            return batching
+        return replace(batching, parts=max(round(batching.block_ns / STEP_NS), 1))
 
     @property
     def block(self) -> int:

@@ -71,7 +71,7 @@ class FreeSensor(Lidar):
         elevation_deg = self.beam_elevations_deg
         radius_m = self.lens_radius_m
         sequence_ns = round(self.azimuth_resolution_deg / (6 * self.rpm) * S_NS)
-        offset_m = -radius_m * tan(
-            np.radians(np.array(elevation_deg))
-        )  # where lines through the lens meet the axis
-        return table_of(elevation_deg, offset_m, radius_m, sequence_ns, sequence_ns // len(elevation_deg))
+        # where lines through the lens meet the axis
+        offset_m = -radius_m * tan(np.radians(np.array(elevation_deg)))
+        firing_ns = np.arange(len(elevation_deg), dtype=np.int64) * (sequence_ns // len(elevation_deg))
+        return table_of(elevation_deg, offset_m, radius_m, sequence_ns, firing_ns)

@@ -1,4 +1,4 @@
-"""The wire format: returns to the bytes of a VLP-16, and back."""
+"""The wire format: returns to the bytes of a sensor, and back."""
 
 from vlp16emu.packets.data import azimuth_cdeg, data_payloads, pack_data, returns_in, timestamp_us
 from vlp16emu.packets.decode import (
@@ -25,6 +25,7 @@ from vlp16emu.packets.layout import (
     RETURN_MODE_BYTE,
     SEQUENCES_PER_BLOCK,
     SEQUENCES_PER_PACKET,
+    layout_of,
 )
 from vlp16emu.packets.nmea import rmc
 from vlp16emu.packets.position import (

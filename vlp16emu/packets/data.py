@@ -1,4 +1,4 @@
-"""Data packets: conversion of metres, degrees and nanoseconds into the 1206 bytes of a VLP-16.
+"""Data packets: conversion of metres, degrees and nanoseconds into 1206 bytes.
 
 Every step is elementwise in float64 and correctly rounded, so the bytes of a packet do not depend on
 the other packets.
@@ -10,8 +10,8 @@ import numpy as np
 
 from vlp16emu.errors import InputError
 from vlp16emu.packets import layout
-from vlp16emu.packets.layout import SEQUENCES_PER_BLOCK, SEQUENCES_PER_PACKET
-from vlp16emu.sensor.beams import SEQUENCE_NS
+from vlp16emu.packets.layout import layout_of
+from vlp16emu.sensor.beams import Model
 from vlp16emu.types import F4, F8, I8, U1, U2, AnyArray, Packet, PacketKind, ReturnMode, Returns, SensorModel
 from vlp16emu.units import HOUR_NS, US_NS
 
@@ -22,15 +22,17 @@ _SECOND_STRONGEST = 2
 
 
 def pack_data(returns: Returns, mode: ReturnMode, model: SensorModel, unit: int = 0) -> list[Packet]:
-    """Pack whole packets of a unit of the rig, k / 24 or k / 12 of them.
+    """Pack whole packets of a unit of the rig, of a VLP-16 k / 24 or k / 12 of them.
 
     Other parameters and errors are those of `data_payloads`. `due_ns` is the end of a packet's last firing
-    sequence: 1327.104 us after its first pulse, or 663.552 us in dual return, if no sequence is left out.
+    sequence: on a VLP-16 1327.104 us after its first pulse, or 663.552 us in dual return, if no sequence is
+    left out.
     """
     payloads = data_payloads(returns, mode, model)
-    sequences = SEQUENCES_PER_PACKET[mode]
+    of_model = layout_of(model, mode)
+    sequences = of_model.sequences
     fired_ns = returns.firings.t_ns[::sequences, 0]
-    due_ns = returns.firings.t_ns[sequences - 1 :: sequences, 0] + SEQUENCE_NS
+    due_ns = returns.firings.t_ns[sequences - 1 :: sequences, 0] + of_model.model.beams.sequence_ns
     return [
         Packet(PacketKind.DATA, due, payload.tobytes(), unit, fired)
         for due, payload, fired in zip(due_ns.tolist(), payloads, fired_ns.tolist(), strict=True)
@@ -50,36 +52,39 @@ def data_payloads(returns: Returns, mode: ReturnMode, model: SensorModel) -> U1:
 
     Parameters
     ----------
-    returns : k firing sequences of 16 lasers; k a multiple of 24, or of 12 in dual return
+    returns : k firing sequences of L lasers in whole packets: k is a multiple of `Layout.sequences`
     mode : which returns are sent
-    model : determines the factory byte
+    model : sensor model
 
-    Raises InputError unless angles and distances are finite and not negative; ValueError unless there are 16
+    Raises InputError unless angles and distances are finite and not negative; ValueError unless there are L
     lasers and whole packets.
     """
     _check(returns)
     firings = returns.firings
-    packets = np.zeros(len(firings.t_ns) // SEQUENCES_PER_PACKET[mode], layout.DATA_PAYLOAD)
-    # One row per block with its own firing sequences: 12 in a packet, 6 in dual return.
-    shape = (len(packets), SEQUENCES_PER_PACKET[mode] // SEQUENCES_PER_BLOCK)
-    codes = azimuth_cdeg(firings.reading_deg[::SEQUENCES_PER_BLOCK]).reshape(shape)
+    of_model = layout_of(model, mode)
+    packets = np.zeros(len(firings.t_ns) // of_model.sequences, layout.DATA_PAYLOAD)
+    codes = azimuth_cdeg(firings.reading_deg[:: of_model.per_reading])
+    codes = codes.reshape(len(packets), of_model.readings)
     blocks = packets["blocks"]
-    blocks["flag"] = layout.BLOCK_FLAG
+    used = of_model.by_reading(blocks)  # (n, readings, banks, copies)
+    used["flag"] = np.array(of_model.model.flags)[:, None]
+    blocks["azimuth_cdeg"] = codes[:, -1:]  # of blocks that hold nothing
+    used["azimuth_cdeg"] = codes[:, :, None, None]
     if mode is ReturnMode.DUAL:
-        even = blocks[:, 0::2]
-        odd = blocks[:, 1::2]
-        even["azimuth_cdeg"] = odd["azimuth_cdeg"] = codes
-        _write(even["records"], returns.distance_m[..., _LAST], returns.reflectivity[..., _LAST])
+        last = used["records"][..., 0, :]
+        other = used["records"][..., 1, :]
+        _write(last, returns.distance_m[..., _LAST], returns.reflectivity[..., _LAST], of_model.model)
         place = odd_column(returns)[..., None]
         distance_m = np.take_along_axis(returns.distance_m, place, axis=-1)
-        _write(odd["records"], distance_m, np.take_along_axis(returns.reflectivity, place, axis=-1))
+        _write(other, distance_m, np.take_along_axis(returns.reflectivity, place, axis=-1), of_model.model)
     else:
         column = _LAST if mode is ReturnMode.LAST else _STRONGEST
-        blocks["azimuth_cdeg"] = codes
-        _write(blocks["records"], returns.distance_m[..., column], returns.reflectivity[..., column])
-    packets["timestamp_us"] = timestamp_us(firings.clock_ns[:: SEQUENCES_PER_PACKET[mode]])
+        columns = returns.distance_m[..., column], returns.reflectivity[..., column]
+        _write(used["records"], *columns, of_model.model)
+    stamped_ns = firings.clock_ns[:: of_model.sequences] + of_model.model.stamp_after_ns
+    packets["timestamp_us"] = timestamp_us(stamped_ns)
     packets["return_mode"] = layout.RETURN_MODE_BYTE[mode]
-    packets["factory"] = layout.FACTORY_BYTE[model]
+    packets["factory"] = of_model.model.product
     return packets.view(np.uint8).reshape(-1, layout.DATA_BYTES)
 
 
@@ -111,7 +116,7 @@ def azimuth_cdeg(reading_deg: F8) -> U2:
 
 
 def odd_column(returns: Returns) -> I8:
-    """Index (k, 16) on the last axis of `Returns` for the odd blocks of dual return.
+    """Index (k, L) on the last axis of `Returns` for the odd blocks of dual return.
 
     It selects the strongest return; the second strongest if the strongest is also the last; and if there is
     only one return, that one again. Source: 63-9243 Rev D, section 9.3.2, p. 57; the repetition is as on
@@ -125,17 +130,17 @@ def odd_column(returns: Returns) -> I8:
     return np.where(strongest_is_last & has_second, _SECOND_STRONGEST, _STRONGEST)
 
 
-def _write(records: AnyArray, distance_m: F4, reflectivity: U1) -> None:
-    """Fill records (n, blocks, 2, 16) from metres and reflectivity (k, 16).
+def _write(records: AnyArray, distance_m: F4, reflectivity: U1, model: Model) -> None:
+    """Fill records (n, readings, banks, ..., 32) from metres and reflectivity (k, L).
 
     Reflectivity is written without a distance too, as real units do.
     """
-    records["distance_lsb"] = distance_lsb(distance_m).reshape(records.shape)
+    records["distance_lsb"] = distance_lsb(distance_m, model).reshape(records.shape)
     records["reflectivity"] = reflectivity.reshape(records.shape)
 
 
-def distance_lsb(distance_m: F4) -> U2:
-    """Distances in steps of 2 mm; 0 if nearer than 0.5 m or beyond the largest code."""
-    code = np.rint(distance_m.astype(np.float64) / layout.DISTANCE_LSB_M)
-    seen = (code >= layout.MIN_DISTANCE_LSB) & (code <= np.iinfo(np.uint16).max)
+def distance_lsb(distance_m: F4, model: Model) -> U2:
+    """Distances in the model's steps, 2 or 4 mm; 0 if nearer than its least or beyond the largest code."""
+    code = np.rint(distance_m.astype(np.float64) / model.distance_lsb_m)
+    seen = (code >= model.minimum_lsb) & (code <= np.iinfo(np.uint16).max)
     return np.where(seen, code, 0).astype(np.uint16)

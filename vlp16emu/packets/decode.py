@@ -8,17 +8,23 @@ to the right, Y = R cos w cos a forward and Z = R sin w + c up (63-9243 Rev D, s
 import struct
 from dataclasses import dataclass
 from enum import StrEnum
-from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import PacketError
 from vlp16emu.packets import layout
-from vlp16emu.packets.layout import BLOCK_PERIOD_NS, BLOCKS_PER_PACKET
+from vlp16emu.packets.layout import (
+    BLOCK_PERIOD_NS,
+    BLOCKS_PER_PACKET,
+    PRODUCT_BEFORE_RELEASE,
+    PRODUCT_WORDS,
+    PRODUCTS,
+    Layout,
+    layout_of_bytes,
+)
 from vlp16emu.packets.pulses import fill_points
-from vlp16emu.sensor.beams import BEAM_TABLES
 from vlp16emu.sensor.settings import MOST_RPM
 from vlp16emu.types import F4, F8, I8, U1, PpsState, ReturnMode, SensorModel
 from vlp16emu.units import S_NS, US_NS
@@ -26,15 +32,10 @@ from vlp16emu.units import S_NS, US_NS
 SENSOR_R_MANUAL = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """Rotation from the manual's frame, azimuth 0 on +y, to the sensor's, azimuth 0 on +x."""
 
-_MODEL = MappingProxyType(
-    {layout.FACTORY_BYTE[model]: model for model in (SensorModel.VLP_16, SensorModel.PUCK_HI_RES)}
-)
-PRODUCT_BEFORE_RELEASE = 0x21
-"""Product byte of a VLP-16 of 2014; also an HDL-32E's (63-9243 Rev D, table 9-2), so the byte alone is
-ambiguous."""
 _MAX_STEP_CDEG = 100
-"""A wider step from block to block is the edge of a limited field of view: the fastest speed, 1200 rpm, gives
-79.6."""
+"""A wider step from reading to reading is the edge of a limited field of view: the fastest speed, 1200 rpm,
+gives a VLP-16 79.6, and others half of it."""
+_BEFORE_RELEASE_US = 1_327, 1_328, 663, 664  # steps of the stamps of a VLP-16
 
 _FASTEST_DEG_PER_NS = 1.5 * MOST_RPM * 6 / S_NS
 """Fastest rotor, with a margin for units that run too fast."""
@@ -51,7 +52,7 @@ class PointFrame(StrEnum):
 
 
 class Fault(NamedTuple):
-    """Reason why a data packet is not from a VLP-16."""
+    """Reason why a data packet is not from a sensor whose packets are known, or from another one."""
 
     packet: int  # Row of the payload
     what: str
@@ -65,11 +66,11 @@ class Points:
 
     packet: I8  # (n,) row of the payload
     slot: I8  # (n,) position of the record in its packet: 32 * block + channel
-    since_ns: I8  # (n,) time of the pulse since the first pulse of its packet
+    since_ns: I8  # (n,) time of the pulse since the stamp of its packet, on most models its first pulse
     time_ns: I8  # (n,) time of the pulse on the sensor's clock, ns past its hour
-    laser: U1  # (n,) 0..15 in firing order
-    ring: U1  # (n,) 0..15 by elevation, lowest first
-    azimuth_deg: F8  # (n,) azimuth at the instant of the pulse, [0, 360)
+    laser: U1  # (n,) in wire order, on a VLP-16 0..15
+    ring: U1  # (n,) by elevation, 0 the lowest
+    azimuth_deg: F8  # (n,) azimuth of the beam at the instant of the pulse, [0, 360)
     distance_m: F4  # (n,) from the centre of the sensor; 0 without return
     xyz_m: F4  # (n, 3) sensor frame: x forward at azimuth 0, y left, z up; NaN without return
     reflectivity: U1  # (n,) 0..100 diffuse, 101..255 retroreflective
@@ -98,10 +99,11 @@ def data_fields(payloads: U1) -> NDArray[np.void]:
 
 
 def decode_data(payloads: U1, *, keep_no_returns: bool, model: SensorModel | None = None) -> Points:
-    """Convert data packets into points, each packet independently.
+    """Convert data packets into points.
 
-    A pulse's azimuth is its block's azimuth plus the rotation until the pulse, at the packet's mean speed
-    (63-9243 Rev D, section 9.5, p. 65).
+    A pulse's azimuth is its reading plus the rotation until the pulse, at the packet's mean speed (63-9243
+    Rev D, section 9.5, p. 65), and the laser's azimuth offset. Each packet is converted on its own; only
+    packets with a single reading take their speed from the packet before.
 
     Parameters
     ----------
@@ -109,7 +111,7 @@ def decode_data(payloads: U1, *, keep_no_returns: bool, model: SensorModel | Non
     keep_no_returns : whether pulses without return also become records
     model : sensor model of prototype units, whose product byte names another sensor
 
-    Raises PacketError for packets of other sensors than VLP-16 and Puck Hi-Res, or of two models.
+    Raises PacketError for packets of other sensors than those of `SensorModel`, or of two models.
     """
     fields = data_fields(payloads)
     if faults := faults_in(fields, None, model):
@@ -130,7 +132,8 @@ def points_in(
     In dual return a single echo is in both records of its pulse (63-9243 Rev D, section 9.3.2); it is one
     point, of the even block, unless `keep_repeats`.
     """
-    beams = BEAM_TABLES[_model(fields, model)]
+    single, dual = layouts_of(fields, model)
+    beams = single.model.beams
     rows = np.ascontiguousarray(fields).view(np.uint8).reshape(len(fields), fields.dtype.itemsize)
     most = layout.RECORDS_PER_PACKET * len(fields)
     numbers = np.empty((4, most), np.int64)
@@ -138,11 +141,16 @@ def points_in(
     azimuth_deg = np.empty(most)
     distance_m = np.empty(most, np.float32)
     xyz_m = np.empty((most, 3), np.float32)
+    angles = beams.elevation_deg, beams.vertical_offset_m, 100.0 * beams.azimuth_offset_deg
     count = fill_points(
         rows,
         rows.shape[1] - layout.DATA_BYTES,
-        _steps_cdeg(fields),
-        np.array([beams.elevation_deg, beams.vertical_offset_m, *np.zeros((2, layout.LASERS))]),
+        single.places,
+        dual.places,
+        single.reading_ns,
+        single.model.distance_lsb_m,
+        _steps_cdeg(fields, model),
+        np.array([*angles, *np.zeros((2, single.model.lasers))]),
         SENSOR_R_MANUAL.T.copy() if frame is PointFrame.MANUAL else np.zeros((0, 0)),
         keep_no_returns,
         keep_repeats,
@@ -170,7 +178,7 @@ def points_in(
 def faults_in(
     fields: NDArray[np.void], factory: int | None = None, model: SensorModel | None = None
 ) -> list[Fault]:
-    """Find packets that are not from a VLP-16, or from another model than the others.
+    """Find packets of unknown sensors, or of another model than the others.
 
     Return the first fault of each.
 
@@ -184,24 +192,44 @@ def faults_in(
     azimuth_cdeg = fields["blocks"]["azimuth_cdeg"]
     products = fields["factory"]
     modes = [*layout.RETURN_MODE_BYTE.values()]
-    known = [*_MODEL] if model is None else [*_MODEL, PRODUCT_BEFORE_RELEASE]
+    known = [*PRODUCTS]
+    expected_product = PRODUCT_WORDS
+    if factory is None and model is None and is_before_release(fields):
+        known.remove(PRODUCT_BEFORE_RELEASE)
+        expected_product = "`vlp16emu decode --model` for a VLP-16 from before release"
     ours = products[np.isin(products, known)]
-    first = (ours if len(ours) else products)[:1] if factory is None else factory
-    expected_product = "0x22 or 0x24"
-    if factory is None and model is None and (products == PRODUCT_BEFORE_RELEASE).all():
-        expected_product += ", or `vlp16emu decode --model` for a VLP-16 from before release"
-    faults = dict[int, Fault]()
-    for what, codes, right, expected in (
-        ("block flag", flags, flags == layout.BLOCK_FLAG, "0xeeff"),
+    first = int((ours if len(ours) else products)[0]) if factory is None and len(products) else factory
+    right_flags = _flags(fields, first, model)
+    expected_flag = "0xeeff" if len(np.unique(right_flags)) == 1 else "the flag of the block"
+    for_what: tuple[tuple[str, NDArray[Any], NDArray[np.bool_], str], ...] = (
+        ("block flag", flags, (flags == right_flags) | (right_flags == 0), expected_flag),
         ("return mode", fields["return_mode"], np.isin(fields["return_mode"], modes), "0x37, 0x38 or 0x39"),
         ("product", products, np.isin(products, known), expected_product),
         ("product", products, products == first, "the first packet's"),
         # Old firmware sends 36000 for 0.
         ("azimuth", azimuth_cdeg, azimuth_cdeg <= layout.AZIMUTH_CODES, "0 to 36000 hundredths of a degree"),
-    ):
+    )
+    faults = dict[int, Fault]()
+    for what, codes, right, expected in for_what:
         for packet, *place in np.argwhere(~right).tolist():
             faults.setdefault(packet, Fault(packet, what, f"{codes[packet, *place]:#x}", expected))
     return [faults[packet] for packet in sorted(faults)]
+
+
+def is_before_release(fields: NDArray[np.void]) -> bool:
+    """Return True if all packets have an HDL-32E's product byte, but are as far apart as a VLP-16's."""
+    if len(fields) < 2 or not (fields["factory"] == PRODUCT_BEFORE_RELEASE).all():
+        return False
+    step_us = np.median(np.diff(fields["timestamp_us"].astype(np.int64)))
+    return bool(np.isin(step_us, _BEFORE_RELEASE_US))
+
+
+def _flags(fields: NDArray[np.void], product: int | None, model: SensorModel | None) -> I8:
+    """Return the right flags (n, 12) of blocks; 0 for those that hold nothing."""
+    right = np.zeros((2, BLOCKS_PER_PACKET), np.int64)
+    for of_mode, flags in zip(_layouts(product, model), right, strict=True):
+        of_mode.by_reading(flags[None])[:] = np.array(of_mode.model.flags)[:, None]
+    return right[is_dual(fields).astype(np.int64)]
 
 
 def scan_starts(azimuth_deg: F8, t_ns: I8 | None = None) -> I8:
@@ -246,10 +274,21 @@ def decode_position(payload: bytes) -> PositionFields:
     return PositionFields(time_ns=stamp_us * US_NS, pps=pps, sentence=sentence.split(b"\0", 1)[0])
 
 
-def _model(fields: NDArray[np.void], model: SensorModel | None) -> SensorModel:
-    """Return the model of the first packet's product byte; `model` for the byte of a prototype unit."""
-    usual = model or SensorModel.VLP_16
-    return _MODEL.get(int(fields["factory"][0]), usual) if len(fields) else usual
+def layouts_of(fields: NDArray[np.void], model: SensorModel | None = None) -> tuple[Layout, Layout]:
+    """Return the layouts in single and in dual return of the model of the first packet's product byte.
+
+    It is `model` for the byte of a prototype unit.
+    """
+    return _layouts(int(fields["factory"][0]) if len(fields) else None, model)
+
+
+def _layouts(product: int | None, model: SensorModel | None) -> tuple[Layout, Layout]:
+    codes = layout.RETURN_MODE_BYTE
+    single, dual = (
+        layout_of_bytes(codes[mode], -1 if product is None else product, model)
+        for mode in (ReturnMode.STRONGEST, ReturnMode.DUAL)
+    )
+    return single, dual
 
 
 def is_dual(fields: NDArray[np.void]) -> NDArray[np.bool_]:
@@ -257,13 +296,23 @@ def is_dual(fields: NDArray[np.void]) -> NDArray[np.bool_]:
     return np.asarray(fields["return_mode"] == layout.RETURN_MODE_BYTE[ReturnMode.DUAL])
 
 
-def block_since_ns(fields: NDArray[np.void]) -> I8:
-    """Return the time (n, 12) of the first pulse of each block since that of its packet.
+def readings_in(fields: NDArray[np.void], model: SensorModel | None = None) -> I8:
+    """Return the azimuth reading (n, 12) of each block in its packet; of blocks that hold nothing -1."""
+    readings = np.full((2, BLOCKS_PER_PACKET), -1, np.int64)
+    for of_mode, reading in zip(layouts_of(fields, model), readings, strict=True):
+        of_mode.by_reading(reading[None])[:] = np.arange(of_mode.readings)[:, None, None]
+    return readings[is_dual(fields).astype(np.int64)]
 
-    In dual return two blocks share it.
+
+def block_since_ns(fields: NDArray[np.void], model: SensorModel | None = None) -> I8:
+    """Return the time (n, 12) of the azimuth reading of each block since the stamp of its packet.
+
+    Blocks share it in dual return, and if a firing sequence has several. That of blocks that hold nothing is
+    the last one's.
     """
-    block = np.arange(BLOCKS_PER_PACKET)
-    return np.where(is_dual(fields)[:, None], block // 2, block) * BLOCK_PERIOD_NS
+    single, _ = layouts_of(fields, model)
+    reading = np.maximum.accumulate(readings_in(fields, model), axis=1)
+    return reading * single.reading_ns - single.model.stamp_after_ns
 
 
 def repeats_in(fields: NDArray[np.void]) -> NDArray[np.bool_]:
@@ -276,14 +325,22 @@ def repeats_in(fields: NDArray[np.void]) -> NDArray[np.bool_]:
     return repeated
 
 
-def _steps_cdeg(fields: NDArray[np.void]) -> F8:
-    """Mean azimuth step (n,) in 110.592 us over each packet.
+def _steps_cdeg(fields: NDArray[np.void], model: SensorModel | None = None) -> F8:
+    """Mean step (n,) from one azimuth reading to the next over each packet.
 
-    It is a mean, because a single reading is off by 0.005 deg: from block to block that is 1 part in 40.
+    It is a mean, because a single reading is off by 0.005 deg: from block to block of a VLP-16 that is 1 part
+    in 40. A packet with one reading has the step from the packet before, the first one the step to the next.
     """
     azimuth = fields["blocks"]["azimuth_cdeg"].astype(np.int64)
+    reading = readings_in(fields, model)
     turned = (azimuth[:, 1:] - azimuth[:, :-1]) % layout.AZIMUTH_CODES
     # In dual return, blocks 0 and 1, 2 and 3 ... are fired together.
-    apart = ~is_dual(fields)[:, None] | (np.arange(1, BLOCKS_PER_PACKET) % 2 == 0)
-    known = apart & (turned <= _MAX_STEP_CDEG)
-    return np.sum(turned * known, axis=1) / np.maximum(np.count_nonzero(known, axis=1), 1)
+    known = (np.diff(reading, axis=1) == 1) & (turned <= _MAX_STEP_CDEG)
+    steps = np.sum(turned * known, axis=1) / np.maximum(np.count_nonzero(known, axis=1), 1)
+    alone = reading.max(axis=1, initial=0) == 0
+    if alone.any() and len(fields) > 1:
+        between = np.diff(azimuth[:, 0]) % layout.AZIMUTH_CODES
+        between = np.append(between[:1], between)
+        usual = np.median(between)
+        steps[alone] = np.where(between > 1.8 * usual, usual, between)[alone]  # packets may be lost
+    return steps

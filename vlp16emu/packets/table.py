@@ -19,6 +19,7 @@ captured the packets, or from the sentences of a GPS receiver.
 import struct
 from collections.abc import Iterable
 from enum import StrEnum
+from functools import cache
 from typing import TypeVar
 
 import numpy as np
@@ -26,16 +27,20 @@ from numpy.typing import NDArray
 
 from vlp16emu.packets.arrival import ArrivalFit
 from vlp16emu.packets.decode import Points
-from vlp16emu.packets.layout import BLOCK, BLOCKS_PER_PACKET, DATA_ROW, RETURN_MODE_BYTE, SEQUENCES_PER_PACKET
-from vlp16emu.sensor.beams import SEQUENCE_NS
-from vlp16emu.types import I8, U1, U4
+from vlp16emu.packets.layout import (
+    BLOCK,
+    BLOCKS_PER_PACKET,
+    DATA_ROW,
+    PRODUCTS,
+    RETURN_MODE_BYTE,
+    layout_of_bytes,
+)
+from vlp16emu.types import I8, U4, SensorModel
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
 _HEAD = struct.Struct("<4q")  # the columns of `DATA_ROW` before the payload
-_STAMP_AND_MODE = struct.Struct("<IB")
+_TAIL = struct.Struct("<IBB")  # stamp and factory bytes
 _STAMP_AT = BLOCKS_PER_PACKET * BLOCK.itemsize  # they follow the blocks
-_PERIOD_NS = {RETURN_MODE_BYTE[mode]: n * SEQUENCE_NS for mode, n in SEQUENCES_PER_PACKET.items()}
-_PERIODS_NS = np.array([_PERIOD_NS.get(mode, 0) for mode in range(256)])  # by mode
 _Time = TypeVar("_Time", int, I8)
 _STEADY_NS = S_NS
 """Step of the sensor's clock up to which its hour is kept, even if the host's clock jumps."""
@@ -65,12 +70,18 @@ class PacketClock:
     clock : clock of the results
     host_behind_ns : the hour is chosen as if capture stamps were behind UTC by it
     fit : the host's clock over the sensor's, for `Clock.FITTED`
+    model : sensor model of a prototype unit, whose product byte names another sensor
     """
 
     def __init__(
-        self, clock: Clock = Clock.SENSOR, host_behind_ns: int = 0, fit: ArrivalFit | None = None
+        self,
+        clock: Clock = Clock.SENSOR,
+        host_behind_ns: int = 0,
+        fit: ArrivalFit | None = None,
+        model: SensorModel | None = None,
     ) -> None:
         assert (clock is Clock.FITTED) == (fit is not None)
+        self._ages_ns = ages_ns(model)
         self.clock = clock
         self.fit = fit
         self._number = 0  # frame number of the latest data packet
@@ -97,9 +108,9 @@ class PacketClock:
 
         `number` is the number of its frame.
         """
-        timestamp_us, mode = _STAMP_AND_MODE.unpack_from(payload, _STAMP_AT)
+        timestamp_us, mode, product = _TAIL.unpack_from(payload, _STAMP_AT)
         sensor_ns = self.sensor_ns(arrival_ns, timestamp_us)
-        lasts_ns = _PERIOD_NS.get(mode, 0)
+        lasts_ns = int(self._ages_ns[product, mode])
         fired_ns = arrival_ns - lasts_ns
         if self.host_ahead_ns is None:
             self.host_ahead_ns = fired_ns - sensor_ns
@@ -111,7 +122,7 @@ class PacketClock:
     def packets_ns(self, number: I8, arrival_ns: I8, fields: NDArray[np.void]) -> tuple[I8, I8]:
         """Return UTC (n,) of the first pulses of data packets (n,) `DATA_PAYLOAD`, as `packet_ns`."""
         sensor_ns = self.sensors_ns(arrival_ns, fields["timestamp_us"])
-        lasts_ns = periods_ns(fields["return_mode"])
+        lasts_ns: I8 = self._ages_ns[fields["factory"], fields["return_mode"]]
         fired_ns = arrival_ns - lasts_ns
         if self.host_ahead_ns is None:
             self.host_ahead_ns = int(fired_ns[0] - sensor_ns[0])
@@ -141,9 +152,18 @@ class PacketClock:
         return sensor_ns if self.fit is None else self.fit.host_at(self._number, sensor_ns)
 
 
-def periods_ns(mode: U1) -> I8:
-    """Return the times (n,) from the first pulses of data packets to their sending, by return mode (n,)."""
-    return np.asarray(_PERIODS_NS[mode])
+@cache
+def ages_ns(model: SensorModel | None = None) -> I8:
+    """Return the times from the stamps of data packets to their sending, (256, 256) by product and mode.
+
+    It is 0 for unknown modes; unknown products have the VLP-16's. `model` is that of a prototype unit.
+    """
+    ages = np.zeros((256, 256), np.int64)
+    for mode in RETURN_MODE_BYTE.values():
+        ages[:, mode] = layout_of_bytes(mode, -1).age_ns
+        for product in PRODUCTS:
+            ages[product, mode] = layout_of_bytes(mode, product, model).age_ns
+    return ages
 
 
 def wrap_hour(difference: _Time, hour: int) -> _Time:

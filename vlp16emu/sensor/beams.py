@@ -1,8 +1,8 @@
-"""Beam tables: elevations, offsets and firing times of lasers in wire order.
+"""Sensor models: beams, firing times and codes, from the tables of `protocol/models`, which have the sources.
 
-Source: VLP-16 User Manual 63-9243 Rev D, table 9-1 (elevation and vertical correction). Each beam
-crosses the height of the optical centre 41.9 mm from the spin axis: on the VLP-16 within the rounding of the
-table, on the Puck Hi-Res, whose corrections the manual gives in equal steps, within 0.4 mm.
+On a Puck each beam crosses the height of the optical centre 41.9 mm from the spin axis: on the VLP-16 within
+the rounding of the manual's table, on the Puck Hi-Res, whose corrections the manual gives in equal steps,
+within 0.4 mm.
 """
 
 from collections.abc import Sequence
@@ -13,14 +13,8 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos
 from vlp16emu.random import Purpose, normal
-from vlp16emu.types import F8, SensorModel
-
-LASER_NS = 2_304  # time between the pulses of consecutive lasers (63-9243 Rev D, section 8.1)
-SEQUENCE_NS = 55_296
-"""Period of firing sequences: 16 pulses and 18.432 us of recharge (63-9243 Rev D, section 8.1)."""
-
-LENS_RADIUS_M = 0.0419
-"""Distance from the spin axis at which all beams cross the horizontal plane: -correction / tan(elevation)."""
+from vlp16emu.sensor.models import model_table
+from vlp16emu.types import F8, I8, SensorModel
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,10 +22,12 @@ class BeamTable:
     """Directions and firing times of L lasers in wire order."""
 
     elevation_deg: F8  # (L,) elevation above the horizon, from the data sheet
+    azimuth_offset_deg: F8  # (L,) azimuth of the beam minus that of the rotor, from the data sheet
     vertical_offset_m: F8  # (L,) height at which the beam's line meets the spin axis, the zero of ranges
     lens_radius_m: float  # distance from the spin axis at which the light leaves
     sequence_ns: int  # period of firing sequences
-    laser_ns: int  # time between the pulses of consecutive lasers
+    firing_ns: I8  # (L,) times of the pulses since the begin of their firing sequence
+    per_reading: int  # firing sequences from one azimuth reading to the next
     elevation_error_deg: F8  # (L,) constant elevation errors of this unit
     azimuth_error_deg: F8  # (L,) constant azimuth errors of this unit
 
@@ -49,51 +45,93 @@ class BeamTable:
 def table_of(
     elevation_deg: Sequence[float],
     vertical_offset_m: F8,
-    lens_radius_m: float = LENS_RADIUS_M,
-    sequence_ns: int = SEQUENCE_NS,
-    laser_ns: int = LASER_NS,
+    lens_radius_m: float,
+    sequence_ns: int,
+    firing_ns: I8,
+    *,
+    azimuth_offset_deg: F8 | None = None,
+    per_reading: int = 2,
 ) -> BeamTable:
     """Return the table of a unit without angle errors, from columns of `BeamTable`."""
     elevation = np.array(elevation_deg, np.float64)
-    errors_deg = np.zeros(len(elevation_deg))
+    none_deg = np.zeros(len(elevation))
+    offset_deg = none_deg if azimuth_offset_deg is None else azimuth_offset_deg
     return BeamTable(
-        elevation, vertical_offset_m, lens_radius_m, sequence_ns, laser_ns, errors_deg, errors_deg
+        elevation,
+        offset_deg,
+        vertical_offset_m,
+        lens_radius_m,
+        sequence_ns,
+        firing_ns,
+        per_reading,
+        elevation_error_deg=none_deg,
+        azimuth_error_deg=none_deg,
     )
 
 
-_VLP_16 = table_of(
-    (-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15),
-    np.array((11.2, -0.7, 9.7, -2.2, 8.1, -3.7, 6.6, -5.1, 5.1, -6.6, 3.7, -8.1, 2.2, -9.7, 0.7, -11.2))
-    * 1e-3,
-)
-# Offsets of ids 0..6 follow from ids 15..9 by antisymmetry.
-_PUCK_HI_RES = table_of(
-    (
-        -10.0,
-        0.667,
-        -8.667,
-        2.0,
-        -7.333,
-        3.333,
-        -6.0,
-        4.667,
-        -4.667,
-        6.0,
-        -3.333,
-        7.333,
-        -2.0,
-        8.667,
-        -0.667,
-        10.0,
-    ),
-    np.array((7.4, -0.9, 6.5, -1.8, 5.5, -2.7, 4.6, -3.7, 3.7, -4.6, 2.7, -5.5, 1.8, -6.5, 0.9, -7.4)) * 1e-3,
-)
+BLOCK_RECORDS = 32  # records of a data block of all models (63-9243 Rev D, section 9.3.2, p. 56)
 
-BEAM_TABLES = {
-    SensorModel.VLP_16: _VLP_16,
-    SensorModel.PUCK_LITE: _VLP_16,
-    SensorModel.PUCK_HI_RES: _PUCK_HI_RES,
-}
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Model:
+    """A sensor model: its beams, and the codes of its packets."""
+
+    name: SensorModel
+    title: str
+    product: int  # second factory byte
+    flags: tuple[int, ...]  # flags of the blocks of one firing sequence
+    distance_lsb_m: float
+    minimum_lsb: int  # smallest nonzero distance code
+    stamp_after_ns: int  # time of a packet's stamp after its first pulse
+    period_us: tuple[int, int] | None
+    """Shortest and longest period of packets of single return on real units; None if it is the manual's."""
+    has_known_frame: bool  # whether the headers of its frames are known
+    rpm: tuple[int, int]  # lowest and highest speed
+    beams: BeamTable
+
+    @property
+    def lasers(self) -> int:
+        """Number of lasers."""
+        return len(self.beams.elevation_deg)
+
+    @classmethod
+    def of(cls, name: SensorModel) -> "Model":
+        """Return a model from its table."""
+        table = model_table(name)
+        packet, firing, beams = (table[key] for key in ("packet", "firing", "beams"))
+        slots = np.array(firing["slots"], np.int64)
+        firing_ns = np.repeat(slots * firing["slot_ns"], firing["lasers_per_slot"])
+        lasers = len(firing_ns)
+        return cls(
+            name=name,
+            title=table["title"],
+            product=packet["product"],
+            flags=tuple(packet["flags"]),
+            distance_lsb_m=packet["distance_mm"] / 1000,
+            minimum_lsb=packet["minimum_code"],
+            stamp_after_ns=packet["stamp_after_first_ns"],
+            period_us=tuple(packet["period_us"]) if "period_us" in packet else None,
+            has_known_frame=table["frame"]["is_known"],
+            rpm=tuple(table["motor"]["rpm"]),
+            beams=table_of(
+                beams["elevation_deg"],
+                np.array(beams["vertical_correction_mm"], np.float64) * 1e-3,
+                beams["lens_radius_mm"] * 1e-3,
+                firing["sequence_ns"],
+                firing_ns,
+                azimuth_offset_deg=np.resize(np.array(beams["azimuth_offset_deg"], np.float64), lasers),
+                per_reading=max(BLOCK_RECORDS // lasers, 1),
+            ),
+        )
+
+
+MODELS = {name: Model.of(name) for name in SensorModel}
+BEAM_TABLES = {name: model.beams for name, model in MODELS.items()}
+
+_VLP_16 = BEAM_TABLES[SensorModel.VLP_16]
+SEQUENCE_NS = _VLP_16.sequence_ns  # of a VLP-16, like the next two
+LASER_NS = int(_VLP_16.firing_ns[1])  # time between the pulses of consecutive lasers
+LENS_RADIUS_M = _VLP_16.lens_radius_m
 
 
 def with_angle_errors(

@@ -30,8 +30,7 @@ class Head:
         """Return the UTC time of each pulse of `count` sequences, (count, L)."""
         beams = self.beams
         sequence = self.start_ns + np.arange(first, first + count, dtype=np.int64) * beams.sequence_ns
-        laser = np.arange(len(beams.elevation_deg), dtype=np.int64) * beams.laser_ns
-        return np.asarray(sequence[:, None] + laser)
+        return np.asarray(sequence[:, None] + beams.firing_ns)
 
     def read(self, sequence: I8) -> F8:
         """Return the encoder readings at firing sequences (n,), in degrees (n,)."""
@@ -60,7 +59,8 @@ class Head:
         direction = np.empty((*t_ns.shape, 3))
         level = np.empty((*t_ns.shape, 3) if beam_axis else (0, 0, 3))
         elevation_rad = np.radians(beams.elevation_deg + beams.elevation_error_deg)
-        table = np.radians(beams.azimuth_error_deg), elevation_rad, beams.vertical_offset_m
+        azimuth_rad = np.radians(beams.azimuth_offset_deg + beams.azimuth_error_deg)
+        table = azimuth_rad, elevation_rad, beams.vertical_offset_m
         for begin in range(0, count, _TOGETHER):
             part = slice(begin, begin + _TOGETHER)
             poses = poses_at(t_ns[part].reshape(-1))  # each pulse has a pose of its own
@@ -88,7 +88,7 @@ def turn(R: F8, vector: F8, out: F8) -> None:
 @array_kernel
 def _aim(
     azimuth_deg: F8,
-    error_rad: F8,
+    offset_rad: F8,
     elevation_rad: F8,
     offset_m: F8,
     world_R_body: F8,
@@ -113,7 +113,7 @@ def _aim(
         flat[j], up[j] = cos_sin(elevation_rad[j])
     for i in range(count):
         for j in range(lasers):  # four at once
-            cosine[j], sine[j] = cos_sin(math.radians(azimuth_deg[i, j]) + error_rad[j])
+            cosine[j], sine[j] = cos_sin(math.radians(azimuth_deg[i, j]) + offset_rad[j])
         for j in range(lasers):
             n = i * lasers + j if moving else 0
             R, p = world_R_body[n], world_p_body_m[n]

@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass, fields
 from ipaddress import IPv4Address
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self, get_args
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from vlp16emu.errors import ScenarioError
+from vlp16emu.sensor.models import model_table
 from vlp16emu.settings import ExpectationError, OneOf, Preset, Seed
 from vlp16emu.trees import Tree
 
@@ -16,10 +17,11 @@ if TYPE_CHECKING:  # reading a scene does not import numpy
 Degrees = Annotated[float, Field(ge=0, lt=360)]
 Port = Annotated[int, Field(ge=1, le=65_535)]
 
-LEAST_RPM = 300
-MOST_RPM = 1200
+LEAST_RPM: int
+MOST_RPM: int
+LEAST_RPM, MOST_RPM = model_table("vlp-16")["motor"]["rpm"]  # the other models have the same
 RPM_STEP = 60
-"""Speeds of the rotor that a Puck can be set to (63-9243 Rev D, section 8.3, p. 50)."""
+"""Step of the speeds that a Puck can be set to (63-9243 Rev D, section 8.3, p. 50)."""
 MOST_OFF_RPM = 3.0
 """Error of a held speed at 600 rpm, in proportion at other speeds (manuals of sibling models)."""
 Rpm = Annotated[int, Field(ge=LEAST_RPM, le=MOST_RPM, multiple_of=RPM_STEP)]
@@ -92,8 +94,9 @@ class Lidar(Preset):
     """Returns that are sent: the strongest, the last, or both."""
     min_range_m: Annotated[float, Field(ge=0.5, lt=131.07)] = 0.5
     """Nearer targets are blanked; no real unit sends less than 0.5 m."""
-    max_range_m: Annotated[float, Field(gt=0.5, le=131.07, validate_default=True)] = 100.0
-    """Farther targets are lost; 100 m in the data sheet, 131.07 m is the largest code."""
+    max_range_m: Annotated[float, Field(gt=0.5, le=262.14, validate_default=True)] = 100.0
+    """Farther targets are lost; 100 m in the data sheet of the VLP-16 and the HDL-32E, 200 m in that of the
+    VLP-32C, 245 m of the VLS-128. The largest code is 131.07 m, and 262.14 m of the latter two."""
     start_azimuth_deg: Degrees | None = None
     """True rotor angle at the first firing; random if not set, and 0.1 with `steady`, just past north, so
     that a recording begins with a complete scan."""
@@ -149,8 +152,9 @@ class Sensor(Lidar):
 
     either_or: ClassVar[frozenset[str]] = frozenset({"start_azimuth_deg", "phase_lock_deg"})
 
-    model: Literal["vlp-16", "puck-lite", "puck-hi-res"] = "vlp-16"
-    """Sensor model: beam table and factory byte."""
+    model: Literal["vlp-16", "puck-lite", "puck-hi-res", "hdl-32e", "vlp-32c", "vls-128"] = "vlp-16"
+    """Sensor model: beams, firing times and layout of packets (`protocol/models`). The character of other
+    units than Pucks is not known, and is that of a VLP-16."""
     rpm: Annotated[int, Field(ge=LEAST_RPM, le=MOST_RPM)] = 600
     """Rotor speed. The manual has multiples of 60, as other speeds disturb speed control and phase lock
     (63-9243 Rev D, section 8.3); a real unit turns at 500. So any speed can be set here, but a phase lock,
@@ -178,6 +182,14 @@ class Sensor(Lidar):
         from vlp16emu.types import SensorModel
 
         return BEAM_TABLES[SensorModel(self.model)]
+
+    @model_validator(mode="after")
+    def _has_a_code(self) -> Self:
+        """Raise ValueError for a range beyond the model's largest distance code."""
+        most_m = 65.535 * model_table(self.model)["packet"]["distance_mm"]
+        if self.max_range_m > most_m:
+            raise ExpectationError(f"at most {most_m:g} m as max_range_m, the largest code of a {self.model}")
+        return self
 
     @model_validator(mode="after")
     def _starts_once(self) -> Self:
@@ -238,9 +250,11 @@ def require_packets(sensor: Lidar) -> Sensor:
     Raises ScenarioError if it has none.
     """
     if not isinstance(sensor, Sensor):
+        *others, last = (f'"{name}"' for name in get_args(Sensor.model_fields["model"].annotation))
+        names = f"{', '.join(others)} or {last}"
         raise ScenarioError(
             "sensor.model",
             f'found "{sensor.model}", which has no packets',
-            '"vlp-16", "puck-lite" or "puck-hi-res", or `vlp16emu points`, which writes what any sensor sees',
+            f"{names}, or `vlp16emu points`, which writes what any sensor sees",
         )
     return sensor

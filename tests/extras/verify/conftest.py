@@ -92,8 +92,8 @@ def data_frames(seconds, rpm, *, dual):
         distance_lsb[:, 1::2] = distance_lsb[:, ::2]
         distance_lsb[:, 1::2, 0, 3] //= 2
         distance_lsb[distance_lsb < 250] = 0
-    payload["blocks"]["records"]["distance_lsb"] = distance_lsb
-    payload["blocks"]["records"]["reflectivity"] = reflectivity
+    payload["blocks"]["records"]["distance_lsb"] = distance_lsb.reshape(count, 12, 32)
+    payload["blocks"]["records"]["reflectivity"] = reflectivity.reshape(count, 12, 32)
     since_us = np.arange(count) * period_ns // 1000
     payload["timestamp_us"] = (START_US + since_us) % 3_600_000_000
     payload["return_mode"], payload["factory"] = 0x39 if dual else 0x37, 0x22

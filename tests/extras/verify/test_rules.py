@@ -109,7 +109,7 @@ DAMAGES = {
         Rule.AZIMUTH_STEP,
         azimuths(lambda a: [*a[:5], *((a[5:].astype(int) + 1000) % 36_000)]),
     ),
-    "short distance": (Rule.DISTANCE_CODE, field("blocks", "records", "distance_lsb", (3, 1, 9), to=249)),
+    "short distance": (Rule.DISTANCE_CODE, field("blocks", "records", "distance_lsb", (3, 25), to=249)),
     "byte in the zeros": (Rule.POSITION_HEAD, position(13, b"\x01")),
     "state of the pulse": (Rule.PPS, position(202, b"\x04")),
     "other sentence": (Rule.NMEA_FORMAT, position(206, b"$GPGGA")),
@@ -120,7 +120,7 @@ DAMAGES = {
     "azimuth of a pair": (Rule.DUAL_AZIMUTH, azimuths(lambda a: [*a[:3], a[3] - 1, *a[4:]])),
     "last return nearer": (
         Rule.DUAL_ORDER,
-        field("blocks", "records", "distance_lsb", ([4, 5], 0, 0), to=[3000, 4000]),
+        field("blocks", "records", "distance_lsb", ([4, 5], 0), to=[3000, 4000]),
     ),
     "reflectivity of pairs": (
         Rule.DUAL_REFLECTIVITY,

@@ -23,6 +23,7 @@ from vlp16emu.errors import InputError, OutputError, Vlp16emuError
 from vlp16emu.explain import explain
 from vlp16emu.inputs import read_text
 from vlp16emu.output import OutputFile
+from vlp16emu.sensor.beams import MODELS
 from vlp16emu.sensor.settings import Address, Port, SensorSettings
 from vlp16emu.trees import Table, Tree
 from vlp16emu.types import PpsState, ReturnMode, SensorModel
@@ -268,12 +269,6 @@ def diagnostics(status: DeviceStatus) -> dict[str, object]:
     return {"volt_temp": boards, "vhv": 412, "adc_nf": 14, "ixe": 1}
 
 
-_MODELS = {
-    SensorModel.VLP_16: "VLP-16",
-    SensorModel.PUCK_LITE: "Puck LITE",
-    SensorModel.PUCK_HI_RES: "Puck Hi-Res",
-}
-"""The first name is documented; the others follow the data sheets (assumption)."""
 _FIRMWARE = Path(__file__).with_name("firmware.json")
 """Firmware images 3.0.41.1 and the fallback 1.9.3.0, and their states: invented, but consistent."""
 _PARTS = {
@@ -399,7 +394,7 @@ def document(path: str, device: Device) -> object | None:
         "rpm": round(status.motor_rpm),
         "lock": _switch_text(status.phase_locked),
     }
-    unit = {"model": _MODELS[info.model], "serial": info.serial, "mac_addr": info.mac.hex("-")}
+    unit = {"model": MODELS[info.model].title, "serial": info.serial, "mac_addr": info.mac.hex("-")}
     firmware: dict[str, object] = json.loads(_FIRMWARE.read_text(encoding="utf-8"))
     snapshot = {
         "config": _settings_tree(device.settings),

@@ -15,9 +15,8 @@ import numpy as np
 from vlp16emu.extras.bench.imu_frame import shift_imu_frame
 from vlp16emu.packets import layout
 from vlp16emu.packets.position import STAMP_LEAD_NS
-from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.sinks import Pacer
-from vlp16emu.types import Packet, PacketKind, PpsState, ReturnMode
+from vlp16emu.types import Packet, PacketKind, PpsState
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
 _STAMP = struct.Struct("<I")
@@ -38,7 +37,6 @@ _STAMP_AT = {
 }
 _PPS_AT = _offset(layout.POSITION_PAYLOAD, "pps")
 _MODE_AT = _offset(layout.DATA_PAYLOAD, "return_mode")
-_DUAL = bytes([layout.RETURN_MODE_BYTE[ReturnMode.DUAL]])
 _SENTENCE = slice(
     _offset(layout.POSITION_PAYLOAD, "sentence"), _offset(layout.POSITION_PAYLOAD, "unused_tail")
 )
@@ -64,8 +62,8 @@ def age_ns(packet: Packet) -> int:
     """Return the time from the stamp of a packet to its sending: for a data packet the time to fill it."""
     if packet.kind is not PacketKind.DATA:
         return STAMP_LEAD_NS if packet.kind is PacketKind.POSITION else 0
-    is_dual = packet.payload[_MODE_AT:].startswith(_DUAL)
-    return layout.SEQUENCES_PER_PACKET[ReturnMode.DUAL if is_dual else ReturnMode.STRONGEST] * SEQUENCE_NS
+    factory = packet.payload[_MODE_AT:] or b"\0"  # a truncated packet has none, or no product
+    return layout.layout_of_bytes(factory[0], factory[-1]).age_ns
 
 
 def shift_packet(packet: Packet, by_s: int, now_ns: int | None = None) -> Packet:

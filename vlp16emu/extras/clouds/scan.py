@@ -15,11 +15,8 @@ from vlp16emu.engine import Engine, Unit
 from vlp16emu.errors import InputError
 from vlp16emu.extras.displace import offset_tangents
 from vlp16emu.packets import (
-    BLOCK_PERIOD_NS,
-    BLOCKS_PER_PACKET,
     DATA_BYTES,
     JUMP_NS,
-    SEQUENCES_PER_BLOCK,
     PacketClock,
     PacketTable,
     PointFrame,
@@ -31,8 +28,8 @@ from vlp16emu.packets import (
     scan_starts,
     utc_ns_of,
 )
-from vlp16emu.packets.decode import block_since_ns, is_dual
-from vlp16emu.sensor.beams import BeamTable
+from vlp16emu.packets.decode import block_since_ns, layouts_of, readings_in
+from vlp16emu.sensor.beams import BLOCK_RECORDS, BeamTable
 from vlp16emu.sensor.head import in_sensor
 from vlp16emu.types import (
     F4,
@@ -149,7 +146,7 @@ def decode(
 
     Parameters
     ----------
-    capture : a classic pcap file with the packets of a VLP-16, Puck LITE or Puck Hi-Res
+    capture : a classic pcap file with the packets of a model of `SensorModel`
     unit : sensor, if there are several: its number from 1, or `address:port` with its data port
     frame : frame of `xyz_m`: "sensor" (x forward, y left, z up) or "manual" (x right, y forward, z up)
     clock : clock of `t_ns`: "sensor", "gps" or "host"; by default the choice of `unit_clocks`
@@ -159,7 +156,7 @@ def decode(
     iterator over the whole revolutions, which reads the file step by step; scans before an error come first
 
     Raises CaptureError if the file cannot be read, is damaged or has no data packets; PacketError if a packet
-    is no VLP-16 packet; InputError if there is no such frame, clock or unit, or if `unit` is missing and
+    is none of a known model; InputError if there is no such frame, clock or unit, or if `unit` is missing and
     there are several.
     """
     if frame not in tuple(PointFrame):
@@ -178,8 +175,8 @@ def chunk_of(table: PacketTable, points: Points, labels: Mapping[str, AnyArray])
 
     Labels are arrays of `Labels`, empty if there are none.
     """
-    block = np.arange(BLOCKS_PER_PACKET)
-    is_reading = ~is_dual(table)[:, None] | (block % 2 == 0)  # in dual return two blocks share a reading
+    reading = readings_in(table)
+    is_reading = np.diff(reading, axis=1, prepend=-1) > 0  # the first of the blocks that share a reading
     first = np.concatenate([[0], np.cumsum(is_reading.sum(axis=1))])
     block_ns = table["utc_ns"][:, None] + block_since_ns(table)
     copied_fields = ("xyz_m", "distance_m", "azimuth_deg", "reflectivity", "is_last")
@@ -189,7 +186,7 @@ def chunk_of(table: PacketTable, points: Points, labels: Mapping[str, AnyArray])
     return Chunk(
         t_ns=block_ns[is_reading],
         azimuth_deg=table["blocks"]["azimuth_cdeg"][is_reading] / 100,
-        reading=first[points.packet] + points.since_ns // BLOCK_PERIOD_NS,
+        reading=first[points.packet] + reading[points.packet, points.slot // BLOCK_RECORDS],
         arrays=arrays,
     )
 
@@ -209,6 +206,7 @@ def chunk_of_packets(packets: Iterable[Packet]) -> Chunk | None:
     )
     table = packet_table(rows)
     table["utc_ns"] = [packet.due_ns if packet.fired_ns is None else packet.fired_ns for packet in complete]
+    table["utc_ns"] += layouts_of(table)[0].model.stamp_after_ns
     is_valid = np.ones(len(complete), np.bool_)
     is_valid[[fault.packet for fault in faults_in(table)]] = False
     if not is_valid.any():
@@ -240,7 +238,7 @@ def scans_of(engine: Engine, number: int, span_s: tuple[float, float], *, truth:
 def _chunk_of_returns(unit: Unit, returns: Returns, begin_ns: int, end_ns: int, *, truth: bool) -> Chunk:
     """Return the points of a block whose azimuth is read in a span: each echo once, the last one first."""
     firings = returns.firings
-    step = SEQUENCES_PER_BLOCK
+    step = unit.head.beams.per_reading
     reading_ns = firings.t_ns[::step, 0]
     is_inside = (reading_ns >= begin_ns) & (reading_ns < end_ns)
     if returns.is_sent is not None:
@@ -322,12 +320,13 @@ def positions_of(
 
     Returns
     -------
-    `azimuth_deg` (n,), encoder reading of the firing sequence plus the rotor's turn until the pulse, [0,
-    360); `elevation_deg` (n,) of the beam table; `sensor_m` (n, 3) in the sensor's frame at the instant of
-    the pulse; `world_m` (n, 3)
+    `azimuth_deg` (n,), encoder reading of the firing sequence plus the rotor's turn until the pulse and the
+    laser's azimuth offset, [0, 360); `elevation_deg` (n,) of the beam table; `sensor_m` (n, 3) in the
+    sensor's frame at the instant of the pulse; `world_m` (n, 3)
     """
     turned_deg = firings.azimuth_deg[sequence, laser] - firings.azimuth_deg[sequence, 0]
-    azimuth_deg = (firings.reading_deg[sequence] + turned_deg) % 360.0
+    azimuth_deg = firings.reading_deg[sequence] + turned_deg + beams.azimuth_offset_deg[laser]
+    azimuth_deg %= 360.0
     elevation_deg = beams.elevation_deg[laser]
     range_m = distance_m.astype(np.float64)
     sensor_m = in_sensor(azimuth_deg, elevation_deg, beams.vertical_offset_m[laser], range_m)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from vlp16emu.captures import Capture, table_of
 from vlp16emu.errors import CaptureError
 from vlp16emu.packets import PacketClock, PacketTable, layout
-from vlp16emu.packets.decode import is_dual
+from vlp16emu.packets.decode import is_before_release, is_dual, layouts_of
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.sensor.settings import LEAST_RPM, MOST_RPM
 from vlp16emu.types import I8
@@ -63,6 +63,9 @@ def read_sequences(path: Path) -> Sequences:
     if len(packets) < _LEAST_PACKETS:
         raise CaptureError(str(path), f"{len(packets)} data packets", f"{_LEAST_PACKETS} at least")
     table = table_of(packets, PacketClock())
+    model = layouts_of(table)[0].model
+    if model.lasers != layout.LASERS and not is_before_release(table):
+        raise CaptureError(str(path), f"packets of a {model.title}", "those of a VLP-16 or another Puck")
     if len(modes := np.unique(table["return_mode"])) > 1:
         raise CaptureError(str(path), f"{len(modes)} return modes", "one")
     sequences = _sequences_of(path, table)

@@ -14,8 +14,9 @@ from vlp16emu.inputs import readable
 from vlp16emu.libraries import of_extra
 from vlp16emu.output import OutputFile
 from vlp16emu.packets.data import distance_lsb, odd_column
-from vlp16emu.packets.layout import DATA_BYTES, DATA_PAYLOAD, RECORDS_PER_PACKET
-from vlp16emu.types import I8, SURFACE, U4, AnyArray, Packet, ReturnMode, Returns
+from vlp16emu.packets.layout import DATA_BYTES, DATA_PAYLOAD, RECORDS_PER_PACKET, layout_of
+from vlp16emu.sensor.beams import BLOCK_RECORDS, Model
+from vlp16emu.types import I8, SURFACE, U4, AnyArray, Packet, ReturnMode, Returns, SensorModel
 
 _ONLY_COLUMN = {ReturnMode.STRONGEST: 0, ReturnMode.LAST: 1}
 _LABELS = ("semantic", "part", "instance", "species")
@@ -30,22 +31,25 @@ def slots_of(unit: Unit, returns: Returns, mode: ReturnMode) -> NDArray[np.void]
     mode : return mode
     """
     shape = returns.distance_m.shape[:2]
+    of_model = layout_of(SensorModel(unit.section.model), mode)
     if mode is ReturnMode.DUAL:
         last = np.ones(shape, np.int64)
         odd = odd_column(returns)
-        pairs = [_rows(unit, returns, column) for column in (last, odd)]
+        pairs = [_rows(unit, returns, column, of_model.model) for column in (last, odd)]
         of_last = returns.distance_m[..., 1] == returns.distance_m[..., 0]
         pairs[1]["repeat"] = (odd == 0) & of_last & (pairs[1]["echo"] != NO_ECHO)
-        rows = np.stack(
-            [pair.reshape(-1, 32) for pair in pairs], axis=1
-        )  # two blocks per two firing sequences
+        rows = np.stack([pair.reshape(-1, BLOCK_RECORDS) for pair in pairs], axis=1)  # pairs of blocks
     else:
-        rows = _rows(unit, returns, np.full(shape, _ONLY_COLUMN[mode]))
-    return rows.reshape(-1, RECORDS_PER_PACKET)
+        rows = _rows(unit, returns, np.full(shape, _ONLY_COLUMN[mode]), of_model.model)
+    rows = rows.reshape(-1, of_model.blocks * BLOCK_RECORDS)
+    nothing = np.zeros((len(rows), RECORDS_PER_PACKET - rows.shape[1]), SLOT)
+    nothing["t_ns"] = rows["t_ns"][:, -1:]
+    nothing["echo"] = NO_ECHO
+    return np.concatenate([rows, nothing], axis=1)
 
 
-def _rows(unit: Unit, returns: Returns, column: I8) -> NDArray[np.void]:
-    """Return `SLOT` (k, 16) of one return of each pulse, given by its index (k, 16) on the last axis."""
+def _rows(unit: Unit, returns: Returns, column: I8, model: Model) -> NDArray[np.void]:
+    """Return `SLOT` (k, L) of one return of each pulse, given by its index (k, L) on the last axis."""
 
     def taken(values: AnyArray | None) -> AnyArray:
         assert values is not None
@@ -53,7 +57,7 @@ def _rows(unit: Unit, returns: Returns, column: I8) -> NDArray[np.void]:
 
     firings = returns.firings
     rows = np.zeros(column.shape, SLOT)
-    is_sent = distance_lsb(taken(returns.distance_m)) > 0
+    is_sent = distance_lsb(taken(returns.distance_m), model) > 0
     rows["t_ns"] = firings.t_ns
     rows["echo"] = np.where(is_sent, column, NO_ECHO)
     range_m = np.where(is_sent, taken(returns.range_m), 0.0)
@@ -94,7 +98,6 @@ NO_ECHO = 255  # echo of a record without distance
 LEAF_OR_WOOD = np.array([0, 1, 1, 1, 2, 1, 1], np.uint8)  # leaf (2) or wood (1) by `PlantPart`; 0 neither
 
 _GROUP = 256  # packets of a row group, 98 304 rows: some 20 MB in memory
-_CHANNELS = 32
 _LATE = 64  # greatest lateness of a packet in a capture, in packets
 _EXPECTED = "the returns.parquet of the run that made the capture (`record --truth DIR --truth-returns`)"
 
@@ -171,8 +174,8 @@ class SlotTable:
         columns |= {
             "packet": np.repeat(np.arange(len(packets)) + self._number, RECORDS_PER_PACKET),
             "stamp_us": np.repeat([_stamp_us(packet.payload) for packet in packets], RECORDS_PER_PACKET),
-            "block": slot // _CHANNELS,
-            "channel": slot % _CHANNELS,
+            "block": slot // BLOCK_RECORDS,
+            "channel": slot % BLOCK_RECORDS,
             "leaf_wood": LEAF_OR_WOOD[rows["part"]],
             "miss": miss,
         }
@@ -238,7 +241,7 @@ class SlotReader:
                 found.setdefault(name, np.empty(len(number), array.dtype))[inside] = array[row]
         if found and found["miss"].any():
             first = int(found["miss"].argmax())
-            block, channel = divmod(int(slot[first]), _CHANNELS)
+            block, channel = divmod(int(slot[first]), BLOCK_RECORDS)
             what = f"no return in packet {number[first]}, block {block}, channel {channel}"
             raise InputError(str(self._path), what, "one as in the capture, which is of another run")
         return found

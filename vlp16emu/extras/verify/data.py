@@ -26,11 +26,10 @@ from vlp16emu.extras.verify.frames import (
 )
 from vlp16emu.extras.verify.speed import SpeedRules
 from vlp16emu.packets import layout
-from vlp16emu.packets.decode import PRODUCT_BEFORE_RELEASE, is_dual
-from vlp16emu.packets.layout import POSITION_PAYLOAD
+from vlp16emu.packets.decode import is_before_release, is_dual, layouts_of
+from vlp16emu.packets.layout import POSITION_PAYLOAD, layout_of
 from vlp16emu.packets.table import PacketTable, wrap_hour
-from vlp16emu.sensor.settings import LEAST_RPM, MOST_RPM
-from vlp16emu.types import F8, I8, PpsState
+from vlp16emu.types import F8, I8, AnyArray, PpsState, ReturnMode, SensorModel
 from vlp16emu.units import MS_NS, S_NS, US_NS
 
 _UNEQUAL_REFLECTIVITY_SHARE = 0.05
@@ -49,12 +48,10 @@ _CLOCK_PPM = 10  # short-term rate error of a clock that follows GPS
 _RPM_TOLERANCE = 0.01
 """Speed control, 3 rpm in sibling manuals, and the once-per-revolution error of the encoder."""
 _RPM_STEPS = 100  # least number of steps to judge the speed
-_CDEG_PER_STEP_AND_RPM = 6 * 100 * layout.BLOCK_PERIOD_NS / 1e9
+_CDEG_PER_NS_AND_RPM = 6 * 100 / 1e9
 _STILL_CDEG = 12
 """Two readings differ by less than this if the rotor stands; at 300 rpm a packet turns by 220."""
 
-_BY_ELEVATION = np.array([*range(0, layout.LASERS, 2), *range(1, layout.LASERS, 2)])
-"""Lasers from lowest to highest. Source: 63-9243 Rev D, table 9-1, p. 53."""
 _SHORTEST = 300  # firing sequences: fewer may all point into the sky
 _SEEN = 0.1  # least share of pulses with a return for a laser that sees a surface
 _SECTORS = 36
@@ -78,6 +75,7 @@ class DataChunk:
     ends : True if no chunk follows that begins with the last packet
     """
 
+    products = layout.PRODUCT_WORDS
     unequal_share = _UNEQUAL_REFLECTIVITY_SHARE
     tolerance_deg = _STEP_TOLERANCE_CDEG / 100
     jitter_ms = JITTER_US / 1e3
@@ -93,11 +91,16 @@ class DataChunk:
         self.number = table["number"]
         self.stamp_ns = table["arrival_ns"]
         self.dual = bool(is_dual(table)[0])
+        self._is_prototype = is_before_release(table)
+        self.layout = layouts_of(table, SensorModel.VLP_16 if self._is_prototype else None)[self.dual]
         self.timestamp_us = table["timestamp_us"].astype(np.int64)
         self.flag = blocks["flag"]  # (n, 12)
-        self.azimuth_cdeg = blocks["azimuth_cdeg"].astype(np.int64)
-        self.distance_lsb = np.ascontiguousarray(blocks["records"]["distance_lsb"])  # (n, 12, 2, 16)
-        self.reflectivity = np.ascontiguousarray(blocks["records"]["reflectivity"])  # (n, 12, 2, 16)
+        azimuth_cdeg = self.layout.by_reading(blocks["azimuth_cdeg"].astype(np.int64))[:, :, 0]
+        self.azimuth_cdeg: I8 = azimuth_cdeg.reshape(n, -1)
+        """(n, b) of the first block of each reading and copy, on a VLP-16 of all twelve blocks."""
+        self.distance_lsb = self.layout.by_laser(blocks["records"]["distance_lsb"])
+        """(n, b, firing sequences of a reading, L), on a VLP-16 (n, 12, 2, 16), like the next one."""
+        self.reflectivity = self.layout.by_laser(blocks["records"]["reflectivity"])
         self.mode = table["return_mode"]
         self.product = table["factory"]
         self._read_factory(before)
@@ -119,14 +122,14 @@ class DataChunk:
         self.is_changed = is_new & ~self.is_set
         is_new[0] |= not before
         self.is_no_mode = is_new & ~np.isin(self.mode, modes)
-        is_no_product = is_new & ~np.isin(self.product, [*layout.FACTORY_BYTE.values()])
-        self.is_old_product = is_no_product & (self.product == PRODUCT_BEFORE_RELEASE) & ~new_product
-        self.is_no_product = is_no_product & ~self.is_old_product
+        self.is_no_product = is_new & ~np.isin(self.product, [*layout.PRODUCTS])
+        self.is_old_product = is_new & self._is_prototype & ~new_product
 
     def _read_codes(self) -> None:
         """Find codes outside their limits, and pairs of dual return whose blocks disagree."""
         packet = np.arange(len(self.number))
-        is_no_flag = self.flag != layout.BLOCK_FLAG
+        right_flag = np.array(self.layout.model.flags)[:, None]
+        is_no_flag = (self.layout.by_reading(self.flag) != right_flag).reshape(len(packet), -1)
         self.azimuth = self.azimuth_cdeg.max(axis=1)
         self.is_no_flag = is_no_flag.any(axis=1)
         self.flag_block = is_no_flag.argmax(axis=1)
@@ -136,10 +139,11 @@ class DataChunk:
         self.is_past_turn = self.azimuth > layout.AZIMUTH_CODES
         self.is_full_turn = self.azimuth == layout.AZIMUTH_CODES
         self.is_past_hour = self.timestamp_us >= HOUR_US
-        is_short = (self.distance_lsb > 0) & (self.distance_lsb < layout.MIN_DISTANCE_LSB)
+        self.least = self.layout.model.minimum_lsb
+        is_short = (self.distance_lsb > 0) & (self.distance_lsb < self.layout.model.minimum_lsb)
         self.short = is_short.sum(axis=(1, 2, 3))
         self.has_short = self.short > 0
-        self.shortest = np.where(is_short, self.distance_lsb, layout.MIN_DISTANCE_LSB).min(axis=(1, 2, 3))
+        self.shortest = np.where(is_short, self.distance_lsb, self.least).min(axis=(1, 2, 3))
         # In dual return even and odd blocks are pairs (63-9243 Rev D, section 9.3.2, p. 57).
         is_apart = self.azimuth_cdeg[:, ::2] != self.azimuth_cdeg[:, 1::2]
         self.is_apart = is_apart.any(axis=1)
@@ -169,15 +173,22 @@ class DataChunk:
         """(n, blocks) 0 .. 35999; the very last one has no end and is 0."""
         half = layout.AZIMUTH_CODES // 2
         self.signed_cdeg: I8 = (self.forward_cdeg + half - 1) % layout.AZIMUTH_CODES - half + 1
-        self.usual_cdeg = np.median(self.forward_cdeg[:, :-1], axis=1, keepdims=True)
+        self._inside = slice(max(self.layout.readings - 1, 1))
+        """Columns of the steps that belong to a packet alone, or of the step to the next one if it has one
+        reading."""
+        self.usual_cdeg = np.median(self.forward_cdeg[:, self._inside], axis=1, keepdims=True)
+        if self.layout.readings == 1:
+            self.usual_cdeg[:] = np.median(self.usual_cdeg)
         self.is_even = np.abs(self.signed_cdeg - self.usual_cdeg) <= _STEP_TOLERANCE_CDEG
         self.is_odd: NDArray[np.bool_] = ~self.is_even | (self.signed_cdeg <= 0)
         """(n, blocks) neither forward nor near the usual step; `_read_times` clears those that time
         explains."""
         self.is_odd[-1, -1] = False
-        inside_cdeg = self.signed_cdeg[:, :-1]
+        inside_cdeg = self.signed_cdeg[:, self._inside]
         self.is_still = np.abs(inside_cdeg).max(axis=1) <= _STILL_CDEG
         self.is_still &= np.abs(inside_cdeg.sum(axis=1)) <= _STILL_CDEG
+        if self.layout.readings == 1:  # one slow step is as short as two readings of a rotor that stands
+            self.is_still &= len(inside_cdeg) > 1 and abs(int(inside_cdeg.sum())) <= _STILL_CDEG
         blocks = azimuth_cdeg.shape[1]
         self.step_number = np.repeat(self.number[:, None], blocks, axis=1)
         self.step_number[:-1, -1] = self.number[1:]  # a step belongs to the packet at its end
@@ -188,18 +199,20 @@ class DataChunk:
 
     def _read_times(self, gains: GpsGains) -> None:
         """Find which of the n - 1 steps of time are regular, and excuse azimuths that time explains."""
-        self.period_ns = layout.BLOCK_PERIOD_NS * self.forward_cdeg.shape[1]
         self.after = self.number[1:]
-        self.step_us = wrap_hour(np.diff(self.timestamp_us), HOUR_US)
-        self.low_us = self.period_ns // US_NS
-        self.high_us = self.low_us + 1
-        self.is_regular = (self.step_us == self.low_us) | (self.step_us == self.high_us)
+        self.step_us: I8 = wrap_hour(np.diff(self.timestamp_us), HOUR_US)
+        self.low_us, self.high_us = self.layout.steps_us
+        self.period_ns = self.layout.measured_period_ns(self.step_us)
+        self.reading_ns = self.period_ns // self.layout.readings
+        is_regular = (self.step_us >= self.low_us) & (self.step_us <= self.high_us)
+        self.is_regular: NDArray[np.bool_] = np.asarray(is_regular)
         periods = np.rint(self.step_us * US_NS / self.period_ns).astype(np.int64)
         self.missing = periods - 1
         off_us = np.abs(self.step_us - periods * self.period_ns / US_NS)
         apart_us = np.abs(self.step_us - np.diff(self.stamp_ns) // US_NS)
         # A step of the sensor's clock that the host does not see is no loss of packets.
-        is_whole = (periods > 1) & (off_us <= 1 + self.step_us * _CLOCK_PPM / 1e6) & (apart_us <= SILENCE_US)
+        off_most_us = self.high_us - self.low_us + self.step_us * _CLOCK_PPM / 1e6
+        is_whole = (periods > 1) & (off_us <= off_most_us) & (apart_us <= SILENCE_US)
         is_explained = self._explain(self.step_us - self.period_ns / US_NS)
         odd_inside = self.is_odd[:-1, :-1].any(axis=1)
         self.is_gap = ~self.is_regular & is_explained & (odd_inside | ~is_whole)
@@ -219,12 +232,12 @@ class DataChunk:
         self.is_odd[:, 0] &= ~self.is_twin
         self._find_late(contains_gap=np.append(self.is_gap & odd_inside, False))
 
-    def _explain(self, extra_us: F8) -> NDArray[np.bool_]:
+    def _explain(self, extra_us: AnyArray) -> NDArray[np.bool_]:
         """Find where the odd azimuth steps of a packet account for the time (n - 1,) beyond a period."""
-        even_cdeg = self.forward_cdeg[:, :-1][~self.is_odd[:, :-1]]
+        even_cdeg = self.forward_cdeg[:, self._inside][~self.is_odd[:, self._inside]]
         # A mean, because the median of integers is too coarse to convert a gap to time.
         usual_cdeg = max(float(even_cdeg.mean()), 1.0) if len(even_cdeg) else 1.0
-        rate_cdeg_us = usual_cdeg / (layout.BLOCK_PERIOD_NS / US_NS)
+        rate_cdeg_us = usual_cdeg / (self.reading_ns / US_NS)
         is_odd = self.is_odd[:-1]
         gap_us = np.where(is_odd, self.forward_cdeg[:-1] - usual_cdeg, 0.0).sum(axis=1) / rate_cdeg_us
         tolerance_us = _GAP_TOLERANCE_CDEG / rate_cdeg_us + _GAP_TOLERANCE * gap_us
@@ -254,7 +267,8 @@ class DataChunk:
         if usual_cdeg >= 1.0:
             packets = max(round(layout.AZIMUTH_CODES / usual_cdeg), 1)
         rows = len(turned_cdeg) // packets * packets
-        self.is_whole_revolution = self.is_regular[:rows].reshape(-1, packets).all(axis=1)
+        is_whole = self.is_regular[:rows].reshape(-1, packets).all(axis=1)
+        self.is_whole_revolution: NDArray[np.bool_] = np.asarray(is_whole)
         revolution_cdeg = turned_cdeg[:rows].reshape(-1, packets).sum(axis=1)
         self.rpm = revolution_cdeg / layout.AZIMUTH_CODES / (packets * self.period_ns / S_NS) * 60.0
         self.revolution_number = self.number[:rows:packets]
@@ -275,12 +289,13 @@ class DataRules:
         self.lost_packets = 0
         self.covered_us = 0.0  # time spanned by the packets, lost ones included
         self.left_out_us = 0.0  # time without packets because of a limited field of view
-        self._turned_cdeg = self._turned_steps = 0
+        self.layout = layout_of(SensorModel.VLP_16, ReturnMode.STRONGEST)  # of the last chunk
+        self._turned_cdeg = self._turned_ns = 0
 
     @property
     def rpm(self) -> float | None:
         """Mean speed over all even steps; None if there are none."""
-        return self._turned_cdeg / self._turned_steps / _CDEG_PER_STEP_AND_RPM if self._turned_steps else None
+        return self._turned_cdeg / (self._turned_ns * _CDEG_PER_NS_AND_RPM) if self._turned_ns else None
 
     def check(self, chunk: DataChunk) -> None:
         """Check one chunk.
@@ -300,12 +315,14 @@ class DataRules:
         self.left_out_us += float(chunk.gap_ms[chunk.is_gap].sum()) * 1e3
         self.covered_us += float(lost + len(chunk.step_us)) * chunk.period_ns / US_NS
         self._turned_cdeg += int(chunk.even_steps_cdeg.sum())
-        self._turned_steps += len(chunk.even_steps_cdeg)
+        self._turned_ns += len(chunk.even_steps_cdeg) * chunk.reading_ns
+        self.layout = chunk.layout
         if len(chunk.even_steps_cdeg) >= _RPM_STEPS:
-            rpm = float(chunk.even_steps_cdeg.mean()) / _CDEG_PER_STEP_AND_RPM
-            if not LEAST_RPM * (1 - _RPM_TOLERANCE) <= rpm <= MOST_RPM * (1 + _RPM_TOLERANCE):
+            rpm = float(chunk.even_steps_cdeg.mean()) / (chunk.reading_ns * _CDEG_PER_NS_AND_RPM)
+            least_rpm, most_rpm = chunk.layout.model.rpm
+            if not least_rpm * (1 - _RPM_TOLERANCE) <= rpm <= most_rpm * (1 + _RPM_TOLERANCE):
                 found = f"{rpm:.1f} rpm from here"
-                expected = f"{LEAST_RPM} to {MOST_RPM}"
+                expected = f"{least_rpm} to {most_rpm}"
                 self._findings.add(Rule.RPM, int(chunk.number[0]), found, expected)
         self._speed.check(chunk.revolution_number, chunk.rpm, chunk.is_whole_revolution)
         self._optics.check(chunk)
@@ -323,7 +340,7 @@ class OpticsRules:
 
     def __init__(self, findings: Findings) -> None:
         self._findings = findings
-        self._share = np.zeros(layout.LASERS)
+        self._share = np.zeros(0)
         self._light: F8 | None = None
         self._dead = frozenset[int]()
 
@@ -333,22 +350,25 @@ class OpticsRules:
             return
         packet = int(chunk.number[0])
         is_return = chunk.distance_lsb > 0
-        self._check_lasers(packet, is_return.mean(axis=(0, 1, 2)))
+        by_elevation = np.argsort(chunk.layout.model.beams.elevation_deg)
+        self._check_lasers(packet, is_return.mean(axis=(0, 1, 2)), by_elevation)
         self._check_sectors(packet, chunk, is_return)
 
-    def _check_lasers(self, packet: int, share: F8) -> None:
+    def _check_lasers(self, packet: int, share: F8, by_elevation: I8) -> None:
         """Report lasers without any return whose neighbours have many.
 
         A laser at the edge, with one neighbour, is reported if it had returns before.
         """
-        upward = share[_BY_ELEVATION]
-        before = self._share[_BY_ELEVATION]
+        before = self._share if len(self._share) == len(share) else np.zeros(len(share))
+        upward = share[by_elevation]
+        before = before[by_elevation]
         sees = upward >= _SEEN
         dead = upward == 0
         dead[1:-1] &= sees[:-2] & sees[2:]
         for edge, inner in ((0, 1), (-1, -2)):
             dead[edge] &= before[edge] >= _SEEN and upward[inner] >= 0.5 * before[inner] > 0
-        found = frozenset(_BY_ELEVATION[dead].tolist()) | {laser for laser in self._dead if share[laser] == 0}
+        found = frozenset(by_elevation[dead].tolist())
+        found |= {laser for laser in self._dead if laser < len(share) and share[laser] == 0}
         for laser in sorted(found - self._dead):
             self._findings.add(
                 Rule.LASER, packet, f"laser {laser} without returns", "some, as those beside it"

@@ -19,7 +19,6 @@ from vlp16emu.captures.capture import Datagram
 from vlp16emu.packets import layout
 from vlp16emu.packets.frames import DATA_PORT, DATA_TTL, POSITION_PORT, POSITION_TTL
 from vlp16emu.packets.table import wrap_hour
-from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import I8, PacketKind
 from vlp16emu.units import HOUR_NS, MS_NS, US_NS
 
@@ -188,9 +187,6 @@ STAMP_AT: dict[PacketKind, int] = {
 }
 """First byte of the time stamp in a payload of each kind."""
 _MODE_AT: int = layout.DATA_PAYLOAD.fields["return_mode"][1]  # type: ignore[index]  # it has fields
-_PERIODS_NS = {
-    layout.RETURN_MODE_BYTE[mode]: n * SEQUENCE_NS for mode, n in layout.SEQUENCES_PER_PACKET.items()
-}
 _HELD = 128  # packets that are held for sorting: 0.17 s of single return
 _FLAG = layout.BLOCK_FLAG.to_bytes(2, "little")
 SENTENCE_OFFSET: int = layout.POSITION_PAYLOAD.fields["sentence"][1]  # type: ignore[index]  # it has fields
@@ -240,7 +236,7 @@ class _Frames:
     Header fields (n, c) beside their correct values.
     """
 
-    def __init__(self, datagrams: Sequence[Datagram], kind: PacketKind) -> None:
+    def __init__(self, datagrams: Sequence[Datagram], kind: PacketKind, *, is_known: bool) -> None:
         self.kind = kind
         is_data = kind is PacketKind.DATA
         payload_bytes = PAYLOAD_BYTES[kind]
@@ -263,12 +259,12 @@ class _Frames:
             ("header bytes", np.array([len(datagram.ip) + 8 for datagram in datagrams]), 28),
             ("type of service", raw["tos"], 0),
             ("IP length", raw["total"], 28 + payload_bytes),
-            ("flags and offset", raw["fragment"], _FLAGS[kind]),
-            ("TTL", raw["ttl"], _TTL[kind]),
+            ("flags and offset", raw["fragment"] * is_known, _FLAGS[kind] * is_known),
+            ("TTL", raw["ttl"] * is_known, _TTL[kind] * is_known),
             ("UDP length", raw["udp_bytes"], 8 + payload_bytes),
             ("remainder of the IP header's sum", header[:, :10].sum(axis=1) % 0xFFFF, 0),
-            ("identification", raw["identification"] * is_data, 0),
-            ("UDP checksum", raw["udp_sum"] * is_data, 0),
+            ("identification", raw["identification"] * (is_data and is_known), 0),
+            ("UDP checksum", raw["udp_sum"] * (is_data and is_known), 0),
             (
                 "remainder of the UDP sum (-1: none sent)",
                 np.where(raw["udp_sum"], udp % 0xFFFF, -1) * (not is_data),
@@ -290,10 +286,15 @@ def _words(data: bytes, rows: int) -> I8:
     return np.frombuffer(data, ">u2").reshape(rows, -1).astype(np.int64)
 
 
-def check_frames(datagrams: Sequence[Datagram], kind: PacketKind, findings: Findings) -> None:
-    """Check lengths and headers of frames whose payloads have the right length."""
+def check_frames(
+    datagrams: Sequence[Datagram], kind: PacketKind, findings: Findings, *, is_known: bool
+) -> None:
+    """Check lengths and headers of frames whose payloads have the right length.
+
+    `is_known` is True if the model's own choices in its headers are known.
+    """
     if datagrams:
-        findings.apply(TABLES["frames"], _Frames(datagrams, kind))
+        findings.apply(TABLES["frames"], _Frames(datagrams, kind, is_known=is_known))
 
 
 class InOrder:
@@ -367,13 +368,16 @@ class InOrder:
             return False
         if self._kind is PacketKind.POSITION:
             return 0 < (self._held[-1][1].identification - datagram.identification) % 0x10000 <= _HELD
-        period_ns = _PERIODS_NS.get(datagram.payload[_MODE_AT])
-        if period_ns is None:
+        mode, product = datagram.payload[_MODE_AT : _MODE_AT + 2]
+        if mode not in layout.RETURN_MODE_BYTE.values():
             return False
         behind_ns = -self._since_us(stamp_us, -1) * US_NS
-        if behind_ns > _HELD * period_ns:
-            return False
-        return abs(behind_ns - round(behind_ns / period_ns) * period_ns) <= 2 * US_NS
+        for of_model in layout.candidates(mode, product):
+            off_ns = abs(behind_ns - round(behind_ns / of_model.period_ns) * of_model.period_ns)
+            is_whole = off_ns <= 2 * US_NS or of_model.model.period_us is not None
+            if behind_ns <= _HELD * of_model.period_ns and is_whole:
+                return True
+        return False
 
     def _since_us(self, stamp_us: int, place: int) -> int:
         """Return the time from the packet at a place among the held ones until a time stamp."""

@@ -1,4 +1,4 @@
-"""Captures checked against the rules of VLP-16 traffic, unit by unit."""
+"""Captures checked against the rules of a sensor's traffic, unit by unit."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -21,10 +21,9 @@ from vlp16emu.extras.verify.frames import (
     check_frames,
     kind_of,
 )
-from vlp16emu.packets.layout import RETURN_MODE_BYTE, SEQUENCES_PER_PACKET
+from vlp16emu.packets.layout import layout_of_bytes
 from vlp16emu.packets.table import PacketClock
-from vlp16emu.sensor.beams import SEQUENCE_NS
-from vlp16emu.types import PacketKind, ReturnMode
+from vlp16emu.types import PacketKind, SensorModel
 from vlp16emu.units import S_NS, US_NS
 
 _CHUNK_PACKETS = 512  # data packets checked together: 0.6 MB, 0.7 s of single return
@@ -32,7 +31,6 @@ _HELD_PACKETS = 16 * _CHUNK_PACKETS
 _SMALLEST_CHUNK = 16
 """Total length of the chunks of all units, and the least length of a chunk."""
 _MODE_AT = -2  # return mode and product end a data payload
-_DUAL_BYTE = RETURN_MODE_BYTE[ReturnMode.DUAL]
 _SHORTEST_S = 2.0  # least span to judge rates: position packets arrive at irregular intervals
 _RATE_TOLERANCE = 0.1
 _POSITION_RATES_HZ = (146.0, 53.8)
@@ -43,6 +41,7 @@ _POSITION_RATES_HZ = (146.0, 53.8)
 class Verification:
     """Contents of a capture, and its broken rules."""
 
+    model: SensorModel
     data_packets: int
     position_packets: int
     other_frames: int  # frames of other traffic and of other units, which are not checked
@@ -152,11 +151,18 @@ class _Check:
         if kind is PacketKind.POSITION:
             self._gains.take(datagram)
         stream = kind, datagram.source_port
-        if datagram.source_port != PORT[kind] and stream not in self._ports:
+        is_other = datagram.source_port != PORT[kind] and self._has_known_frame(datagram)
+        if is_other and stream not in self._ports:
             self._ports.add(stream)
             found = f"{kind} packets from {datagram.source_port}, as a relay sends them"
             self._findings.add(Rule.PORTS, number, found, f"from {PORT[kind]}")
         self._collect(kind, self._in_order[kind].take(datagram))
+
+    def _has_known_frame(self, datagram: Datagram) -> bool:
+        """Return True if the headers of a datagram's sensor are known."""
+        if len(datagram.payload) != PAYLOAD_BYTES[PacketKind.DATA]:
+            return self._data.layout.model.has_known_frame
+        return layout_of_bytes(*datagram.payload[_MODE_AT:]).model.has_known_frame
 
     def _report_length(self, kind: PacketKind, datagram: Datagram) -> None:
         found = f"a {kind} payload of {len(datagram.payload)} bytes"
@@ -178,6 +184,7 @@ class _Check:
         self._check_position()
         self._check_rates()
         return Verification(
+            model=self._data.layout.model.name,
             data_packets=self._packets[PacketKind.DATA],
             position_packets=self._packets[PacketKind.POSITION],
             other_frames=capture.frames - self._packets.total(),
@@ -200,10 +207,14 @@ class _Check:
         return (max(stamps_ns) - min(stamps_ns)) / S_NS
 
     def _collect(self, kind: PacketKind, datagrams: Iterable[Datagram]) -> None:
-        """Collect packets in order; a chunk of data packets ends at a change of return mode."""
+        """Collect packets in order; a chunk of data packets ends at a change of mode or product."""
         for datagram in datagrams:
             held = self._chunk[kind]
-            if kind is PacketKind.DATA and held and held[-1].payload[_MODE_AT] != datagram.payload[_MODE_AT]:
+            if (
+                kind is PacketKind.DATA
+                and held
+                and held[-1].payload[_MODE_AT:] != datagram.payload[_MODE_AT:]
+            ):
                 self._check_data(ends=True)
             self._chunk[kind].append(datagram)
             if len(self._chunk[kind]) >= self._chunk_packets:
@@ -220,16 +231,19 @@ class _Check:
         chunk = self._chunk[PacketKind.DATA]
         if chunk:
             continues = chunk[0] is self._before
-            check_frames(chunk[continues:], PacketKind.DATA, self._findings)
             table = table_of(chunk, PacketClock())
-            self._data.check(DataChunk(table, self._factory, self._gains, continues=continues, ends=ends))
+            columns = DataChunk(table, self._factory, self._gains, continues=continues, ends=ends)
+            is_known = columns.layout.model.has_known_frame
+            check_frames(chunk[continues:], PacketKind.DATA, self._findings, is_known=is_known)
+            self._data.check(columns)
             self._before = chunk[-1]
             self._factory = chunk[-1].payload[_MODE_AT:]
         self._chunk[PacketKind.DATA] = [] if ends else chunk[-1:]
 
     def _check_position(self) -> None:
         if chunk := self._chunk[PacketKind.POSITION]:
-            check_frames(chunk, PacketKind.POSITION, self._findings)
+            is_known = self._data.layout.model.has_known_frame
+            check_frames(chunk, PacketKind.POSITION, self._findings, is_known=is_known)
             self._position.check(chunk, self._gains)
         self._chunk[PacketKind.POSITION] = []
 
@@ -239,8 +253,7 @@ class _Check:
         The counts are those of position packets and of the time that data packets cover.
         """
         data_s = self._kind_span_s(PacketKind.DATA) - self._data.left_out_us * US_NS / S_NS
-        mode = ReturnMode.DUAL if self._factory[:1] == bytes([_DUAL_BYTE]) else ReturnMode.STRONGEST
-        nominal_hz = S_NS / (SEQUENCES_PER_PACKET[mode] * SEQUENCE_NS)
+        nominal_hz = S_NS / self._data.layout.period_ns
         covered = self._data.covered_us * US_NS / S_NS * nominal_hz
         copies = self._in_order[PacketKind.POSITION].duplicates  # by a bridge or a recorder
         sent = self._packets[PacketKind.POSITION] - copies - 1 + self._position.lost_packets

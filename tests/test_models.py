@@ -1,0 +1,129 @@
+"""The other sensor models: recorded, checked, and read by velodyne_decoder as the truth says."""
+
+import numpy as np
+import pytest
+import velodyne_decoder
+from kit import data_payloads
+
+from vlp16emu import Emulator, verify
+from vlp16emu.errors import ScenarioError
+from vlp16emu.packets import data_fields, points_in
+from vlp16emu.packets.decode import layouts_of
+from vlp16emu.run.options import TruthTo
+from vlp16emu.scenario import load
+from vlp16emu.types import PacketKind, SensorModel
+
+parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is in the extra data")
+
+MODELS = ["hdl-32e", "vlp-32c", "vls-128"]
+SPAN_S = 0.12
+WALK = 'motion={kind="walk", way_points_m=[[-10, 0], [0, 3], [10, 0]], gait={preset="none"}, harness={}}'
+EACH = [(model, mode) for model in MODELS for mode in ("strongest", "last", "dual")]
+
+
+@pytest.fixture(scope="module", params=EACH, ids="-".join)
+def run(request, tmp_path_factory):
+    """A tenth of a second in the hall: model, emulator, capture and truth of each return."""
+    model, mode = request.param
+    folder = tmp_path_factory.mktemp("model")
+    settings = [WALK, f"sensor.model={model}", f"sensor.return_mode={mode}", "sensor.eccentricity_deg=0.0"]
+    emulator = Emulator(load("static_bench", settings))
+    to = TruthTo(folder / "truth", per_return=True)
+    result = emulator.record(folder / "made.pcap", duration_s=SPAN_S, truth=to)
+    return (
+        SensorModel(model),
+        result,
+        folder / "made.pcap",
+        parquet.read_table(folder / "truth/returns.parquet"),
+    )
+
+
+def test_it_is_what_a_sensor_sends(run):
+    """`verify` finds nothing in it, and as many returns as were sent are read again."""
+    model, result, path, _ = run
+    checked = verify(path)
+    assert (checked.findings, checked.model) == ((), model)
+    points = points_in(data_fields(data_payloads(path)), keep_repeats=True)
+    assert len(points.slot) == result.returns > 20_000
+
+
+def test_each_record_has_its_truth(run):
+    """Ranges of the truth, in the unit of the model, are the distances in the packets, all of them."""
+    model, _, path, table = run
+    fields = data_fields(data_payloads(path))
+    distance_m = (
+        fields["blocks"]["records"]["distance_lsb"].reshape(-1) * layouts_of(fields)[0].model.distance_lsb_m
+    )
+    range_m = table["range_m"].fill_null(0.0).to_numpy()
+    assert np.abs(range_m - distance_m).max() <= layouts_of(fields)[0].model.distance_lsb_m / 2 + 1e-5
+    assert (table["miss"].to_numpy() == (distance_m == 0)).all()
+    assert (table["instance"].null_count == (distance_m == 0).sum()) or model is SensorModel.VLS_128
+
+
+def test_another_decoder_sees_the_truth(run):
+    """velodyne_decoder has the points of the truth: as many, in the same order, and as near as the codes of
+    distance and azimuth allow; of a VLS-128 it knows no speed in the first packet."""
+    model, _, path, table = run
+    config = velodyne_decoder.Config(min_range=0, max_range=300)
+    payloads = data_payloads(path)
+    packets = [velodyne_decoder.VelodynePacket(i * 1e-3, one.tobytes()) for i, one in enumerate(payloads)]
+    _, theirs = velodyne_decoder.ScanDecoder(config).decode(packets, as_pcl_structs=True)
+    rows = table.filter(~(table["miss"].to_numpy() | table["repeat"].to_numpy()))
+    copies = 1 + (payloads[0, 1204] == 0x39)
+    packet, block, channel = (rows[name].to_numpy().astype(int) for name in ("packet", "block", "channel"))
+    rows = rows.take(np.lexsort((block % copies, channel, block // copies, packet)))
+    our_m = np.column_stack([rows[f"{axis}_m"].to_numpy() for axis in "xyz"])
+    their_m = np.column_stack([theirs[axis] for axis in "xyz"])
+    assert len(our_m) == len(their_m) > 20_000
+    away_m = np.linalg.norm(their_m - our_m, axis=1)[rows["packet"].to_numpy() > 0]
+    range_m = rows["range_m"].to_numpy()[rows["packet"].to_numpy() > 0]
+    # Half a code of distance and a code of azimuth; of a VLS-128 the slot in which its times differ too.
+    turned_deg = 0.03 if model is SensorModel.VLS_128 else 0.016
+    assert (away_m < 0.0022 + np.radians(turned_deg) * range_m).all()
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_a_field_of_view(model, tmp_path):
+    """With a field of view the packets that are counted are sent, and only azimuths inside are in them."""
+    events = [{"kind": "setting", "at_s": 0.0, "fov_deg": [30, 120]}]
+    emulator = Emulator("static_bench", {"sensor.model": model, "events": events})
+    blocks = data_fields(data_payloads(emulator.packets(0.0, 0.15)))["blocks"]
+    timeline = emulator.engine.parts.units[0].timeline
+    assert len(blocks) == timeline.count(0, 150_000_000)
+    azimuth_deg = blocks["azimuth_cdeg"] / 100
+    assert ((azimuth_deg >= 30) & (azimuth_deg < 121)).all()
+    assert len(np.unique(azimuth_deg.astype(int))) > 80
+
+
+def test_a_rig_of_two_models():
+    """A VLP-32C above a VLP-16: each sends the packets that it would send alone, in any number of threads."""
+    mount = "{lever_arm_m=[0.0, 0.0, -0.2]}"
+    rig = f"rig=[{{name='below', model='vlp-16', mount={mount}, seed=9}}]"
+    both = [
+        list(Emulator(load("static_bench", [WALK, "sensor.model=vlp-32c", rig]), threads=n).packets(0.0, 0.2))
+        for n in (1, 3)
+    ]
+    assert both[0] == both[1]
+    upper = Emulator(load("static_bench", [WALK, "sensor.model=vlp-32c"])).packets(0.0, 0.2)
+    lower = Emulator(load("static_bench", [WALK, f"motion.mount={mount}", "seed=9"])).packets(0.0, 0.2)
+    for number, alone in enumerate((upper, lower)):
+        sent, expected = (
+            [packet.payload for packet in packets if packet.kind is PacketKind.DATA and packet.unit == unit]
+            for packets, unit in ((both[0], number), (list(alone), 0))
+        )
+        assert sent == expected
+        assert len(sent) > 100
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        (["rig=[{model='hdl-32e'}]"], "models whose firing sequences last equally long"),
+        (["sensor.max_range_m=140"], "at most 131.07 m as max_range_m, the largest code of a vlp-16"),
+        (["sensor.model=vls-64"], "vls-128"),
+    ],
+)
+def test_what_no_model_is_is_refused(settings, expected):
+    """Models that cannot share a rig, a range beyond the codes, and an unknown name are one clear line."""
+    with pytest.raises(ScenarioError, match=expected):
+        load("static_bench", settings)
