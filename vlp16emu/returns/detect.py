@@ -35,7 +35,7 @@ from vlp16emu.returns.noise import (
 )
 from vlp16emu.returns.settings import DetectorConstants
 from vlp16emu.returns.strength import GAIN as GAIN_AT_RANGE
-from vlp16emu.returns.strength import STEP, TOP, at_range, fine_strength, with_parity
+from vlp16emu.returns.strength import TOP, at_range, eighths_at, fine_strength, with_parity
 from vlp16emu.sensor.laws import law
 from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, I8, U1, U4, Firings, Hits, PlantPart, Returns, Semantic
@@ -48,11 +48,14 @@ _CERTAIN_SIGMAS = 6.0  # noise does not exceed this: probability 2e-9
 _DETECTION = ZERO + Purpose.DETECTION
 _RANGE_NOISE = ZERO + Purpose.RANGE_NOISE
 _MOST_NO_RETURN = law("no_return.most")
+_UNSTEADY = law("range.unsteady")
+_MOST_CHANGE = law("range.most_change")
+_LEAST_LEVEL = law("spot.bright_code")
 _UNSHIFTED_CODE = 40.0  # code at which reflectivity does not change the range
 _Pair = tuple[float, float]
-_Laser = tuple[float, float, float, U1, F8, U1, float]
+_Laser = tuple[float, float, float, U1, F8, U1, float, float]
 """Range error of a laser in metres, its factor on the white range noise, its gain, codes as in `sent_codes`,
-and its tables and parts as in `Strength`."""
+its tables and parts as in `Strength`, and mean code of its last pulses, -1 for none."""
 _LANE_BITS = 16  # lane of a random number: the laser in the lower bits, rank or column of the echo above them
 
 
@@ -206,6 +209,7 @@ def _detect(
                 errors.by_range[j],
                 errors.parity[j],
                 errors.parts,
+                before[0, j],
             )
             lit = gather(constants, rays, start, stop, nodes)
             if constants.extinction_per_m > 0.0:
@@ -364,6 +368,20 @@ def _none_is_seen(constants: DetectorConstants, n: int, laser: int, brightest: f
 
 
 @inline_kernel
+def _white_m(
+    constants: DetectorConstants, laser: _Laser, range_m: float, reflectance: float, amplitude: float
+) -> float:
+    """Return the white range noise of an echo, one sigma; larger where the brightness changes."""
+    sigma_m = laser[1] * range_sigma_m(constants, reflectance, amplitude)
+    level = laser[7]
+    if level < 0.0:
+        return sigma_m
+    code = 100.0 * reflectance * laser[2] * at_range(laser[4], range_m, GAIN_AT_RANGE)
+    change = abs(min(code, 100.0) - level) / max(level, _LEAST_LEVEL)
+    return sigma_m * (1.0 + _UNSTEADY * min(change, _MOST_CHANGE))
+
+
+@inline_kernel
 def _measure(
     constants: DetectorConstants, noise: _Pair, range_m: float, amplitude: float, laser_errors: _Laser
 ) -> tuple[np.float32, np.uint8]:
@@ -372,7 +390,7 @@ def _measure(
     The distance is 0 below the least range, and both are 0 beyond the greatest.
     """
     (range_noise, other_noise) = noise
-    (error_m, share, gain, codes, by_range, parity, parts) = laser_errors
+    (error_m, _, gain, codes, by_range, parity, parts, _) = laser_errors
     reflectance = amplitude * range_m * range_m
     shown = min(100.0 * reflectance, 100.0)
     measured_m = range_m + error_m + constants.range_walk_m * (shown - _UNSHIFTED_CODE)
@@ -381,19 +399,19 @@ def _measure(
         other_noise = with_heavy_tails(other_noise, REFLECTIVITY_TAIL)
     counts = sigma * other_noise
     if constants.range_noise_m > 0.0:
-        measured_m += range_noise * share * range_sigma_m(constants, reflectance, amplitude)
+        measured_m += range_noise * _white_m(constants, laser_errors, range_m, reflectance, amplitude)
     if measured_m > constants.max_range_m:
         return np.float32(0.0), np.uint8(0)
     if not measured_m >= constants.min_range_m:
         measured_m = 0.0
     gain *= at_range(by_range, range_m, GAIN_AT_RANGE)
-    step = at_range(by_range, range_m, STEP)
+    eighths = eighths_at(by_range, range_m)
     if parity.shape[0] > 0 and measured_m > 0.0:
         code = min(max(100.0 * reflectance * gain + counts, 0.0), 100.0)
-        fine = fine_strength(code, step, parts)
+        fine = fine_strength(code, eighths, parts)
         measured_m = with_parity(parity, fine, measured_m, constants.max_range_m)
     top = at_range(by_range, range_m, TOP)
-    return np.float32(measured_m), reflectivity_byte(100.0 * reflectance, gain, counts, (step, top), codes)
+    return np.float32(measured_m), reflectivity_byte(100.0 * reflectance, gain, counts, (eighths, top), codes)
 
 
 @kernel
@@ -454,7 +472,6 @@ def _write(
 
     Each chosen peak is measured once, and dropped if measured beyond `max_range_m`.
     """
-    share = laser_errors[1]
     for column in range(3):
         peak = chosen[column]
         if peak < 0 or (column > 0 and peak == chosen[column - 1]):  # an echo in two columns has one error
@@ -465,7 +482,7 @@ def _write(
         error_m = laser_errors[0] + constants.range_walk_m * (shown - _UNSHIFTED_CODE)
         sigma_m = 0.0
         if constants.range_noise_m > 0.0:
-            sigma_m = share * range_sigma_m(constants, light * at_m * at_m, light)
+            sigma_m = _white_m(constants, laser_errors, at_m, light * at_m * at_m, light)
         # Noise may put it beyond the greatest range.
         if at_m + error_m + 2.0 * _CERTAIN_SIGMAS * sigma_m > constants.max_range_m:
             drawn, _ = normal_pair(constants.seed, _RANGE_NOISE, n, j | column << _LANE_BITS)

@@ -39,7 +39,7 @@ class UnitDetector:
     range_beat_m: F8  # (5,) error of the range by (24 sequence + laser) mod 5
     near_lost: F8  # (L,) share of near records that each laser loses
     strength: Strength
-    codes: U1  # (L, 100 * CODE_PARTS + 1) code that is sent for each reflectivity, from `sent_codes`
+    codes: U1  # (L, 101) code that is sent for each code, from `sent_codes`
     no_return: F8 | None
     """(L,) reflectivity of records without a return, truncated to integers when sent; None for 0."""
     multiples: F8

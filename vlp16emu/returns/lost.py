@@ -41,6 +41,7 @@ _EITHER_ALONE = law("loss.either_alone")
 # Spots of surfaces.
 _BRIGHT_CODE = law("spot.bright_code")
 _CALM_FROM_M = law("spot.calm_from_m")
+_UNEVEN_FROM = law("spot.uneven_from")
 _SPOT_RAD = law("spot.least_rad")
 _SPOTS_ACROSS_BITS = int(law("spot.across_bits"))
 _DENSITY = law("spot.density")
@@ -182,7 +183,7 @@ def lose(
     before[1, laser] = range_m
     before[0, laser] = code if level < 0.0 else level + _POWER_GAIN * (code - level)
     change = min(abs(code - level) / max(level, _BRIGHT_CODE), 1.0) if level >= 0.0 else 0.0
-    is_uneven = before[3, laser] > _STEP_FROM
+    is_uneven = before[3, laser] > _UNEVEN_FROM
     before[3, laser] += _POWER_GAIN * (change - before[3, laser])
     is_up = code > level
     jump = calm * _loss_at_step(rates, level, code) if change > _STEP_FROM else 0.0
