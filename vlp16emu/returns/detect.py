@@ -25,7 +25,7 @@ from vlp16emu.returns.echoes import (
     gather,
     highest_peak,
 )
-from vlp16emu.returns.lost import Sight, lose, raised_code
+from vlp16emu.returns.lost import UNEVENNESS, Sight, lose, raised_code
 from vlp16emu.returns.noise import (
     NO_RETURN_KNOTS,
     REFLECTIVITY_TAIL,
@@ -49,13 +49,12 @@ _DETECTION = ZERO + Purpose.DETECTION
 _RANGE_NOISE = ZERO + Purpose.RANGE_NOISE
 _MOST_NO_RETURN = law("no_return.most")
 _UNSTEADY = law("range.unsteady")
-_MOST_CHANGE = law("range.most_change")
-_LEAST_LEVEL = law("spot.bright_code")
+_EVEN_CHANGE = law("range.even_change")
 _UNSHIFTED_CODE = 40.0  # code at which reflectivity does not change the range
 _Pair = tuple[float, float]
 _Laser = tuple[float, float, float, U1, F8, U1, float, float]
 """Range error of a laser in metres, its factor on the white range noise, its gain, codes as in `sent_codes`,
-its tables and parts as in `Strength`, and mean code of its last pulses, -1 for none."""
+its tables and parts as in `Strength`, and the mean change of code of its last pulses."""
 _LANE_BITS = 16  # lane of a random number: the laser in the lower bits, rank or column of the echo above them
 
 
@@ -98,7 +97,7 @@ def detect(
     exact_m = np.zeros(shape if truth else (0, 0, 3), np.float32)
     most_nodes = int(hits.count.max(initial=1)) + 1  # the air's own echo is one more
     peaks = np.empty((COLUMNS, _PEAKS_PER_NODE * most_nodes))
-    noise = np.zeros((7, lasers))
+    noise = np.zeros((8, lasers))
     room = np.empty((COLUMNS, most_nodes)), peaks, np.empty(3, np.int64), noise
     reflectance, sheet = _columns_of(surfaces)
     rays = SubRays(hits.count, hits.range_m, hits.surface, hits.cos_incidence, reflectance)
@@ -209,7 +208,7 @@ def _detect(
                 errors.by_range[j],
                 errors.parity[j],
                 errors.parts,
-                before[0, j],
+                before[UNEVENNESS, j],
             )
             lit = gather(constants, rays, start, stop, nodes)
             if constants.extinction_per_m > 0.0:
@@ -368,17 +367,16 @@ def _none_is_seen(constants: DetectorConstants, n: int, laser: int, brightest: f
 
 
 @inline_kernel
-def _white_m(
-    constants: DetectorConstants, laser: _Laser, range_m: float, reflectance: float, amplitude: float
-) -> float:
-    """Return the white range noise of an echo, one sigma; larger where the brightness changes."""
-    sigma_m = laser[1] * range_sigma_m(constants, reflectance, amplitude)
-    level = laser[7]
-    if level < 0.0:
-        return sigma_m
-    code = 100.0 * reflectance * laser[2] * at_range(laser[4], range_m, GAIN_AT_RANGE)
-    change = abs(min(code, 100.0) - level) / max(level, _LEAST_LEVEL)
-    return sigma_m * (1.0 + _UNSTEADY * min(change, _MOST_CHANGE))
+def _gain(laser: _Laser, amplitude: float) -> float:
+    """Return the gain of a laser for an echo: that at the range where white would be as strong."""
+    return laser[2] * at_range(laser[4], 1.0 / np.sqrt(amplitude), GAIN_AT_RANGE)
+
+
+@inline_kernel
+def _white_m(constants: DetectorConstants, laser: _Laser, reflectance: float, amplitude: float) -> float:
+    """Return the white range noise of an echo, one sigma; larger on surfaces of uneven brightness."""
+    uneven = max(laser[7] - _EVEN_CHANGE, 0.0)
+    return laser[1] * range_sigma_m(constants, reflectance, amplitude) * (1.0 + _UNSTEADY * uneven)
 
 
 @inline_kernel
@@ -390,7 +388,7 @@ def _measure(
     The distance is 0 below the least range, and both are 0 beyond the greatest.
     """
     (range_noise, other_noise) = noise
-    (error_m, _, gain, codes, by_range, parity, parts, _) = laser_errors
+    (error_m, _, _, codes, by_range, parity, parts, _) = laser_errors
     reflectance = amplitude * range_m * range_m
     shown = min(100.0 * reflectance, 100.0)
     measured_m = range_m + error_m + constants.range_walk_m * (shown - _UNSHIFTED_CODE)
@@ -399,12 +397,12 @@ def _measure(
         other_noise = with_heavy_tails(other_noise, REFLECTIVITY_TAIL)
     counts = sigma * other_noise
     if constants.range_noise_m > 0.0:
-        measured_m += range_noise * _white_m(constants, laser_errors, range_m, reflectance, amplitude)
+        measured_m += range_noise * _white_m(constants, laser_errors, reflectance, amplitude)
     if measured_m > constants.max_range_m:
         return np.float32(0.0), np.uint8(0)
     if not measured_m >= constants.min_range_m:
         measured_m = 0.0
-    gain *= at_range(by_range, range_m, GAIN_AT_RANGE)
+    gain = _gain(laser_errors, amplitude)
     eighths = eighths_at(by_range, range_m)
     if parity.shape[0] > 0 and measured_m > 0.0:
         code = min(max(100.0 * reflectance * gain + counts, 0.0), 100.0)
@@ -482,7 +480,7 @@ def _write(
         error_m = laser_errors[0] + constants.range_walk_m * (shown - _UNSHIFTED_CODE)
         sigma_m = 0.0
         if constants.range_noise_m > 0.0:
-            sigma_m = _white_m(constants, laser_errors, at_m, light * at_m * at_m, light)
+            sigma_m = _white_m(constants, laser_errors, light * at_m * at_m, light)
         # Noise may put it beyond the greatest range.
         if at_m + error_m + 2.0 * _CERTAIN_SIGMAS * sigma_m > constants.max_range_m:
             drawn, _ = normal_pair(constants.seed, _RANGE_NOISE, n, j | column << _LANE_BITS)

@@ -22,6 +22,7 @@ from vlp16emu.sensor.laws import law, span
 from vlp16emu.trig import ZERO, fold
 from vlp16emu.types import F4, F8, U1, U4
 
+UNEVENNESS = 5  # row of the state of lasers with the mean change of code that range noise follows
 _EDGE = ZERO + Purpose.NO_RETURN
 _SPOT = ZERO + Purpose.LOSS_SPOT
 # Steps of brightness, and of range.
@@ -37,6 +38,9 @@ _BLACK_CODE = law("loss.black_code")
 _NEAR_M = law("loss.near_m")
 _ODD_ALONE = law("loss.odd_alone")
 _EITHER_ALONE = law("loss.either_alone")
+
+_NOISE_GAIN = law("range.change_gain")
+_MOST_CHANGE = law("range.most_change")
 
 # Spots of surfaces.
 _BRIGHT_CODE = law("spot.bright_code")
@@ -166,8 +170,9 @@ def lose(
     pulse : its sub-rays, as in `second_surface_share`
     place : seed of the unit, pulses and row of this one, its range before errors, and the share of near
         records that its laser loses
-    before : (5, L) state of each laser: mean code, -1 for none, last range, mean change of range, mean change
-        of code over the mean code, at most 1, and 1 if its last pulse was lost
+    before : (6, L) state of each laser: mean code, -1 for none, last range, mean change of range, mean change
+        of code over the mean code, at most 1, 1 if its last pulse was lost, and that change over more pulses,
+        at most `range.most_change`
     no_return : code of a record without range
     """
     if distance_m[0] <= 0.0:
@@ -185,6 +190,7 @@ def lose(
     change = min(abs(code - level) / max(level, _BRIGHT_CODE), 1.0) if level >= 0.0 else 0.0
     is_uneven = before[3, laser] > _UNEVEN_FROM
     before[3, laser] += _POWER_GAIN * (change - before[3, laser])
+    before[UNEVENNESS, laser] += _NOISE_GAIN * (min(change, _MOST_CHANGE) - before[UNEVENNESS, laser])
     is_up = code > level
     jump = calm * _loss_at_step(rates, level, code) if change > _STEP_FROM else 0.0
     sure = jump + calm * before[4, laser] * rates.again

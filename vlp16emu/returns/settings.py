@@ -28,9 +28,9 @@ _PRESETS: dict[str, dict[str, object]] = {
     "unit": {
         "range_noise_m": 0.0031,
         "range_beat_m": 0.006,
-        "reflectivity_noise": 0.0,
-        "reflectivity_noise_share": 0.029,
-        "reflectivity_step": 2.15,
+        "reflectivity_noise": 0.2,
+        "reflectivity_noise_share": 0.031,
+        "reflectivity_step": 1.95,
         "unit_spread": 0.15,
         "reflectivity_far_step": 1.45,
         "range_counts": True,
@@ -38,7 +38,7 @@ _PRESETS: dict[str, dict[str, object]] = {
         "no_return_wander": 1.5,
         "records_lost": 1.0,
         "gain_spread": 0.06,
-        "gain_by_range": 0.15,
+        "gain_by_range": 0.17,
     },
 }
 
@@ -109,7 +109,8 @@ class Noise(Preset):
     """Relative error of reflectivity per laser, one sigma, as far as neighbours in elevation differ; 0.057 to
     0.097 on real units."""
     gain_by_range: Annotated[float, Field(ge=0, le=0.5)] = 0.0
-    """Relative error of reflectivity per laser that changes with range, one sigma; 0.15 on real units."""
+    """Relative error of reflectivity per laser that changes with the strength of the echo, and so with range
+    and brightness, one sigma; 0.15 to 0.2 on real units."""
     records_lost: Annotated[float, Field(ge=0, le=2)] = 0.0
     """Factor on the loss of records at steps of brightness or range, and on dark surfaces; 1 for the random
     rates of real units, 0 for none."""
