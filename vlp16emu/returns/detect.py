@@ -232,7 +232,7 @@ def _detect(
                 for column in range(3 if keeps_exact else 0):
                     if chosen[column] >= 0:
                         exact_m[i, j, column] = peaks[RANGE, chosen[column]]
-            if constants.lost.step > 0.0:
+            if constants.lost.step + constants.lost.dark > 0.0:
                 place = (constants.seed, sight, i, at_m, errors.near_lost[j])
                 pulse = (rays, errors.sheet, start, stop)
                 _lose(constants, errors.no_return[j], pulse, place, noise, j, distance_m, reflectivity)
@@ -298,7 +298,8 @@ def _fill_no_returns(
 def _draws_noise(constants: DetectorConstants) -> bool:
     """Return True if the errors of a pulse, or its loss, need random numbers."""
     reflectivity_noise = constants.reflectivity_noise + constants.reflectivity_noise_share
-    return constants.range_noise_m + reflectivity_noise + constants.lost.step > 0.0
+    losses = constants.lost.step + constants.lost.dark
+    return constants.range_noise_m + reflectivity_noise + losses > 0.0
 
 
 @inline_kernel

@@ -101,9 +101,7 @@ class UnitDetector:
             reflectivity_noise_share=noise.reflectivity_noise_share * factors[1],
             heavy_tails=noise.is_real,
             range_walk_m=1e-3 * walk_mm * noise.is_real,
-            lost=loss_rates(
-                seed, noise.records_lost, raised=noise.records_lost > 0.0 and noise.no_return_reflectivity
-            ),
+            lost=loss_rates(seed, noise),
         )
         no_return = (
             no_return_reflectivity(seed, lasers, noise.no_return_level)
@@ -123,7 +121,7 @@ class UnitDetector:
             ),
             gain=gain(seed, noise.gain_spread, elevation_deg),
             range_beat_m=range_beat_m(seed, noise.range_beat_m, noise.range_beat_phase_deg),
-            near_lost=near_rates(seed, lasers, noise.records_lost),
+            near_lost=near_rates(seed, lasers, noise),
             strength=strength_of(
                 seed,
                 lasers,

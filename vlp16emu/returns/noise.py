@@ -148,9 +148,10 @@ def range_sigma_m(constants: DetectorConstants, reflectance: float, amplitude: f
     """Return the white range noise of an echo, one sigma.
 
     sigma**2 = noise**2 (0.2 / reflectance)**0.25 + (width / signal-to-noise ratio)**2. The first term is
-    measured on four real units on even smooth surfaces without the beat (law `range.unsteady`); it does not grow with range, because the sensor fires with more power at far or dark targets: on
-    the HDL-32E one of 11 powers, chosen by the previous shot (its software version 2.0). The second term is
-    the least error of the position of a Gaussian pulse in white noise, and counts at maximum power.
+    measured on four real units on even smooth surfaces without the beat (law `range.unsteady`); it does not
+    grow with range, because the sensor fires with more power at far or dark targets: on the HDL-32E one of 11
+    powers, chosen by the previous shot (its software version 2.0). The second term is the least error of the
+    position of a Gaussian pulse in white noise, and counts at maximum power.
 
     Parameters
     ----------

@@ -112,8 +112,11 @@ class Noise(Preset):
     """Relative error of reflectivity per laser that changes with the strength of the echo, and so with range
     and brightness, one sigma; 0.15 to 0.2 on real units."""
     records_lost: Annotated[float, Field(ge=0, le=2)] = 0.0
-    """Factor on the loss of records at steps of brightness or range, and on dark surfaces; 1 for the random
-    rates of real units, 0 for none."""
+    """Factor on the loss of records at steps of brightness or range; 1 for the random rates of real units, 0
+    for none. With a `unit_spread` of 0 the rates are those of a median unit."""
+    spots_lost: Annotated[float, Field(ge=0, le=4)] | None = None
+    """The same for places that lose the same records in each revolution: dark, near and uneven ones;
+    `records_lost` if not set."""
     weak_echoes_lost: bool = True
     """True to apply the detection threshold of `[detector]`."""
     no_return_reflectivity: bool = False
@@ -128,6 +131,11 @@ class Noise(Preset):
     def is_real(self) -> bool:
         """True if the unit has those errors of real units that have no key."""
         return self.preset == "unit"
+
+    @property
+    def in_spots(self) -> float:
+        """Factor on the loss of records at places of a surface."""
+        return self.records_lost if self.spots_lost is None else self.spots_lost
 
     @property
     def _scatter(self) -> str:
