@@ -11,7 +11,7 @@ from vlp16emu.returns.detect import detect
 from vlp16emu.returns.lost import loss_rates
 from vlp16emu.types import NO_SURFACE, Hits, PlantPart, Semantic
 
-LOSSES = {"records_lost": 1.0, "no_return_reflectivity": True, "no_return_level": 5.0}
+LOSSES = {"unit_spread": 0.15, "records_lost": 1.0, "no_return_reflectivity": True, "no_return_level": 5.0}
 
 
 def turning(k, index=0):

@@ -55,7 +55,7 @@ def strength_of(
     Parameters
     ----------
     far_step : median factor of a strength beyond 8 m; 0 to send all codes
-    unit_spread : above 0, units differ in that factor
+    unit_spread : above 0, units differ in that factor, and in the fine strengths of a strength
     gain_spread : spread of the logarithm of a laser's gain over ranges
     has_counts : True if ranges are counts of 4 mm and a correction
     is_real : True if lasers of some units do not clip at code 100
@@ -68,8 +68,10 @@ def strength_of(
         if far_step > 0.0:
             factor = _factors(seed, laser, far_step, unit_spread, at)
             by_range[laser, :, EIGHTHS] = _PER_CODE * factor
-    parts = law("strength.parts_least")
-    parts += (law("strength.parts_most") - parts) * float(uniform(seed, Purpose.STRENGTH, 0, 1)[0])
+    least, most = law("strength.parts_least"), law("strength.parts_most")
+    parts = least + (most - least) * float(uniform(seed, Purpose.STRENGTH, 0, 1)[0])
+    if unit_spread == 0.0:
+        parts = float(np.sqrt(least * most))
     parity = _parities(seed, lasers) if has_counts else np.zeros((lasers, 0), np.uint8)
     return Strength(by_range, parity, parts)
 

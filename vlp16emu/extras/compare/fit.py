@@ -28,7 +28,7 @@ _PER_RATE_CDEG2 = 3.55
 """Local variance of encoder readings without rate error, and the variance that the error adds: from our own
 packets at 540 to 660 rpm."""
 _LEVEL = 80.0  # middle of the reflectivities whose neighbours are compared
-_EQUAL_STEPS = 2.9
+_EQUAL_STEPS = 2.65
 _COARSEST = 5.0
 _FROM = 30.0
 _TOP = 90.0
@@ -81,7 +81,8 @@ def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
         out["range_beat_m"] = round(float(abs(sine)) * 1e-3, 5)
         out["range_beat_phase_deg"] = round(float(np.degrees(np.angle(sine))) % 360.0, 1) % 360.0
     if scatter := found.get("reflectivity.scatter_60_99"):
-        out["reflectivity_noise_share"] = round(scatter / _LEVEL, 4)
+        counts = Noise().reflectivity_noise
+        out["reflectivity_noise_share"] = round(max(scatter - counts, 0.0) / _LEVEL, 4)
         # The share of equal neighbours after rounding depends on the step over the scatter.
         step = _EQUAL_STEPS * scatter * found["reflectivity.equal_60_99"]
         at_top = 1.0 + (step - 1.0) * (_TOP - _FROM) / (_LEVEL - _FROM)
