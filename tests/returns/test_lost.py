@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from returns.kit import ELEVATION_DEG, LASERS, detector, firings, table
 
+from vlp16emu.returns import Noise
 from vlp16emu.returns.detect import detect
 from vlp16emu.returns.lost import loss_rates
 from vlp16emu.types import NO_SURFACE, Hits, PlantPart, Semantic
 
-LOSSES = {"records_lost": 1.0, "no_return_reflectivity": True, "no_return_level": 5.0}
+LOSSES = {"unit_spread": 0.15, "records_lost": 1.0, "no_return_reflectivity": True, "no_return_level": 5.0}
 
 
 def turning(k, index=0):
@@ -194,4 +195,4 @@ def test_dual_return_loses_single_blocks():
 def test_an_ideal_unit_loses_nothing():
     """All rates are 0 unless records are lost, so that nothing is drawn."""
     assert set(detector().constants.lost) == {0.0}
-    assert set(loss_rates(5, 0.0, raised=False)) == {0.0}
+    assert set(loss_rates(5, Noise(preset="typical"))) == {0.0}

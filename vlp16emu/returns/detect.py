@@ -25,7 +25,7 @@ from vlp16emu.returns.echoes import (
     gather,
     highest_peak,
 )
-from vlp16emu.returns.lost import Sight, lose, raised_code
+from vlp16emu.returns.lost import UNEVENNESS, Sight, lose, raised_code
 from vlp16emu.returns.noise import (
     NO_RETURN_KNOTS,
     REFLECTIVITY_TAIL,
@@ -35,7 +35,7 @@ from vlp16emu.returns.noise import (
 )
 from vlp16emu.returns.settings import DetectorConstants
 from vlp16emu.returns.strength import GAIN as GAIN_AT_RANGE
-from vlp16emu.returns.strength import STEP, TOP, at_range, fine_strength, with_parity
+from vlp16emu.returns.strength import TOP, at_range, eighths_at, fine_strength, with_parity
 from vlp16emu.sensor.laws import law
 from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, I8, U1, U4, Firings, Hits, PlantPart, Returns, Semantic
@@ -48,11 +48,13 @@ _CERTAIN_SIGMAS = 6.0  # noise does not exceed this: probability 2e-9
 _DETECTION = ZERO + Purpose.DETECTION
 _RANGE_NOISE = ZERO + Purpose.RANGE_NOISE
 _MOST_NO_RETURN = law("no_return.most")
+_UNSTEADY = law("range.unsteady")
+_EVEN_CHANGE = law("range.even_change")
 _UNSHIFTED_CODE = 40.0  # code at which reflectivity does not change the range
 _Pair = tuple[float, float]
-_Laser = tuple[float, float, float, U1, F8, U1, float]
+_Laser = tuple[float, float, float, U1, F8, U1, float, float]
 """Range error of a laser in metres, its factor on the white range noise, its gain, codes as in `sent_codes`,
-and its tables and parts as in `Strength`."""
+its tables and parts as in `Strength`, and the mean change of code of its last pulses."""
 _LANE_BITS = 16  # lane of a random number: the laser in the lower bits, rank or column of the echo above them
 
 
@@ -95,7 +97,7 @@ def detect(
     exact_m = np.zeros(shape if truth else (0, 0, 3), np.float32)
     most_nodes = int(hits.count.max(initial=1)) + 1  # the air's own echo is one more
     peaks = np.empty((COLUMNS, _PEAKS_PER_NODE * most_nodes))
-    noise = np.zeros((7, lasers))
+    noise = np.zeros((8, lasers))
     room = np.empty((COLUMNS, most_nodes)), peaks, np.empty(3, np.int64), noise
     reflectance, sheet = _columns_of(surfaces)
     rays = SubRays(hits.count, hits.range_m, hits.surface, hits.cos_incidence, reflectance)
@@ -206,6 +208,7 @@ def _detect(
                 errors.by_range[j],
                 errors.parity[j],
                 errors.parts,
+                before[UNEVENNESS, j],
             )
             lit = gather(constants, rays, start, stop, nodes)
             if constants.extinction_per_m > 0.0:
@@ -229,7 +232,7 @@ def _detect(
                 for column in range(3 if keeps_exact else 0):
                     if chosen[column] >= 0:
                         exact_m[i, j, column] = peaks[RANGE, chosen[column]]
-            if constants.lost.step > 0.0:
+            if constants.lost.step + constants.lost.dark > 0.0:
                 place = (constants.seed, sight, i, at_m, errors.near_lost[j])
                 pulse = (rays, errors.sheet, start, stop)
                 _lose(constants, errors.no_return[j], pulse, place, noise, j, distance_m, reflectivity)
@@ -295,7 +298,8 @@ def _fill_no_returns(
 def _draws_noise(constants: DetectorConstants) -> bool:
     """Return True if the errors of a pulse, or its loss, need random numbers."""
     reflectivity_noise = constants.reflectivity_noise + constants.reflectivity_noise_share
-    return constants.range_noise_m + reflectivity_noise + constants.lost.step > 0.0
+    losses = constants.lost.step + constants.lost.dark
+    return constants.range_noise_m + reflectivity_noise + losses > 0.0
 
 
 @inline_kernel
@@ -364,6 +368,19 @@ def _none_is_seen(constants: DetectorConstants, n: int, laser: int, brightest: f
 
 
 @inline_kernel
+def _gain(laser: _Laser, amplitude: float) -> float:
+    """Return the gain of a laser for an echo: that at the range where white would be as strong."""
+    return laser[2] * at_range(laser[4], 1.0 / np.sqrt(amplitude), GAIN_AT_RANGE)
+
+
+@inline_kernel
+def _white_m(constants: DetectorConstants, laser: _Laser, reflectance: float, amplitude: float) -> float:
+    """Return the white range noise of an echo, one sigma; larger on surfaces of uneven brightness."""
+    uneven = max(laser[7] - _EVEN_CHANGE, 0.0)
+    return laser[1] * range_sigma_m(constants, reflectance, amplitude) * (1.0 + _UNSTEADY * uneven)
+
+
+@inline_kernel
 def _measure(
     constants: DetectorConstants, noise: _Pair, range_m: float, amplitude: float, laser_errors: _Laser
 ) -> tuple[np.float32, np.uint8]:
@@ -372,7 +389,7 @@ def _measure(
     The distance is 0 below the least range, and both are 0 beyond the greatest.
     """
     (range_noise, other_noise) = noise
-    (error_m, share, gain, codes, by_range, parity, parts) = laser_errors
+    (error_m, _, _, codes, by_range, parity, parts, _) = laser_errors
     reflectance = amplitude * range_m * range_m
     shown = min(100.0 * reflectance, 100.0)
     measured_m = range_m + error_m + constants.range_walk_m * (shown - _UNSHIFTED_CODE)
@@ -381,19 +398,19 @@ def _measure(
         other_noise = with_heavy_tails(other_noise, REFLECTIVITY_TAIL)
     counts = sigma * other_noise
     if constants.range_noise_m > 0.0:
-        measured_m += range_noise * share * range_sigma_m(constants, reflectance, amplitude)
+        measured_m += range_noise * _white_m(constants, laser_errors, reflectance, amplitude)
     if measured_m > constants.max_range_m:
         return np.float32(0.0), np.uint8(0)
     if not measured_m >= constants.min_range_m:
         measured_m = 0.0
-    gain *= at_range(by_range, range_m, GAIN_AT_RANGE)
-    step = at_range(by_range, range_m, STEP)
+    gain = _gain(laser_errors, amplitude)
+    eighths = eighths_at(by_range, range_m)
     if parity.shape[0] > 0 and measured_m > 0.0:
         code = min(max(100.0 * reflectance * gain + counts, 0.0), 100.0)
-        fine = fine_strength(code, step, parts)
+        fine = fine_strength(code, eighths, parts)
         measured_m = with_parity(parity, fine, measured_m, constants.max_range_m)
     top = at_range(by_range, range_m, TOP)
-    return np.float32(measured_m), reflectivity_byte(100.0 * reflectance, gain, counts, (step, top), codes)
+    return np.float32(measured_m), reflectivity_byte(100.0 * reflectance, gain, counts, (eighths, top), codes)
 
 
 @kernel
@@ -454,7 +471,6 @@ def _write(
 
     Each chosen peak is measured once, and dropped if measured beyond `max_range_m`.
     """
-    share = laser_errors[1]
     for column in range(3):
         peak = chosen[column]
         if peak < 0 or (column > 0 and peak == chosen[column - 1]):  # an echo in two columns has one error
@@ -465,7 +481,7 @@ def _write(
         error_m = laser_errors[0] + constants.range_walk_m * (shown - _UNSHIFTED_CODE)
         sigma_m = 0.0
         if constants.range_noise_m > 0.0:
-            sigma_m = share * range_sigma_m(constants, light * at_m * at_m, light)
+            sigma_m = _white_m(constants, laser_errors, light * at_m * at_m, light)
         # Noise may put it beyond the greatest range.
         if at_m + error_m + 2.0 * _CERTAIN_SIGMAS * sigma_m > constants.max_range_m:
             drawn, _ = normal_pair(constants.seed, _RANGE_NOISE, n, j | column << _LANE_BITS)

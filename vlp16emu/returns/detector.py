@@ -39,7 +39,7 @@ class UnitDetector:
     range_beat_m: F8  # (5,) error of the range by (24 sequence + laser) mod 5
     near_lost: F8  # (L,) share of near records that each laser loses
     strength: Strength
-    codes: U1  # (L, 100 * CODE_PARTS + 1) code that is sent for each reflectivity, from `sent_codes`
+    codes: U1  # (L, 101) code that is sent for each code, from `sent_codes`
     no_return: F8 | None
     """(L,) reflectivity of records without a return, truncated to integers when sent; None for 0."""
     multiples: F8
@@ -101,9 +101,7 @@ class UnitDetector:
             reflectivity_noise_share=noise.reflectivity_noise_share * factors[1],
             heavy_tails=noise.is_real,
             range_walk_m=1e-3 * walk_mm * noise.is_real,
-            lost=loss_rates(
-                seed, noise.records_lost, raised=noise.records_lost > 0.0 and noise.no_return_reflectivity
-            ),
+            lost=loss_rates(seed, noise),
         )
         no_return = (
             no_return_reflectivity(seed, lasers, noise.no_return_level)
@@ -123,7 +121,7 @@ class UnitDetector:
             ),
             gain=gain(seed, noise.gain_spread, elevation_deg),
             range_beat_m=range_beat_m(seed, noise.range_beat_m, noise.range_beat_phase_deg),
-            near_lost=near_rates(seed, lasers, noise.records_lost),
+            near_lost=near_rates(seed, lasers, noise),
             strength=strength_of(
                 seed,
                 lasers,

@@ -17,11 +17,12 @@ from vlp16emu.elementary import exp, power
 from vlp16emu.kernels.compiler import inline_kernel
 from vlp16emu.random import Purpose, normal, uniform, uniform_pair
 from vlp16emu.returns.echoes import SubRays
-from vlp16emu.returns.settings import LossRates
+from vlp16emu.returns.settings import LossRates, Noise
 from vlp16emu.sensor.laws import law, span
 from vlp16emu.trig import ZERO, fold
 from vlp16emu.types import F4, F8, U1, U4
 
+UNEVENNESS = 5  # row of the state of lasers with the mean change of code that range noise follows
 _EDGE = ZERO + Purpose.NO_RETURN
 _SPOT = ZERO + Purpose.LOSS_SPOT
 # Steps of brightness, and of range.
@@ -38,9 +39,13 @@ _NEAR_M = law("loss.near_m")
 _ODD_ALONE = law("loss.odd_alone")
 _EITHER_ALONE = law("loss.either_alone")
 
+_NOISE_GAIN = law("range.change_gain")
+_MOST_CHANGE = law("range.most_change")
+
 # Spots of surfaces.
 _BRIGHT_CODE = law("spot.bright_code")
 _CALM_FROM_M = law("spot.calm_from_m")
+_UNEVEN_FROM = law("spot.uneven_from")
 _SPOT_RAD = law("spot.least_rad")
 _SPOTS_ACROSS_BITS = int(law("spot.across_bits"))
 _DENSITY = law("spot.density")
@@ -73,37 +78,39 @@ class Sight(NamedTuple):
     direction: F8
 
 
-def near_rates(seed: int, lasers: int, share: float) -> F8:
-    """Draw the share of records (lasers,) that each laser of a unit loses nearer than `spot.calm_from_m`.
+_OF_SPOTS = ("dark", "gloss")
 
-    Parameters
-    ----------
-    share : as in `loss_rates`
-    """
+
+def near_rates(seed: int, lasers: int, noise: Noise) -> F8:
+    """Draw the share of records (lasers,) that each laser of a unit loses nearer than `spot.calm_from_m`."""
     low, high = span("spot.near")
-    of_unit = low * power(high / low, float(uniform(seed, Purpose.LOSS_SPOT, 0, 1, 1 << 16)[0]))
+    of_unit = low * power(
+        high / low, _of_unit(noise, float(uniform(seed, Purpose.LOSS_SPOT, 0, 1, 1 << 16)[0]))
+    )
     spread = law("spot.near_lasers")
     of_laser = exp(spread * normal(seed, Purpose.LOSS_SPOT, 1, lasers, 1 << 16) - 0.5 * spread * spread)
-    return np.asarray(share * of_unit * of_laser)
+    return np.asarray(noise.in_spots * of_unit * of_laser)
 
 
-def loss_rates(seed: int, share: float, *, raised: bool) -> LossRates:
-    """Draw the rates of a unit, uniform in their logarithm.
-
-    Parameters
-    ----------
-    share : factor on the rates of real units
-    raised : True if no-returns next to returns are raised
-    """
+def loss_rates(seed: int, noise: Noise) -> LossRates:
+    """Draw the rates of a unit, uniform in their logarithm; those of a median unit without a spread."""
     draws = uniform(seed, Purpose.LOSS, 0, len(LossRates._fields), 1 << 16).tolist()
     rates = {}
     for name, draw in zip(LossRates._fields, draws, strict=True):
         low, high = span(f"loss.{name}")
-        factor = 1.0 if name == "raise_code" else share
-        rates[name] = factor * (low * power(high / low, draw))
-    if not raised:
+        factor = noise.in_spots if name in _OF_SPOTS else noise.records_lost
+        rates[name] = (
+            (1.0 if name == "raise_code" else factor) * low * power(high / low, _of_unit(noise, draw))
+        )
+    if not (
+        noise.records_lost > 0.0 and noise.no_return_reflectivity
+    ):  # no-returns next to returns as others
         rates["raise_code"] = 0.0
     return LossRates(**rates)
+
+
+def _of_unit(noise: Noise, draw: float) -> float:
+    return draw if noise.unit_spread > 0.0 else 0.5
 
 
 @inline_kernel
@@ -165,8 +172,9 @@ def lose(
     pulse : its sub-rays, as in `second_surface_share`
     place : seed of the unit, pulses and row of this one, its range before errors, and the share of near
         records that its laser loses
-    before : (5, L) state of each laser: mean code, -1 for none, last range, mean change of range, mean change
-        of code over the mean code, at most 1, and 1 if its last pulse was lost
+    before : (6, L) state of each laser: mean code, -1 for none, last range, mean change of range, mean change
+        of code over the mean code, at most 1, 1 if its last pulse was lost, and that change over more pulses,
+        at most `range.most_change`
     no_return : code of a record without range
     """
     if distance_m[0] <= 0.0:
@@ -182,8 +190,9 @@ def lose(
     before[1, laser] = range_m
     before[0, laser] = code if level < 0.0 else level + _POWER_GAIN * (code - level)
     change = min(abs(code - level) / max(level, _BRIGHT_CODE), 1.0) if level >= 0.0 else 0.0
-    is_uneven = before[3, laser] > _STEP_FROM
+    is_uneven = before[3, laser] > _UNEVEN_FROM
     before[3, laser] += _POWER_GAIN * (change - before[3, laser])
+    before[UNEVENNESS, laser] += _NOISE_GAIN * (min(change, _MOST_CHANGE) - before[UNEVENNESS, laser])
     is_up = code > level
     jump = calm * _loss_at_step(rates, level, code) if change > _STEP_FROM else 0.0
     sure = jump + calm * before[4, laser] * rates.again

@@ -18,7 +18,6 @@ from vlp16emu.types import F8, U1
 BIAS_LIMIT_M = 0.03  # accuracy of the data sheet, which no laser exceeds
 _NOISE_AT = 0.2  # reflectance at which the noise has the value of the settings
 _FAINTEST_REFLECTANCE = 0.01
-CODE_PARTS = 24  # parts of one code in the table of sent codes
 NO_RETURN_KNOTS = int(law("no_return.knots"))  # azimuth intervals over which no-return codes change
 
 
@@ -91,26 +90,19 @@ def no_return_multiples(seed: int, no_return: F8, wander: float) -> F8:
 
 
 def sent_codes(seed: int, lasers: int, step: float) -> U1:
-    """Return the code that each laser sends for the reflectivities of diffuse targets.
+    """Return the code (lasers, 101) that each laser sends for the codes of diffuse targets.
 
-    The table (lasers, 100 * CODE_PARTS + 1) is in steps of 1 / CODE_PARTS of a code. Bright codes of a real
-    laser are more than 1 apart, with more spacing at brighter codes: a calibration table of each laser from
-    integers of the receiver to codes (laws `code.coarse_from` to `spacing`). All lasers have one more
-    quantization after it, by which codes that are 2 modulo 3 are rarer than their neighbours (`code.narrow`).
+    Bright codes of a real laser are more than 1 apart, with more spacing at brighter codes: a calibration
+    table of each laser from integers of the receiver to codes (laws `code.coarse_from` to `spacing`).
 
     Parameters
     ----------
     step : mean spacing at code 90; 1 or less sends all codes
     """
-    fine = (np.arange(100 * CODE_PARTS + 1) + 0.5) / CODE_PARTS
-    integers = np.floor(fine + 0.5).astype(np.int64)
-    out = np.tile(integers.astype(np.uint8), (lasers, 1))
+    out = np.tile(np.arange(101, dtype=np.uint8), (lasers, 1))
     coarse = law("code.coarse_from")
-    low, high = span("code.narrow")
-    narrow = low * power(high / low, float(uniform(seed, Purpose.REFLECTIVITY, 0, 1, 2 + 2 * lasers)[0]))
     for laser in range(lasers if step > 1.0 else 0):
         drawn = iter(uniform(seed, Purpose.REFLECTIVITY, 0, 64, 2 + laser).tolist())
-        of_code = uniform(seed, Purpose.REFLECTIVITY, 0, 101, 2 + lasers + laser)
         at = coarse + next(drawn)  # from about this code, each laser leaves out different codes
         sent = [*range(int(coarse))]
         stop = slope = 0.0
@@ -121,16 +113,10 @@ def sent_codes(seed: int, lasers: int, step: float) -> U1:
                 mean = 1.0 + (step - 1.0) * (at - coarse) / (law("code.step_at") - coarse)
                 stop = at + short + (long - short) * next(drawn)
                 slope = mean * (low + (high - low) * next(drawn))
-            code = math.floor(at)
-            sent.append(code + (code % 3 == 2 and of_code[code] < law("code.narrow_missed") * narrow))
+            sent.append(math.floor(at))
             at += max(slope, 1.0)
         kept = np.array([*sent, 100])
-        nearest = kept[np.abs(np.arange(101)[:, None] - kept).argmin(axis=1)]
-        away = fine - integers
-        edge = 0.5 - np.floor(0.5 * narrow * CODE_PARTS + of_code[integers]) / CODE_PARTS
-        moved = integers + np.sign(away).astype(np.int64) * ((integers % 3 == 2) & (np.abs(away) > edge))
-        # Exact integers bypass the table of the laser: real units send a few of the left-out codes.
-        out[laser] = np.where(np.arange(len(fine)) % CODE_PARTS == 0, integers, nearest[moved])
+        out[laser] = kept[np.abs(np.arange(101)[:, None] - kept).argmin(axis=1)]
     return out
 
 
@@ -161,11 +147,11 @@ def range_beat_m(seed: int, amplitude_m: float, phase_deg: float | None) -> F8:
 def range_sigma_m(constants: DetectorConstants, reflectance: float, amplitude: float) -> float:
     """Return the white range noise of an echo, one sigma.
 
-    sigma**2 = noise**2 sqrt(0.2 / reflectance) + (width / signal-to-noise ratio)**2. The first term is
-    measured on four real units on smooth surfaces without the beat (`protocol/README.md`, "The character of a
-    unit"); it does not grow with range, because the sensor fires with more power at far or dark targets: on
-    the HDL-32E one of 11 powers, chosen by the previous shot (its software version 2.0). The second term is
-    the least error of the position of a Gaussian pulse in white noise, and counts at maximum power.
+    sigma**2 = noise**2 (0.2 / reflectance)**0.25 + (width / signal-to-noise ratio)**2. The first term is
+    measured on four real units on even smooth surfaces without the beat (law `range.unsteady`); it does not
+    grow with range, because the sensor fires with more power at far or dark targets: on the HDL-32E one of 11
+    powers, chosen by the previous shot (its software version 2.0). The second term is the least error of the
+    position of a Gaussian pulse in white noise, and counts at maximum power.
 
     Parameters
     ----------
@@ -174,9 +160,8 @@ def range_sigma_m(constants: DetectorConstants, reflectance: float, amplitude: f
     """
     shown = min(max(reflectance, _FAINTEST_REFLECTANCE), 1.0)
     far_m = constants.sigma_m * constants.amplitude_noise / amplitude
-    return math.sqrt(
-        constants.range_noise_m * constants.range_noise_m * math.sqrt(_NOISE_AT / shown) + far_m * far_m
-    )
+    own_m = constants.range_noise_m * math.sqrt(math.sqrt(math.sqrt(_NOISE_AT / shown)))
+    return math.sqrt(own_m * own_m + far_m * far_m)
 
 
 REFLECTIVITY_TAIL = law("code.tail")
@@ -214,13 +199,13 @@ def reflectivity_byte(
     percent : range-corrected brightness in percent of a perpendicular white Lambertian surface
     gain : gain of the laser
     noise : noise in counts
-    scale : step of codes at the range, 0 for none, and greatest code of a matt surface
-    codes : (100 * CODE_PARTS + 1,) codes that the laser sends, from `sent_codes`
+    scale : factor as from `eighths_at`, and greatest code of a matt surface
+    codes : (101,) codes that the laser sends, from `sent_codes`
     """
     if percent <= RETROREFLECTIVE:
-        (step, top) = scale
-        code = in_steps(min(max(gain * percent + noise, 0.0), top), step)
-        sent = codes[np.int64(CODE_PARTS * min(code, 100.0))]
+        (eighths, top) = scale
+        code = in_steps(min(max(gain * percent + noise, 0.0), top), eighths)
+        sent = codes[np.int64(min(code, 100.0) + 0.5)]
         if top > 100.0 and sent == 100:  # such a laser sends no 100
             return np.uint8(min(np.floor(max(code, 100.0)) + 1.0, top))
         return sent

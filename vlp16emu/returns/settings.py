@@ -26,19 +26,19 @@ _PRESETS: dict[str, dict[str, object]] = {
     "datasheet": {"range_noise_m": 0.011, "range_bias_m": 0.010},
     # Measured on captures of real units: protocol/README.md, "The character of a unit".
     "unit": {
-        "range_noise_m": 0.0049,
+        "range_noise_m": 0.0031,
         "range_beat_m": 0.006,
-        "reflectivity_noise": 0.0,
-        "reflectivity_noise_share": 0.029,
-        "reflectivity_step": 2.15,
+        "reflectivity_noise": 0.2,
+        "reflectivity_noise_share": 0.031,
+        "reflectivity_step": 1.95,
         "unit_spread": 0.15,
-        "reflectivity_far_step": 2.1,
+        "reflectivity_far_step": 1.45,
         "range_counts": True,
         "no_return_reflectivity": True,
         "no_return_wander": 1.5,
         "records_lost": 1.0,
         "gain_spread": 0.06,
-        "gain_by_range": 0.15,
+        "gain_by_range": 0.17,
     },
 }
 
@@ -70,8 +70,9 @@ class Noise(Preset):
     `unit` draws a unit like the measured ones, and has two more of their properties: heavy tails of white
     errors of reflectivity, and ranges that depend slightly on reflectivity."""
     range_noise_m: _Metres = 0.0065
-    """White range noise, one sigma, at a reflectivity of 20; it falls with the fourth root of the
-    reflectivity, as on four real units."""
+    """White range noise, one sigma, at a reflectivity of 20 on an even surface; it falls with the eighth root
+    of the reflectivity, as on four real units. With `preset = "unit"` it is up to 2.4 times as large where
+    the brightness changes from pulse to pulse."""
     range_beat_m: Annotated[float, Field(ge=0, le=0.02)] = 0.0
     """Amplitude of the error that repeats every five pulses of 2.304 us, the same for all lasers and ranges;
     4 to 7 mm on real units. Units differ by a third, and in phase. 0 switches it off."""
@@ -98,9 +99,9 @@ class Noise(Preset):
     unit_spread: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Unit-to-unit spread of the white errors, one sigma of the logarithm. 0 for exactly the set values."""
     reflectivity_far_step: Annotated[float, Field(ge=0, le=8)] = 0.0
-    """Spacing of the reflectivity codes of a laser beyond 8 m, at codes up to 60: 1.5 to 4 on real units,
-    which send strengths of echoes as integers times a factor of laser and range. It is about 1 at 2 to 4 m,
-    and 3 at 0.5 m. 0 sends every code at all ranges."""
+    """Median over lasers of the spacing of reflectivity codes beyond 8 m: 1.2 to 1.8 on real units, whose
+    codes are strengths of echoes, as integers, times eighths that depend on laser and range, 1 to 2.75
+    there. It is about 1 at 1 to 3 m, and up to 4 at 0.5 m. 0 sends every code at all ranges."""
     range_counts: bool = False
     """True if ranges are counts of 4 mm plus a correction in steps of 2 mm by laser and strength, as on real
     units: neighbours of equal strength then differ by a multiple of 4 mm."""
@@ -108,10 +109,14 @@ class Noise(Preset):
     """Relative error of reflectivity per laser, one sigma, as far as neighbours in elevation differ; 0.057 to
     0.097 on real units."""
     gain_by_range: Annotated[float, Field(ge=0, le=0.5)] = 0.0
-    """Relative error of reflectivity per laser that changes with range, one sigma; 0.15 on real units."""
+    """Relative error of reflectivity per laser that changes with the strength of the echo, and so with range
+    and brightness, one sigma; 0.15 to 0.2 on real units."""
     records_lost: Annotated[float, Field(ge=0, le=2)] = 0.0
-    """Factor on the loss of records at steps of brightness or range, and on dark surfaces; 1 for the random
-    rates of real units, 0 for none."""
+    """Factor on the loss of records at steps of brightness or range; 1 for the random rates of real units, 0
+    for none. With a `unit_spread` of 0 the rates are those of a median unit."""
+    spots_lost: Annotated[float, Field(ge=0, le=4)] | None = None
+    """The same for places that lose the same records in each revolution: dark, near and uneven ones;
+    `records_lost` if not set."""
     weak_echoes_lost: bool = True
     """True to apply the detection threshold of `[detector]`."""
     no_return_reflectivity: bool = False
@@ -126,6 +131,11 @@ class Noise(Preset):
     def is_real(self) -> bool:
         """True if the unit has those errors of real units that have no key."""
         return self.preset == "unit"
+
+    @property
+    def in_spots(self) -> float:
+        """Factor on the loss of records at places of a surface."""
+        return self.records_lost if self.spots_lost is None else self.spots_lost
 
     @property
     def _scatter(self) -> str:

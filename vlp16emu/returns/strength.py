@@ -1,15 +1,16 @@
 """Strength of an echo as an integer of the receiver: steps of reflectivity codes, and parity of ranges.
 
-A code is the strength times a factor of the laser and the range. A range is twice a count of 4 mm, plus a
-correction in steps of 2 mm from a table by laser and strength. Sources: the laws `strength` of
-`vlp16emu/sensor/laws.toml`.
+A code is the strength times an integer of eighths that depends on the laser and the range, without its
+fraction: at 9/8 the codes 8, 17, 26 ... are missing, at 20/8 only 0, 2, 5, 7, 10 ... are sent. A range is
+twice a count of 4 mm, plus a correction in steps of 2 mm from a table by laser and strength. Sources: the
+laws `strength` of `vlp16emu/sensor/laws.toml`.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from vlp16emu.elementary import exp, log
+from vlp16emu.elementary import exp, log, power
 from vlp16emu.kernels.compiler import inline_kernel
 from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.sensor.laws import law, span
@@ -18,11 +19,12 @@ from vlp16emu.types import F8, U1
 _BINS_PER_M = 16
 _BINS = 1024  # up to 64 m, beyond which factors no longer change
 PARITIES = 1024  # strengths with a correction of their own
-STEP = 0  # columns of `Strength.by_range`
+EIGHTHS = 0  # columns of `Strength.by_range`
 GAIN = 1
 TOP = 2
-_FIRST_STEP = 8.5  # number of that step at `_FINEST`, half a step after its first strength
-_FINEST = law("strength.from_code")
+_KNOTS = 32  # of a laser's gain
+_OF_UNIT = 1 << 16  # number of a draw of the unit that no laser has
+_PER_CODE = 8.0  # parts of a code in which its factor is an integer
 _DIFFUSE = 100.0
 _FULL = 255.0
 _RANGE_LSB_PER_M = 500.0  # of a packet: 2 mm
@@ -32,9 +34,10 @@ class Strength(NamedTuple):
     """Properties of a unit; L lasers."""
 
     by_range: F8
-    """(L, bins, 3) step of a code, 0 for none, gain, and greatest code of a matt surface, every 1/16 m."""
+    """(L, bins, 3) factor of a strength in eighths of a code before it is rounded, 0 for none, gain, and
+    greatest code of a matt surface, every 1/16 m."""
     parity: U1  # (L, PARITIES) correction of the range by fine strength, modulo 2; empty for none
-    parts: float  # fine strengths in a step of a code
+    parts: float  # fine strengths in a strength
 
 
 def strength_of(
@@ -51,8 +54,8 @@ def strength_of(
 
     Parameters
     ----------
-    far_step : median step of codes beyond 8 m; 0 for no steps
-    unit_spread : above 0, units differ in that step
+    far_step : median factor of a strength beyond 8 m; 0 to send all codes
+    unit_spread : above 0, units differ in that factor, and in the fine strengths of a strength
     gain_spread : spread of the logarithm of a laser's gain over ranges
     has_counts : True if ranges are counts of 4 mm and a correction
     is_real : True if lasers of some units do not clip at code 100
@@ -63,9 +66,12 @@ def strength_of(
     for laser in range(lasers):
         by_range[laser, :, GAIN] = exp(_wave(seed, laser, gain_spread, at))
         if far_step > 0.0:
-            by_range[laser, :, STEP] = _steps(seed, laser, far_step, unit_spread, at)
-    parts = law("strength.parts_least")
-    parts += (law("strength.parts_most") - parts) * float(uniform(seed, Purpose.STRENGTH, 0, 1)[0])
+            factor = _factors(seed, laser, far_step, unit_spread, at)
+            by_range[laser, :, EIGHTHS] = _PER_CODE * factor
+    least, most = law("strength.parts_least"), law("strength.parts_most")
+    parts = least + (most - least) * float(uniform(seed, Purpose.STRENGTH, 0, 1)[0])
+    if unit_spread == 0.0:
+        parts = float(np.sqrt(least * most))
     parity = _parities(seed, lasers) if has_counts else np.zeros((lasers, 0), np.uint8)
     return Strength(by_range, parity, parts)
 
@@ -80,7 +86,7 @@ def _tops(seed: int, lasers: int) -> F8:
 
 def _wave(seed: int, laser: int, spread: float, at_m: F8) -> F8:
     """Return a smooth random function of the logarithm of ranges (n,), between knots a quarter apart."""
-    knots = normal(seed, Purpose.STRENGTH, 0, 32, 1 + laser)
+    knots = normal(seed, Purpose.STRENGTH, 0, _KNOTS, 1 + laser)
     place = log(at_m * _BINS_PER_M) / law("strength.knot_e_folds")
     knot = np.minimum(place.astype(np.int64), len(knots) - 2)
     fraction = place - knot
@@ -89,17 +95,23 @@ def _wave(seed: int, laser: int, spread: float, at_m: F8) -> F8:
     return np.asarray(spread * value / np.sqrt(even))
 
 
-def _steps(seed: int, laser: int, far_step: float, unit_spread: float, at_m: F8) -> F8:
-    """Return the steps of codes of a laser at ranges (n,): one at 2 to 4 m, more beyond and below."""
-    spread_of_units = law("strength.step_of_units") if unit_spread > 0.0 else 0.0
-    far = far_step * float(exp(spread_of_units * normal(seed, Purpose.STRENGTH, 1, 1))[0])
-    own = float(exp(law("strength.step_of_lasers") * normal(seed, Purpose.STRENGTH, 2 + laser, 1))[0])
-    near_m, fine_m, coarse_m, far_m = span("strength.ranges_m")
-    near, fine = span("strength.near_steps")
-    below = np.clip(log(fine_m / at_m) / log(np.array(fine_m / near_m)), 0.0, 1.0)
+def _factors(seed: int, laser: int, far_step: float, unit_spread: float, at_m: F8) -> F8:
+    """Return the factor of a laser's strengths at ranges (n,): about 1 at 1 to 3 m, more beyond and below."""
+    spread_of_units = law("strength.far_of_units") if unit_spread > 0.0 else 0.0
+    far_of_unit = far_step * float(exp(spread_of_units * normal(seed, Purpose.STRENGTH, 1, 1))[0])
+    near_z, far_z = normal(seed, Purpose.STRENGTH, _KNOTS, 2, 1 + laser).tolist()
+    low, high = span("strength.fine")
+    fine = low + (high - low) * float(uniform(seed, Purpose.STRENGTH, _KNOTS + 2, 1, 1 + laser)[0])
+    low, high = span("strength.near_until_m")
+    fine_m = low * power(high / low, float(uniform(seed, Purpose.STRENGTH, _OF_UNIT, 1)[0]))
+    near = law("strength.near") * float(exp(np.array(law("strength.near_of_lasers") * near_z)))
+    far = far_of_unit * float(exp(np.array(law("strength.far_of_lasers") * far_z)))
+    near_m, coarse_m, far_m = span("strength.ranges_m")
+    below = np.clip(log(fine_m / at_m) / log(np.array(fine_m / near_m)), 0.0, None)
     beyond = np.clip(log(at_m / coarse_m) / log(np.array(far_m / coarse_m)), 0.0, 1.0)
-    fold = below * log(np.array(near / fine)) + beyond * log(np.array(max(far, fine) / fine))
-    return np.asarray(own * fine * exp(fold))
+    near = min(max(near, fine), law("strength.most_near"))
+    far = min(max(far, fine), law("strength.most_far"))
+    return np.asarray(fine * exp(below * log(np.array(near / fine)) + beyond * log(np.array(far / fine))))
 
 
 def _parities(seed: int, lasers: int) -> U1:
@@ -133,17 +145,33 @@ def at_range(table: F8, range_m: float, column: int) -> float:
 
 
 @inline_kernel
-def in_steps(code: float, step: float) -> float:
-    """Return a code as a multiple of its step; the darkest and the brightest codes have no steps."""
-    if step <= 0.0 or code < _FINEST or code >= _DIFFUSE:
-        return code
-    return _FINEST + step * np.floor((code - _FINEST) / step + 0.5)
+def eighths_at(table: F8, range_m: float) -> float:
+    """Return the factor of a laser's strengths at a range, an integer of eighths of a code; 0 for none."""
+    return np.floor(at_range(table, range_m, EIGHTHS) + 0.5)
 
 
 @inline_kernel
-def fine_strength(code: float, step: float, parts: float) -> float:
-    """Return the strength of a code before rounding; a step of codes has `parts` strengths."""
-    return parts * ((code - _FINEST) / (step if step > 0.0 else 1.0) + _FIRST_STEP)
+def strength(code: float, eighths: float) -> float:
+    """Return the strength, before rounding, whose code has the mean `code`; eighths of at least 8."""
+    shared = np.int64(eighths)
+    unit = min(shared & -shared, np.int64(_PER_CODE))  # greatest common divisor of the factor and 8
+    lost = 0.5 * (_PER_CODE - np.float64(unit)) / _PER_CODE  # mean of what truncation takes
+    return (code + lost) * _PER_CODE / eighths
+
+
+@inline_kernel
+def in_steps(code: float, eighths: float) -> float:
+    """Return the code of the strength nearest to that of a code; the brightest code has no step."""
+    if eighths < _PER_CODE or code >= _DIFFUSE:
+        return code
+    nearest = np.floor(strength(code, eighths) + 0.5)
+    return min(np.floor(nearest * eighths / _PER_CODE), _DIFFUSE)
+
+
+@inline_kernel
+def fine_strength(code: float, eighths: float, parts: float) -> float:
+    """Return a finer strength of a code; a strength has `parts` of them."""
+    return parts * (strength(code, max(eighths, _PER_CODE)) + 0.5)
 
 
 @inline_kernel

@@ -10,6 +10,7 @@ from vlp16emu.explain import explain
 from vlp16emu.extras.compare.sequences import Sequences
 from vlp16emu.extras.compare.statistics import (
     Statistics,
+    Stretches,
     beat_of,
     commonest,
     local,
@@ -17,6 +18,7 @@ from vlp16emu.extras.compare.statistics import (
     stretches_of,
     turning_of,
 )
+from vlp16emu.extras.compare.steps import far_factor
 from vlp16emu.extras.compare.table import REAL
 from vlp16emu.returns import Noise
 from vlp16emu.sensor.settings import MOST_OFF_RPM, RPM_STEP, Sensor, set_rpm
@@ -26,19 +28,25 @@ _PER_RATE_CDEG2 = 3.55
 """Local variance of encoder readings without rate error, and the variance that the error adds: from our own
 packets at 540 to 660 rpm."""
 _LEVEL = 80.0  # middle of the reflectivities whose neighbours are compared
-_EQUAL_STEPS = 2.9
+_EQUAL_STEPS = 2.65
 _COARSEST = 5.0
 _FROM = 30.0
 _TOP = 90.0
 """Step of bright codes over the product of their scatter and the share of equal neighbours, from our own
 packets; greatest step; reflectivities at which the step is 1 and at which the key gives it."""
-_OTHER_MM = 2.6
-"""White error from the detector and the 2 mm of a code, beside the setting; from our own packets."""
+_OTHER_MM = 2.8
+_EVEN_SCATTER, _EVEN_LEVEL = 0.06, (10, 90)
+_SET_AT = 20.0
+_PULSES, _FREE = 15, 11
+"""White error from the detector and the codes of a range, beside the setting, from our own packets; greatest
+scatter over the level of even surfaces, and their levels; level of the setting; pulses of a stretch, and
+those less the parameters of a cubic."""
 _COUNTS_EVEN = 0.65  # 0.5 where each range has its own code of 2 mm, 0.77 to 0.95 on real units
 _CONSTANT_GAIN = 0.57
 _GAIN_BY_RANGE = 1.42
 """Shares of the spread of gains over lasers, as both kinds of sectors show it: keys of our own packets over
 their statistic. One capture does not separate them."""
+_ON_A_SURFACE = "lost.on_a_surface"
 _LEAST_SILENT = 50
 _MOST_LOST = 2.0
 _HALF_DEG_PER_US = 0.0018  # half of the turn of a rotor at 600 rpm in a microsecond
@@ -67,12 +75,14 @@ def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
     out: dict[str, object] = {"preset": "unit", "unit_spread": 0.0}
     if (stretches := stretches_of(sequences)) is not None:
         sine, _ = beat_of(stretches)
-        set_mm = math.sqrt(max(found["range.white_at_20_mm"] ** 2 - _OTHER_MM**2, 0.0))
-        out["range_noise_m"] = round(set_mm * 1e-3, 5)
+        if (even_mm := _even_white_mm(stretches)) is None:
+            even_mm = found["range.white_at_20_mm"]
+        out["range_noise_m"] = round(math.sqrt(max(even_mm**2 - _OTHER_MM**2, 0.0)) * 1e-3, 5)
         out["range_beat_m"] = round(float(abs(sine)) * 1e-3, 5)
         out["range_beat_phase_deg"] = round(float(np.degrees(np.angle(sine))) % 360.0, 1) % 360.0
     if scatter := found.get("reflectivity.scatter_60_99"):
-        out["reflectivity_noise_share"] = round(scatter / _LEVEL, 4)
+        counts = Noise().reflectivity_noise
+        out["reflectivity_noise_share"] = round(max(scatter - counts, 0.0) / _LEVEL, 4)
         # The share of equal neighbours after rounding depends on the step over the scatter.
         step = _EQUAL_STEPS * scatter * found["reflectivity.equal_60_99"]
         at_top = 1.0 + (step - 1.0) * (_TOP - _FROM) / (_LEVEL - _FROM)
@@ -84,13 +94,18 @@ def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
         out["gain_spread"] = round(min(_CONSTANT_GAIN * spread, 0.3), 3)
         out["gain_by_range"] = round(min(_GAIN_BY_RANGE * spread, 0.5), 3)
     # Rates of lost records relative to the geometric mean of those of real units.
-    rates = [
-        found[name] / math.sqrt(REAL[name].low * REAL[name].high)
+    rates = {
+        name: found[name] / math.sqrt(REAL[name].low * REAL[name].high)
         for name in found
         if name.startswith("lost.")
-    ]
-    if rates:
-        out["records_lost"] = round(min(float(np.median(rates)), _MOST_LOST), 2)
+    }
+    at_steps = [rate for name, rate in rates.items() if name != _ON_A_SURFACE]
+    if at_steps:
+        out["records_lost"] = round(min(float(np.median(at_steps)), _MOST_LOST), 2)
+    if _ON_A_SURFACE in rates:
+        out["spots_lost"] = round(min(rates[_ON_A_SURFACE], _MOST_LOST), 2)
+    if (factor := far_factor(sequences)) is not None:
+        out["reflectivity_far_step"] = round(factor, 2)
     if "no_return.above_0" in found:
         out["no_return_reflectivity"] = found["no_return.above_0"] > 0.5
         silent = sequences.distance_lsb == 0
@@ -99,6 +114,18 @@ def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
             level = float(np.median(commonest(silent, sequences.reflectivity)[enough])) + 0.5
             out["no_return_level"] = round(level, 1)
     return out
+
+
+def _even_white_mm(stretches: Stretches) -> float | None:
+    """Return the white range noise on surfaces of even brightness, at code 20; None without such surfaces."""
+    level = stretches.level
+    scatter = np.sqrt((stretches.code_residual**2).mean(axis=1)) / np.maximum(level, 1.0)
+    low, high = _EVEN_LEVEL
+    chosen = (scatter < _EVEN_SCATTER) & (level >= low) & (level < high)
+    if not chosen.any():
+        return None
+    sigma_mm = np.sqrt((stretches.white_mm[chosen] ** 2).mean(axis=1) * (_PULSES / _FREE))
+    return float(np.median(sigma_mm * (level[chosen] / _SET_AT) ** 0.125))
 
 
 def _rotor(sequences: Sequences, found: Statistics) -> dict[str, object]:
