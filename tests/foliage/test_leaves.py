@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from raycast import lab
 
+from vlp16emu.foliage import leaves as room
 from vlp16emu.foliage.far import FarCaster
 from vlp16emu.foliage.lanes import empty_lanes
 from vlp16emu.foliage.leaves import weights_of
@@ -59,22 +60,42 @@ def test_a_voxels_leaves_have_one_place_in_space(code, corner):
         one, two = (other for other in range(3) if other != axis)
         for way in (1.0, -1.0):
             places = []
-            for a, b in itertools.product(range(8), repeat=2):
+            for a, b in itertools.product(range(16), repeat=2):
                 origin_m, direction = np.zeros(3, "f4"), np.zeros(3, "f4")
-                origin_m[one], origin_m[two] = low_m[[one, two]] + (np.array([a, b]) + 0.5) * VOXEL_M / 8
+                origin_m[one], origin_m[two] = low_m[[one, two]] + (np.array([a, b]) + 0.5) * VOXEL_M / 16
                 origin_m[axis], direction[axis] = low_m[axis] - 3.0 * way, way
                 if np.isfinite(range_m := met_m(medium, origin_m, direction)):
                     place = origin_m.astype(float)
                     place[axis] += way * range_m
                     places.append(place)
             places = np.array(places)
-            found.append(places[np.lexsort(np.floor((places - low_m) / VOXEL_M * 8).T)])
+            found.append(places[np.lexsort(np.floor((places - low_m) / VOXEL_M * 16).T)])
     assert len(found[0]) > (1 if code == 10 else 15)
     for axis in range(3):
         assert np.abs(found[2 * axis] - found[2 * axis + 1]).max() < 1e-4
-    cells = [np.floor((places - low_m) / VOXEL_M * 8).astype(int) for places in found]
+    cells = [np.floor((places - low_m) / VOXEL_M * 16).astype(int) for places in found]
     for other in cells[1:]:
         assert (other == cells[0]).all()
+
+
+def test_a_voxel_has_one_leaf_in_each_column_along_each_axis():
+    """In all variants of all kinds, every column along every axis has a leaf of its own, and a leaf is in the
+    column that its position is in."""
+    for variant, place in enumerate(room._PLACE // 16):
+        for axis, (a, b) in enumerate(((1, 2), (0, 2), (0, 1))):
+            leaf = room._LEAF_OF[axis, variant]
+            assert sorted(leaf) == list(range(256))
+            assert (leaf[16 * place[:, a].astype(int) + place[:, b]] == np.arange(256)).all()
+
+
+@pytest.mark.parametrize(("kind", "low", "high"), [(0, 0.15, 0.3), (1, 0.4, 0.6), (2, 0.3, 0.5)])
+def test_leaves_come_in_clumps_of_their_kind(kind, low, high):
+    """Where a fifth of the columns have a leaf, 1 / 16 of the variance would lie between squares of 125 mm,
+    of 16 columns each, if leaves came singly. Low plants have a few times as much, and crowns half of it."""
+    own = room._LEAF_OF[:, 16 * kind : 16 * (kind + 1)].reshape(-1, 4, 4, 4, 4)
+    squares = (own < 256 // 5).mean(axis=(2, 4))
+    mean = (256 // 5) / 256
+    assert low < np.square(squares - mean).mean() / (mean * (1 - mean)) < high
 
 
 BROADLEAVES = {

@@ -82,32 +82,32 @@ class Twin:
             if code & (1 << 21) - 1 == 0:
                 continue
             h = hashed(*(int(c) + k for c, k in zip(cell, M.corner, strict=True)), M.seed)
-            variant, mirror = h & 31, [h >> 5 & 7, h >> 8 & 7, h >> 11 & 7]
-            bits = int(room._MASK[main, variant, int((1 - math.exp(-tau * length)) * 64 + (h >> 24) / 256)])
+            level, upright = code & 127, code >> 14 & 127
+            kind = 0 if code >> 21 & 1 else 2 if 3 * level < 2 * upright else 1
+            variant, mirror = (h & 15) + 16 * kind, [h >> 5 & 15, h >> 9 & 15, h >> 13 & 15]
+            present = int((1 - math.exp(-tau * length)) * 256 + (h >> 24) / 256)
             middle_m = (cell[main] + 0.5 - own[main]) / d[main] * VOXEL_M
-            across = [int(8 * (own[a] + middle_m / VOXEL_M * d[a])) & 7 ^ mirror[a] for a in (one, two)]
-            column = 8 * across[0] + across[1]
-            if not bits >> column & 1:
+            place = [16 * (own[a] + middle_m / VOXEL_M * d[a]) for a in (one, two)]
+            across = [int(at) & 15 ^ mirror[a] for at, a in zip(place, (one, two), strict=True)]
+            leaf = int(room._LEAF_OF[main, variant, 16 * across[0] + across[1]])
+            if leaf >= present:
                 continue
-            leaf = int(room._LEAF_OF[main, variant, column])
-            place = [8 * (own[a] + middle_m / VOXEL_M * d[a]) for a in (one, two)]
-            facets = int(4 * place[0]) & 3, int(2 * place[1]) & 1
-            along = cell[main] + ((int(room._PLACE[variant, leaf, main]) ^ mirror[main] << 5) + 0.5) / 256
+            facet = int(2 * place[0]) & 1
+            along = cell[main] + ((int(room._PLACE[variant, leaf, main]) ^ mirror[main] << 4) + 0.5) / 256
             at_m = (along - own[main]) / d[main] * VOXEL_M
             if at_m >= M.near_m:
                 return at_m, self.owner(
-                    int(M.first_owner[voxel]), h, leaf, facets, (x // COLUMNS, y // COLUMNS)
+                    int(M.first_owner[voxel]), h, leaf, facet, (x // COLUMNS, y // COLUMNS)
                 )
         return MISS
 
-    def owner(self, first, h, leaf, facets, tile):
+    def owner(self, first, h, leaf, facet, tile):
         """Surface of a facet of a leaf of a voxel of a tile, by the voxel's first owner."""
-        quarter = 2 * (facets[0] >> 1) + facets[1]
-        own = (h + (4 * leaf + quarter) * 0x9E3779B1 & M32) * 0x85EBCA77 & M32
+        own = (h + leaf * 0x9E3779B1 & M32) * 0x85EBCA77 & M32
         own = (own ^ own >> 15) * 0xC2B2AE3D & M32
         own ^= own >> 16
         owner = first
-        drawn = own + 97 * (2 * facets[0] + facets[1]) & 255
+        drawn = own + 128 * facet & 255
         while int(self.M.owner[owner]) >> 56 < drawn:
             owner += 1
         own = int(self.M.owner[owner])

@@ -147,13 +147,19 @@ def test_a_cloud_is_where_its_faces_are(monkeypatch):
         )
 
 
+def hovering(world, place):
+    """Tile of a world whose ground is 3 m lower, so that nothing stands in it."""
+    tile = world.far_tile(*place)
+    return replace(tile, ground_m=tile.ground_m - 3.0)
+
+
 @pytest.fixture(scope="module")
 def blocks():
     """World, library and blocks of nine tiles."""
     world = lab.Tiles()
     clouds = [cloud_of(world.shape("crown"), PARTS), cloud_of(world.shape("stone"), PARTS[:1])]
     library, shape_of = Library.of(clouds), {"crown": 0, "stone": 1}
-    tiles = {place: world.far_tile(*place) for place in itertools.product(range(-2, 3), repeat=2)}
+    tiles = {place: hovering(world, place) for place in itertools.product(range(-2, 3), repeat=2)}
     made = {
         place: block_of(library, shape_of, tiles, *place) for place in itertools.product((-1, 0, 1), repeat=2)
     }
@@ -177,6 +183,44 @@ def test_blocks_hold_all_the_area_of_what_stands_on_them(blocks, knot):
                 share = 1.0 if number == 1 else 0.5
                 true_m2 += share * np.abs(normals(own) @ light).sum(axis=0).mean()
     assert found_m2 == pytest.approx(true_m2, rel=0.03)
+
+
+@pytest.mark.parametrize(("ground_m", "share", "left"), [(0.0, 1.0, 1.0), (0.1, 0.8, 1.0), (0.3, 0.4, 0.5)])
+def test_low_plants_are_as_dense_as_the_voxel_over_the_ground_makes_them(ground_m, share, left):
+    """Area of a voxel is that of faces over the ground, spread over the volume that is over the ground: of
+    two leaves at 0.2 and 0.4 m, one is left over ground at 0.3 m, in 0.2 of 0.5 m."""
+    leaf_m = np.array([[0.0, 0, 0], [0.1, 0, 0], [0.1, 0.0, 0.05], [0.0, 0.0, 0.05]])
+    corners_m = np.concatenate([leaf_m + [0, 0, z] for z in (0.2, 0.4)]).astype("f4")
+    (code,) = codes_of_a_shape(Mesh(corners_m, np.arange(8, dtype="u4").reshape(2, 4)), ground_m)
+    true_m2 = left * 2 * 0.1 * 0.05 * 2 / np.pi
+    assert TAU_PER_M[code] * VOXEL_M**3 * share == pytest.approx(true_m2, rel=2.0 / code)
+
+
+@pytest.mark.parametrize(("tilt_deg", "left"), [(0.0, 0.95), (20.0, 0.95), (60.0, 1.0)])
+def test_leaves_that_lie_nearly_level_hide_each_other_beyond_a_voxel(tilt_deg, left):
+    """Of the area of leaves tilted by 20 degrees at most 0.95 is left; steeper ones keep all."""
+    tilt = np.radians(tilt_deg)
+    along, across = 0.1 * np.array([np.cos(tilt), 0, np.sin(tilt)]), np.array([0, 0.2, 0])
+    corners_m = np.tile(np.stack([along, across, -along, -across]) + [0, 0, 3.2], (16, 1))
+    faces = np.arange(64, dtype="u4").reshape(16, 4)
+    (code,) = codes_of_a_shape(Mesh(corners_m.astype("f4"), faces), 0.0, knot=2)
+    assert TAU_PER_M[code] * VOXEL_M**3 == pytest.approx(left * 16 * 0.04 * np.cos(tilt), rel=0.025)
+
+
+def codes_of_a_shape(mesh, ground_m, knot=0):
+    """Codes of the voxels of a tile on level ground with one shape of leaves at (5.1, 5.1, 0)."""
+    world = lab.Tiles(per_tile=0, things=False, height_m=lambda x, y: 0.0 * x + 0.0 * y + ground_m)
+    tiles = {place: world.far_tile(*place) for place in itertools.product((-1, 0, 1), repeat=2)}
+    tiles[0, 0] = replace(
+        tiles[0, 0],
+        keys=("low",),
+        shape=np.zeros(1, "i8"),
+        world_T_shape=np.column_stack([np.eye(3), [5.1, 5.1, 0.0]])[None],
+        first_surface=np.ones(1, "i8"),
+    )
+    block = block_of(Library.of([cloud_of([mesh], PARTS[1:])]), {"low": 0}, tiles, 0, 0)
+    code = block.record >> np.uint32(7 * knot) & 127
+    return code[code > 0].tolist()
 
 
 def place_of(owner):
@@ -227,7 +271,7 @@ def test_owners_have_their_shares(blocks):
 def test_a_block_depends_on_its_neighbours_only(blocks):
     """A block made of nine tiles is, byte by byte, the one made with tiles farther off present too."""
     world, library, _, made = blocks
-    more = {place: world.far_tile(*place) for place in itertools.product(range(-3, 4), repeat=2)}
+    more = {place: hovering(world, place) for place in itertools.product(range(-3, 4), repeat=2)}
     again = block_of(library, {"crown": 0, "stone": 1}, more, 0, 0)
     for name in ("mask", "first", "record", "first_owner", "owner"):
         assert getattr(again, name).tobytes() == getattr(made[0, 0], name).tobytes()

@@ -81,8 +81,8 @@ class Lanes(NamedTuple):
     cosine: F4  # (8,) likewise
     surface: U4  # (8,) likewise
     line: F4
-    """(48,) scratch, rows of eight: position across at the grid's corner and its change per metre, in 8ths of
-    voxels, on both axes; then position along and its inverse change per metre of range."""
+    """(48,) scratch, rows of eight: position across at the grid's corner and its change per metre, in 16ths
+    of voxels, on both axes; then position along and its inverse change per metre of range."""
     place: U4  # (AHEAD,) scratch: brick and bit of the voxel of each slab, then the number of its record
     code: U4  # (AHEAD,) scratch: these records
     hash: U4  # (AHEAD,) scratch: hashes of the places of these voxels

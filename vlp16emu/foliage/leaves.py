@@ -1,13 +1,16 @@
 """Leaves of voxels, and their intersection with lanes.
 
-The leaves of a voxel are 64 cells of a Latin square, one in each column of 8 x 8 along each of the three
-axes, so that a leaf has the same position from every direction. The first n of them are present; n / 64 is
-the share of the light that foliage of that density intercepts over the length of the slab (Beer's law). The
-voxel's square, its mirroring, and the rounding of n follow from a hash of the voxel's position in the world.
+The leaves of a voxel are 256 cells, one in each column of 16 x 16 along each of the three axes, so that a
+leaf has the same position from every direction. The first n of them are present; n / 256 is the share of the
+light that foliage of that density intercepts over the length of the slab (Beer's law). The voxel's order, its
+mirroring, and the rounding of n follow from a hash of the voxel's position in the world.
 
-A column is 62.5 mm wide, about a small twig with its leaves. It consists of 4 x 2 facets of 16 x 31 mm, each
-with an owner of its own: a beam meets thin wood amid leaves in more pulses, and in fewer sub-rays of each,
-than it would meet whole columns of wood.
+A column is 31 mm wide, about a small twig with its leaves. It consists of two facets of 16 x 31 mm, each with
+an owner of its own: a beam meets thin wood amid leaves in more pulses, and in fewer sub-rays of each, than it
+would meet whole columns of wood.
+
+Leaves come in clumps, which decide how many beams are filled by leaves, and how many pass through a gap.
+Three kinds of foliage have clumps of their own: low plants, crowns, and leaves that lie nearly level.
 """
 
 from typing import NamedTuple
@@ -19,8 +22,10 @@ from vlp16emu.elementary import exp
 from vlp16emu.foliage.lanes import Lanes, Medium, Pulse, lowest_bit
 from vlp16emu.foliage.voxel import (
     COLUMNS,
+    GROUND,
     LAW_BIT,
     LAW_MASK,
+    LEAVES,
     QUANTILES,
     SHARE_BIT,
     TAU_PER_M,
@@ -29,53 +34,60 @@ from vlp16emu.foliage.voxel import (
 )
 from vlp16emu.kernels.compiler import NumbaObject, inline_kernel, numba
 from vlp16emu.raycast.kernel import LANES
-from vlp16emu.types import F4, U1, U8
+from vlp16emu.types import F4, U1
 
-_VARIANTS = 32
+_VARIANTS = 16  # of a kind
 _COVER_STEPS = 64
 _COVER_MOST = 16
 f4 = np.float32
 u4 = np.uint32
-_SPREAD = u4(97)  # step of the draw of an owner from facet to facet, of 256
+_SPREAD = u4(128)  # step of the draw of an owner from facet to facet, of 256
+_LOW, _CROWN, _LEVEL = range(3)  # kinds of foliage
+_CLUMPS = (0.5, 0.5, 0.5, 1.0), (0.65, 1.0, 0.72, 0.32), (0.3, 0.7, 1.0, 0.0)
+"""Weights of cubes of 250, 125, 62 and 31 mm in the order of leaves, by kind."""
 _Three = tuple[int, int, int]
 _Whose = tuple[np.uint32, tuple[int, int], int]
 """Number of the record of a voxel, its tile, and the knot of the light's elevation."""
 
 
-def _leaves() -> tuple[U8, U1, U1]:
-    """Make the leaves of the voxels' variants.
+def _leaves(weights: tuple[float, ...], seed: int) -> tuple[U1, U1]:
+    """Make the leaves of the voxels' variants, the first to be present first.
+
+    Leaves of a cube are present together the sooner, the greater its weight is.
+
+    Parameters
+    ----------
+    weights : weights of the draws of cubes of 250, 125, 62 and 31 mm in the order of their leaves
 
     Returns
     -------
-    Columns that the first n leaves occupy, (3, variants, 65) bits 8 a + b along each axis, where a and b are
-    the other two axes in order; the leaf of each column, (3, variants, 64); and positions of leaves along the
-    axes, (variants, 64, 3) in 256ths of a voxel.
+    The leaf of each column, (3, variants, 256): index 16 a + b along each axis, where a and b are the other
+    two axes in order; and positions of leaves along the axes, (variants, 256, 3) in 256ths of a voxel.
     """
-    rng = np.random.default_rng(20)  # determines bytes of the output
-    mask = np.zeros((3, _VARIANTS, 65), np.uint64)
-    leaf_of = np.zeros((3, _VARIANTS, 64), np.uint8)
-    place = np.zeros((_VARIANTS, 64, 3), np.uint8)
-    base = np.add.outer(np.arange(4), np.arange(4)) % 4
+    rng = np.random.default_rng(seed)  # determines bytes of the output
+    leaf_of = np.zeros((3, _VARIANTS, LEAVES * LEAVES), np.uint8)
+    place = np.zeros((_VARIANTS, LEAVES * LEAVES, 3), np.uint8)
+    i, j = np.divmod(np.arange(4), 2)
     for variant in range(_VARIANTS):
-        # Clumps of 2 x 2 x 2 cells follow a Latin square of order 4, the leaves of a clump one of order 2.
-        square = rng.permutation(4)[base[np.ix_(rng.permutation(4), rng.permutation(4))]]
-        cells = []
-        for clump in rng.permutation(16):
-            x, y = divmod(int(clump), 4)
-            odd = int(rng.integers(2))
-            for pair in rng.permutation(4):
-                i, j = divmod(int(pair), 2)
-                cells.append((2 * x + i, 2 * y + j, 2 * int(square[x, y]) + ((i + j + odd) & 1)))
-        leaves = np.array(cells)[rng.permutation(64)]
-        place[variant] = 32 * leaves + rng.integers(32, size=(64, 3))
+        cell = np.zeros((1, 3), np.int64)
+        late = np.zeros(1)
+        for weight in weights:  # each cube has four smaller ones, a Latin square of order 2
+            odd = rng.integers(2, size=len(cell))[:, None]
+            k = (i + j + odd) & 1
+            smaller = np.stack([i + 0 * k, j + 0 * k, k], axis=-1)
+            cell = (2 * cell[:, None] + smaller).reshape(-1, 3)
+            late = np.repeat(late, 4) + weight * rng.random(len(cell))
+        cell = cell[np.argsort(late, kind="stable")]
+        place[variant] = 16 * cell + rng.integers(16, size=cell.shape)
         for axis, (a, b) in enumerate(((1, 2), (0, 2), (0, 1))):
-            column = 8 * leaves[:, a] + leaves[:, b]
-            leaf_of[axis, variant, column] = np.arange(64)
-            mask[axis, variant, 1:] = np.bitwise_or.accumulate(np.uint64(1) << column.astype(np.uint64))
-    return mask, leaf_of, place
+            leaf_of[axis, variant, LEAVES * cell[:, a] + cell[:, b]] = np.arange(len(cell))
+    return leaf_of, place
 
 
-_MASK, _LEAF_OF, _PLACE = _leaves()
+_KINDS = [_leaves(weights, kind) for kind, weights in enumerate(_CLUMPS)]
+_LEAF_OF = np.concatenate([leaf_of for leaf_of, _ in _KINDS], axis=1)
+_PLACE = np.concatenate([place for _, place in _KINDS])
+_LEAF_OF_COLUMN = _LEAF_OF.reshape(-1)
 _COVER = (1.0 - exp(-np.arange(_COVER_STEPS * _COVER_MOST + 2) / _COVER_STEPS)).astype(np.float32)
 
 
@@ -146,20 +158,34 @@ def lit_lanes(
     )
     step = int(x)
     cover = _COVER[step] + (_COVER[step + 1] - _COVER[step]) * (x - f4(step))
-    count = int(cover * f4(64.0) + f4(h >> u4(24)) * f4(1.0 / 256.0))
-    bits = _MASK[main, int(h & u4(_VARIANTS - 1)), count]
+    count = np.int32(cover * f4(LEAVES * LEAVES) + f4(h >> u4(24)) * f4(1.0 / 256.0))
+    variant = variant_of(h, code)
     line = pulse.lanes.line
     middle_m = (f4(k) + f4(0.5)) * f4(VOXEL_M)
     (r1, r2) = _mirrors(h, second, third)
+    first = np.int32((main * len(_CLUMPS) * _VARIANTS + variant) * LEAVES * LEAVES)
     if pulse.n == 1:
-        return h, (bits >> np.uint64(_column(line, 0, middle_m, r1, r2))) & np.uint64(1)
-    return h, _in_columns(line, middle_m, r1, r2, bits)
+        return h, np.uint64(
+            np.int32(_LEAF_OF_COLUMN[first + np.int32(_column(line, 0, middle_m, r1, r2))]) < count
+        )
+    return h, _in_columns(line, middle_m, r1, r2, _LEAF_OF_COLUMN, first, count)
+
+
+@inline_kernel
+def variant_of(h: np.uint32, code: np.uint32) -> int:
+    """Return the number of a voxel's variant, by the hash of its position and its code.
+
+    Leaves lie nearly level where light from above meets more than 9 / 4 of the area that level light meets.
+    """
+    level, upright = code & u4(127), (code >> u4(14)) & u4(127)
+    kind = _LOW if code & GROUND else (_LEVEL if u4(3) * level < u4(2) * upright else _CROWN)
+    return int(h & u4(_VARIANTS - 1)) + _VARIANTS * kind
 
 
 @inline_kernel
 def _mirrors(h: np.uint32, second: int, third: int) -> tuple[np.int32, np.int32]:
     """Return how columns are mirrored along two axes."""
-    return np.int32((h >> u4(5 + 3 * second)) & u4(7)), np.int32((h >> u4(5 + 3 * third)) & u4(7))
+    return np.int32((h >> u4(5 + 4 * second)) & u4(15)), np.int32((h >> u4(5 + 4 * third)) & u4(15))
 
 
 @inline_kernel
@@ -172,6 +198,7 @@ def meet_leaves(
     knot: int,
     h: np.uint32,
     lit: np.uint64,
+    code: np.uint32,
 ) -> bool:
     """Intersect lanes with their leaves in a voxel; return True if a leaf is the nearest hit of any lane.
 
@@ -188,12 +215,12 @@ def meet_leaves(
     whose = number, (x // COLUMNS, y // COLUMNS), knot
     L = pulse.lanes
     near_m = pulse.near_m
-    variant = int(h & u4(_VARIANTS - 1))
+    variant = variant_of(h, code)
     line = L.line
     range_m = L.range_m
     middle_m = (f4(k) + f4(0.5)) * f4(VOXEL_M)
     (r1, r2) = _mirrors(h, second, third)
-    mirror = int((h >> u4(5 + 3 * main)) & u4(7)) << 5
+    mirror = int((h >> u4(5 + 4 * main)) & u4(15)) << 4
     met = False
     while lit:
         lane = int(lowest_bit(lit))
@@ -211,18 +238,16 @@ def meet_leaves(
 
 @inline_kernel
 def _column(line: F4, lane: int, middle_m: np.float32, r1: np.int32, r2: np.int32) -> np.uint32:
-    """Return the mirrored column (of 8 x 8) of a lane in the middle of a slab."""
-    a = (np.int32(line[lane] + line[LANES + lane] * middle_m) & np.int32(7)) ^ r1
-    b = (np.int32(line[2 * LANES + lane] + line[3 * LANES + lane] * middle_m) & np.int32(7)) ^ r2
-    return u4(8 * a + b)
+    """Return the mirrored column (of 16 x 16) of a lane in the middle of a slab."""
+    a = (np.int32(line[lane] + line[LANES + lane] * middle_m) & np.int32(15)) ^ r1
+    b = (np.int32(line[2 * LANES + lane] + line[3 * LANES + lane] * middle_m) & np.int32(15)) ^ r2
+    return u4(LEAVES * a + b)
 
 
 @inline_kernel
 def _facet(line: F4, lane: int, middle_m: np.float32) -> np.uint32:
-    """Return the facet of a column (of 4 x 2) that a lane meets in the middle of a slab."""
-    a = np.int32(f4(4.0) * (line[lane] + line[LANES + lane] * middle_m)) & np.int32(3)
-    b = np.int32(f4(2.0) * (line[2 * LANES + lane] + line[3 * LANES + lane] * middle_m)) & np.int32(1)
-    return u4(2 * a + b)
+    """Return the facet of a column (of 2) that a lane meets in the middle of a slab."""
+    return u4(np.int32(f4(2.0) * (line[lane] + line[LANES + lane] * middle_m)) & np.int32(1))
 
 
 @numba.extending.intrinsic
@@ -232,9 +257,11 @@ def _in_columns(
     middle_m: NumbaObject,
     r1: NumbaObject,
     r2: NumbaObject,
-    bits: NumbaObject,
+    table: NumbaObject,
+    first: NumbaObject,
+    count: NumbaObject,
 ) -> NumbaObject:
-    """Return bits of the lanes whose `_column` is a bit of a word.
+    """Return bits of the lanes whose `_column` has one of the first `count` leaves.
 
     Written as vectors, because the compiler splits a loop of eight: saves a twentieth of casting.
     """
@@ -244,7 +271,7 @@ def _in_columns(
     ) -> NumbaObject:
         floats = ir.VectorType(ir.FloatType(), LANES)
         wholes = ir.VectorType(ir.IntType(32), LANES)
-        array, middle, *mirrors, word = args
+        array, middle, *mirrors, table, begin, most = args
         first = context.make_array(signature.args[0])(context, builder, array).data
 
         def row(number: int) -> NumbaObject:
@@ -265,23 +292,27 @@ def _in_columns(
                     builder.fptosi(
                         builder.fadd(row(2 * k), builder.fmul(row(2 * k + 1), each(middle))), wholes
                     ),
-                    whole(7),
+                    whole(15),
                 ),
                 each(mirror),
             )
             for k, mirror in enumerate(mirrors)
         )
-        column = builder.add(builder.shl(a, whole(3)), b)
-        low = builder.trunc(word, ir.IntType(32))
-        high = builder.trunc(builder.lshr(word, ir.Constant(ir.IntType(64), 32)), ir.IntType(32))
-        in_high = builder.sub(whole(0), builder.lshr(column, whole(5)))
-        half = builder.xor(each(low), builder.and_(each(builder.xor(low, high)), in_high))
-        bit = builder.lshr(half, builder.and_(column, whole(31)))
-        lanes = builder.bitcast(builder.trunc(bit, ir.VectorType(ir.IntType(1), LANES)), ir.IntType(LANES))
+        column = builder.add(builder.add(builder.shl(a, whole(4)), b), each(begin))
+        leaves = context.make_array(signature.args[4])(context, builder, table).data
+        leaf = ir.Constant(ir.VectorType(ir.IntType(8), LANES), ir.Undefined)
+        for lane in range(LANES):
+            number = ir.Constant(ir.IntType(32), lane)
+            at = builder.zext(builder.extract_element(column, number), ir.IntType(64))
+            leaf = builder.insert_element(leaf, builder.load(builder.gep(leaves, [at])), number)
+        bit = builder.icmp_signed("<", builder.zext(leaf, wholes), each(most))
+        lanes = builder.bitcast(bit, ir.IntType(LANES))
         return builder.zext(lanes, ir.IntType(64))
 
     types = numba.types
-    return types.uint64(line, types.float32, types.int32, types.int32, types.uint64), codegen
+    return types.uint64(
+        line, types.float32, types.int32, types.int32, table, types.int32, types.int32
+    ), codegen
 
 
 @inline_kernel
@@ -293,8 +324,7 @@ def _take_leaf(
     Owners divide the facets of a leaf in proportion, so that a beam meets twigs as thin as they are.
     """
     number, tile, knot = whose
-    quarter = (facet >> u4(2)) << u4(1) | (facet & u4(1))
-    mixed = u4(u4(h + (u4(4 * leaf) | quarter) * u4(0x9E3779B1)) * u4(0x85EBCA77))
+    mixed = u4(u4(h + u4(leaf) * u4(0x9E3779B1)) * u4(0x85EBCA77))
     mixed = u4(mixed ^ u4(mixed >> u4(15)))
     mixed = u4(mixed * u4(0xC2B2AE3D))
     mixed = u4(mixed ^ u4(mixed >> u4(16)))

@@ -14,7 +14,7 @@ from vlp16emu.foliage.ground import meet_ground
 from vlp16emu.foliage.lanes import AHEAD, Lanes, Medium, Pulse, count_bits, lowest_bit
 from vlp16emu.foliage.leaves import Weights, lit_lanes, meet_leaves, weights_of
 from vlp16emu.foliage.stems import StemsAhead, find_stems_ahead, meet_stems
-from vlp16emu.foliage.voxel import BRICK, GROUND, VOXEL_M
+from vlp16emu.foliage.voxel import BRICK, GROUND, LEAVES, VOXEL_M
 from vlp16emu.kernels.compiler import array_kernel, inline_kernel, kernel
 from vlp16emu.raycast.adaptive import RayBudget
 from vlp16emu.raycast.beam import FARTHEST, ROUND, reach_of
@@ -147,7 +147,15 @@ def march(M: Medium, bricks: U8, ahead: StemsAhead, pulse: Pulse) -> None:
                 met = False
                 if lit:
                     met = meet_leaves(
-                        M, pulse, axes, _voxel(centre, slab_here), L.place[at], weights.knot, L.hash[at], lit
+                        M,
+                        pulse,
+                        axes,
+                        _voxel(centre, slab_here),
+                        L.place[at],
+                        weights.knot,
+                        L.hash[at],
+                        lit,
+                        L.code[at],
                     )
                 if L.code[at] & GROUND:
                     met |= meet_ground(M.ground, pulse, centre.to_middle + f4(slab_here) * length, length)
@@ -351,7 +359,7 @@ def _fill_lines(
     axes: tuple[int, int, int],
 ) -> None:
     (main, second, third) = axes
-    scale = f4(LANES / VOXEL_M)
+    scale = f4(LEAVES / VOXEL_M)
     along = LANES * main
     across = LANES * second
     up = LANES * third

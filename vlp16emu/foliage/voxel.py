@@ -5,6 +5,7 @@ import numpy as np
 VOXEL_M = 0.5
 BRICK = 4  # voxels along the edge of a brick
 COLUMNS = 40  # voxels along the edge of a tile of 20 m
+LEAVES = 16  # leaves along the edge of a voxel, side by side
 
 FINER = 2  # squares of the ground along the edge of a voxel
 

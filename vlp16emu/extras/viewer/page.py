@@ -185,7 +185,7 @@ def _draw_stand(server: viser.ViserServer, stand: Survey, *, is_first: bool = Fa
     scene.add_light_ambient("/stand/light", intensity=_AMBIENT)
     look: dict[str, Any] = {
         "lod": "off",
-        "flat_shading": True,
+        "flat_shading": stand.hall is not None,  # of a forest, clumps and stems are round
         "material": "standard",
         "cast_shadow": False,
         "receive_shadow": False,

@@ -1,6 +1,7 @@
 """Meshes with few faces that look like the plants and objects that they stand for."""
 
 from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,13 +9,27 @@ from scipy.spatial.transform import Rotation
 
 from vlp16emu.types import F8, I8, U4, Mesh
 
-_TIPS = np.concatenate([np.eye(3), -np.eye(3)])  # corners (6, 3) of an octahedron
+_GOLDEN = (1.0 + 5.0**0.5) / 2.0
+_TIPS = np.array(
+    [
+        np.roll([0.0, one, golden], axis)
+        for axis in range(3)
+        for one in (-1, 1)
+        for golden in (-_GOLDEN, _GOLDEN)
+    ]
+) / np.hypot(1.0, _GOLDEN)  # corners (12, 3) of an icosahedron
 _SIDES_OF_TIPS = np.array(
-    [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]], np.uint32
+    [
+        [a, b, c] if np.linalg.det(_TIPS[[a, b, c]]) > 0 else [a, c, b]
+        for a, b, c in combinations(range(len(_TIPS)), 3)
+        if min(_TIPS[a] @ _TIPS[b], _TIPS[b] @ _TIPS[c], _TIPS[c] @ _TIPS[a]) > 0.0
+    ],
+    np.uint32,
 )
-"""Its faces (8, 3), counter-clockwise as seen from outside."""
+"""Its faces (20, 3), counter-clockwise as seen from outside: three corners that are neighbours of each
+other."""
 _REACH = 0.85  # share of a clump's leaves within the clump, in the direction of each corner
-_SWELL = 1.5  # of a clump, whose faces are nearer to its middle than its corners
+_SWELL = 1.4  # of a clump, whose faces are nearer to its middle than its corners
 _LEAST_REACH_M = 0.02  # of a clump of few leaves
 _SAMPLE = 4_000  # leaves of a plant that decide where its clumps are
 _GREATEST_SCALE = 2.5
@@ -31,7 +46,7 @@ _RINGS_OF_FLARE = 3
 def clumps(mesh: Mesh, count: int) -> Mesh:
     """Return the leaves of a plant as at most `count` rounded clumps of foliage.
 
-    Each has as many leaves as another, and is an octahedron that reaches about as far from its middle
+    Each has as many leaves as another, and is an icosahedron that reaches about as far from its middle
     as they do, but where leaves are sparse no farther than the median of all.
     """
     leaves_m = mesh.vertices_m[mesh.faces].mean(axis=1, dtype=np.float64)

@@ -20,15 +20,15 @@ from vlp16emu.extras.viewer.simplify import clumps, fewer_faces, joined, lump, s
 from vlp16emu.foliage.polyline import Polyline
 from vlp16emu.forest.plants.foliage import IvyKey
 from vlp16emu.forest.plants.prototypes import SaplingKey
-from vlp16emu.forest.stand.floor_shapes import FloorKey
+from vlp16emu.forest.stand.floor_shapes import FloorKey, is_ground
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.tiles import TILE_M, TileKey
 from vlp16emu.types import F8, U1, Mesh, PlantPart, ShapeKey
 
-_CLUMPS = 20_000
+_CLUMPS = 12_000
 """Approximate number of clumps of foliage of all plants that are not near: crowns look like crowns, and a
 browser without a graphics card draws an image every second or two."""
-_MOST_CLUMPS = 150  # of a plant
+_MOST_CLUMPS = 120  # of a plant
 _LEAF_FACES = 80_000  # approximate number of triangles of the leaves and branches of all near plants
 _FEWEST_FACES = 12  # least number of faces of one mesh of an object; more in proportion to its size
 _MOST_FACES = 3_000
@@ -139,7 +139,8 @@ def _choose_placements(
 ) -> _Placements:
     """Return the placements that are drawn.
 
-    The stems of a tile are drawn apart.
+    The stems of a tile are drawn apart. Moss and litter are ground, and not drawn: of few faces they would be
+    folded sheets on it.
     """
     window = stand.window
     is_tile = _is_kind(stand, TileKey | IvyKey)
@@ -148,6 +149,8 @@ def _choose_placements(
     radius_m = np.where(is_tile, stand.radius_m + TILE_M / 2, np.inf if stand.hall else stand.radius_m)
     dense = np.minimum(_NEAR_M / np.maximum(gap_m, _NEAR_M), 1.0) ** 2
     is_chosen = ~_is_kind(stand, FloorKey) | (np.arange(len(gap_m)) * _GOLDEN % 1.0 < dense)
+    moss = [isinstance(key, FloorKey) and is_ground(key.kind) for key in window.shapes]
+    is_chosen &= ~np.array(moss, np.bool_)[window.shape]
     near = np.flatnonzero((gap_m <= radius_m) & is_chosen)
     size_m = np.zeros(len(near))
     for shape in np.unique(window.shape[near]).tolist():
