@@ -220,7 +220,9 @@ class Scenario(Section):
     conditions: Literal["perfect", "field"] = "perfect"
     """Preset; `field` sets some keys of a real walk unless given: errors of the extrinsics, a
     bending `mast`, `imu.preset = "field"` with stamps 20 ms late, steps as on uneven ground, straps that give
-    (`harness`), a light wind in a forest, and `people`."""
+    (`harness`), a light wind in a forest, and `people`. It is a rig without mistakes,
+    and no hard place: slopes, turns, undergrowth and rain stay those of the scene, no clock drifts, no stamps
+    are of a sweep's end, and no packet is lost."""
 
     @field_validator("start_utc")
     @classmethod

@@ -1,7 +1,9 @@
 """Windows of a live run belong to cubes of the world, follow from the places of the body, and serve it."""
 
+import gc
 import math
 import threading
+import weakref
 from concurrent.futures import Future, ThreadPoolExecutor
 from types import SimpleNamespace
 
@@ -73,10 +75,13 @@ def test_a_window_serves_the_body_for_the_whole_block(windows_of, speed_m_s):
 def asked(monkeypatch):
     """Names of the windows that are asked for, in order; each is open at once, but not those in `slow`."""
     names = SimpleNamespace(all=[], slow=set())
+    futures = {}
 
     def future_of(name):
         names.all.append(name)
-        return SimpleNamespace(done=lambda: name not in names.slow)
+        future = futures.setdefault(name, Future())
+        future.done = lambda: name not in names.slow
+        return future
 
     names.watch = lambda of: monkeypatch.setattr(of, "_future_of", future_of)
     return names
@@ -348,11 +353,12 @@ def test_opening_gives_way_to_late_steps(late):
     """A part of a window waits until the late step has begun, and not at all while steps are in time."""
     openers, clock = late
     openers.give_way()  # before the first step
-    openers.goes_on(50_000_000, opened())
+    window = opened()
+    openers.goes_on(50_000_000, window)
     openers.give_way()
     assert clock.naps == 0
     clock.now_ns = 60_000_000
-    clock.at_nap = lambda of: of.goes_on(80_000_000, opened()) if clock.naps == 3 else None
+    clock.at_nap = lambda of: of.goes_on(80_000_000, window) if clock.naps == 3 else None
     openers.give_way()
     assert clock.naps == 3
 
@@ -360,7 +366,8 @@ def test_opening_gives_way_to_late_steps(late):
 def test_opening_goes_on_if_all_steps_are_late(late):
     """On a machine that is late on the whole, each part of a window waits for 50 ms at most."""
     openers, clock = late
-    openers.goes_on(0, opened())
+    window = opened()
+    openers.goes_on(0, window)
     clock.now_ns = begun_ns = 10 * S_NS
     openers.give_way()
     assert 0 < clock.now_ns - begun_ns <= 52_000_000
@@ -369,7 +376,8 @@ def test_opening_goes_on_if_all_steps_are_late(late):
 def test_opening_does_not_give_way_to_steps_that_wait_for_it(late):
     """Steps whose window is not open yet are late because of it: opening goes on at once."""
     openers, clock = late
-    openers.goes_on(0, Future())
+    window = Future()
+    openers.goes_on(0, window)
     clock.now_ns = 10 * S_NS
     openers.give_way()
     assert clock.naps == 0
@@ -400,3 +408,17 @@ def test_steps_tell_openers_when_the_next_one_shall_begin(live_windows, asked):
     live.elapsed_ns = 38 * PARTS.block_ns
     next(steps)
     assert not of.openers.is_in_the_way
+
+
+def test_openers_keep_no_window(late):
+    """The threads of a run live as long as its windows, which nothing keeps after the run."""
+    openers, clock = late
+    window = opened()
+    kept = weakref.ref(window)
+    openers.goes_on(0, window)
+    clock.now_ns = 10 * S_NS
+    assert openers.is_in_the_way
+    del window
+    gc.collect()
+    assert kept() is None
+    assert not openers.is_in_the_way

@@ -11,6 +11,7 @@ import os
 import sys
 import threading
 import time
+import weakref
 from collections.abc import Callable, Hashable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from itertools import repeat
@@ -264,7 +265,8 @@ class Openers:
         self._elapsed_ns = elapsed_ns  # time since the first pulse
         self._threads = list[int]()  # by their numbers in the system
         self._is_flying = False
-        self._next: tuple[int, Future[Geometry]] | None = None
+        # Weak, as threads keep this object, and a window keeps the threads that built it.
+        self._next: tuple[int, weakref.ref[Future[Geometry]]] | None = None
 
     def prepare_thread(self) -> None:
         """Prepare a thread that opens windows; once the body flies, with a lower priority."""
@@ -281,15 +283,16 @@ class Openers:
 
     def goes_on(self, by_ns: int, window: Future[Geometry]) -> None:
         """Take the time since the first pulse by which the next step shall begin, and its window."""
-        self._next = by_ns, window
+        self._next = by_ns, weakref.ref(window)
 
     @property
     def is_in_the_way(self) -> bool:
         """True if steps are late, and do not wait for a window."""
         if self._next is None:
             return False
-        by_ns, window = self._next
-        return window.done() and self._elapsed_ns() > by_ns
+        by_ns, reference = self._next
+        window = reference()
+        return window is not None and window.done() and self._elapsed_ns() > by_ns
 
     def give_way(self) -> None:
         """Wait while steps are late, for some time: the interpreter runs one thread at a time."""
