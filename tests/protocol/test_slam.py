@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from vlp16emu.extras.slam.configure import Rig, configurations, programs
 from vlp16emu.extras.slam.fitness import ROWS
+from vlp16emu.types import SensorModel
 
 NAMES = tomllib.loads(Path(__file__).with_name("slam_names.toml").read_text(encoding="utf-8"))
 VALUES = tomllib.loads(Path(__file__).with_name("slam_values.toml").read_text(encoding="utf-8"))
@@ -113,6 +114,20 @@ def test_types_are_those_that_a_node_declares(name):
         values = values_of(name, rig)
         assert {key: value for key, value in values.items() if not KINDS[kinds[key]](value)} == {}
         assert set(values) == set(kinds)
+
+
+@pytest.mark.parametrize(
+    ("model", "rings", "columns"), [("vlp-32c", 32, 1800), ("hdl-32e", 32, 2160), ("vls-128", 128, 1867)]
+)
+def test_rings_and_columns_are_those_of_the_model(model, rings, columns):
+    """A program that sorts points by ring or by column gets as many as the model has at 600 rpm."""
+    rig = Rig(model=SensorModel(model))
+    for program, name in (("lio-sam", "N_SCAN"), ("fast-lio2", "scan_line"), ("point-lio", "scan_line")):
+        texts = configurations(programs()[program], rig).values()
+        found = [re.findall(rf"^ *{name}: (\d+)", text, re.MULTILINE) for text in texts]
+        assert [int(value) for values in found for value in values] == [rings] * len(found) != []
+    text = configurations(programs()["lio-sam"], rig)["lio-sam.yaml"]
+    assert re.findall(r"Horizon_SCAN: (\d+)", text) == [str(columns)]
 
 
 @pytest.mark.parametrize("name", VALUES)

@@ -197,15 +197,14 @@ def faults_in(
     if factory is None and model is None and is_before_release(fields):
         known.remove(PRODUCT_BEFORE_RELEASE)
         expected_product = "`vlp16emu decode --model` for a VLP-16 from before release"
-    ours = products[np.isin(products, known)]
-    first = int((ours if len(ours) else products)[0]) if factory is None and len(products) else factory
+    first = _first_product(products, known) if factory is None and len(products) else factory
     right_flags = _flags(fields, first, model)
     expected_flag = "0xeeff" if len(np.unique(right_flags)) == 1 else "the flag of the block"
     for_what: tuple[tuple[str, NDArray[Any], NDArray[np.bool_], str], ...] = (
         ("block flag", flags, (flags == right_flags) | (right_flags == 0), expected_flag),
         ("return mode", fields["return_mode"], np.isin(fields["return_mode"], modes), "0x37, 0x38 or 0x39"),
         ("product", products, np.isin(products, known), expected_product),
-        ("product", products, products == first, "the first packet's"),
+        ("product", products, products == first, f"{first:#x} as of the others" if first else ""),
         # Old firmware sends 36000 for 0.
         ("azimuth", azimuth_cdeg, azimuth_cdeg <= layout.AZIMUTH_CODES, "0 to 36000 hundredths of a degree"),
     )
@@ -214,6 +213,15 @@ def faults_in(
         for packet, *place in np.argwhere(~right).tolist():
             faults.setdefault(packet, Fault(packet, what, f"{codes[packet, *place]:#x}", expected))
     return [faults[packet] for packet in sorted(faults)]
+
+
+def _first_product(products: U1, known: list[int]) -> int:
+    """Return the first known product byte; the ambiguous one only if there is no other."""
+    for codes in ([code for code in known if code != PRODUCT_BEFORE_RELEASE], known):
+        ours = products[np.isin(products, codes)]
+        if len(ours):
+            return int(ours[0])
+    return int(products[0])
 
 
 def is_before_release(fields: NDArray[np.void]) -> bool:

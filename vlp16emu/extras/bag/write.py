@@ -319,7 +319,8 @@ def _rig(true: TruthSource | None, capture: Path, unit: CapturedUnit, frame: str
         return Rig.from_truth(true.rig, true.scenario, frame)
     reader = CaptureReader(capture, unit, is_quiet=True)
     next(reader.tables(), None)
-    return Rig(float(set_rpm(reader.summary.rpm)), lidar_frame=frame)
+    summary = reader.summary
+    return Rig(float(set_rpm(summary.rpm)), lidar_frame=frame, model=summary.model)
 
 
 def _send(datagram: Datagram, unit: int, sink: BagSink, capture: Path) -> None:

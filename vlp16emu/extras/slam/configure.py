@@ -19,12 +19,13 @@ from vlp16emu.errors import InputError, OutputError
 from vlp16emu.extras.truth.truth import given_mount
 from vlp16emu.inputs import read_text
 from vlp16emu.output import OutputFile, final_name
+from vlp16emu.sensor.beams import MODELS, SEQUENCE_NS
 from vlp16emu.trees import Table
-from vlp16emu.types import F8, AnyArray
+from vlp16emu.types import F8, AnyArray, SensorModel
 
 _COLUMNS = 1_080_000
-"""Columns per revolution times rpm: 1800 at 600 rpm, as in LIO-SAM and LeGO-LOAM (config/params.yaml,
-utility.h)."""
+"""Columns per revolution of a VLP-16 times rpm: 1800 at 600 rpm, as in LIO-SAM and LeGO-LOAM
+(config/params.yaml, utility.h); of other models by the period of their firing sequences."""
 _REMARK = re.compile(r"(?P<value>[^\s=]+|\[.*\])  # .*; its own value is (?P<default>.*)$", re.MULTILINE)
 """Value at the end of a line of YAML or of a shell, and its remark: reason, and default of the program."""
 _ELEMENT = re.compile(
@@ -65,13 +66,16 @@ class Rig:
     base_T_imu: F8 | None = None
     imu: Table | None = None  # section of the scene
     lidar_frame: str = "velodyne"
+    model: SensorModel = SensorModel.VLP_16
 
     @classmethod
     def from_truth(cls, rig: Table, scenario: Table, frame: str) -> Self:
         """Return the rig of the first unit, with lidar frame `frame`, from `rig.json` and `scenario.json`."""
         imu = given_mount(rig["imu"], "body_T_imu") if "imu" in rig else None
         lidar = given_mount(rig["units"][0], "body_T_sensor")
-        return cls(float(scenario["sensor"]["rpm"]), lidar, imu, scenario.get("imu"), frame)
+        sensor = scenario["sensor"]
+        model = SensorModel(sensor.get("model", SensorModel.VLP_16))
+        return cls(float(sensor["rpm"]), lidar, imu, scenario.get("imu"), frame, model)
 
     def names(self) -> dict[str, str]:
         """Return the texts for the names in the templates; a name is missing if the rig has no such value."""
@@ -92,14 +96,18 @@ class Rig:
             **pose_names("base", "lidar", base_T_lidar),
             **pose_names("base", "imu", base_T_imu),
         }
+        model = MODELS[self.model]
+        columns = _COLUMNS * SEQUENCE_NS / model.beams.sequence_ns
         return {
+            "model": model.title,
+            "rings": str(model.lasers),
             "rig": f"{self.rpm:g} rpm, IMU {imu_hz} Hz{attitude}",
             "points": f"/{self.lidar_frame}_points",
             "lidar_frame": self.lidar_frame,
             "imu_with_attitude": "/imu/data" if attitude else "/imu/without_attitude",
             "sweep_hz": f"{self.rpm / 60.0:.0f}",
             "sweep_s": _number(round(60.0 / self.rpm, 9)),
-            "columns": f"{_COLUMNS / self.rpm:.0f}",
+            "columns": f"{columns / self.rpm:.0f}",
             "imu_s": _number(round(1.0 / imu_hz, 9)),
             **{name: _number(value) for name, value in noise.items() if value},
             **{name: f"[{', '.join(map(_number, values))}]" for name, values in poses.items()},
