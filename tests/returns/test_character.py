@@ -10,7 +10,7 @@ from scipy import stats
 from vlp16emu.returns import Noise
 from vlp16emu.returns.detect import detect
 from vlp16emu.returns.noise import gain, no_return_reflectivity, sent_codes
-from vlp16emu.returns.strength import eighths_at, in_steps
+from vlp16emu.returns.strength import eighths_at, in_steps, strength
 
 
 def wall(noise, k=400, *, index=0, range_m=10.0, reflectance=0.7, seed=1):
@@ -108,7 +108,7 @@ def test_a_code_is_an_integer_times_eighths():
             assert set(codes[:, laser].tolist()) <= set((np.arange(101) * eighths // 8).tolist())
     even = np.linspace(20.0, 60.0, 20_001)
     for eighths in range(8, 33):
-        sent = np.array([in_steps(code, float(eighths)) for code in even])
+        sent = np.array([in_steps(code, strength(code, float(eighths)), float(eighths)) for code in even])
         assert abs((sent - even).mean()) < 0.1
 
 

@@ -35,7 +35,7 @@ from vlp16emu.returns.noise import (
 )
 from vlp16emu.returns.settings import DetectorConstants
 from vlp16emu.returns.strength import GAIN as GAIN_AT_RANGE
-from vlp16emu.returns.strength import TOP, at_range, eighths_at, fine_strength, with_parity
+from vlp16emu.returns.strength import TOP, at_range, eighths_at, fine_strength, strength, with_parity
 from vlp16emu.sensor.laws import law
 from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, I8, U1, U4, Firings, Hits, PlantPart, Returns, Semantic
@@ -405,12 +405,12 @@ def _measure(
         measured_m = 0.0
     gain = _gain(laser_errors, amplitude)
     eighths = eighths_at(by_range, range_m)
+    percent = 100.0 * reflectance
+    exact = strength(min(max(percent * gain + counts, 0.0), 100.0), eighths)
     if parity.shape[0] > 0 and measured_m > 0.0:
-        code = min(max(100.0 * reflectance * gain + counts, 0.0), 100.0)
-        fine = fine_strength(code, eighths, parts)
-        measured_m = with_parity(parity, fine, measured_m, constants.max_range_m)
-    top = at_range(by_range, range_m, TOP)
-    return np.float32(measured_m), reflectivity_byte(100.0 * reflectance, gain, counts, (eighths, top), codes)
+        measured_m = with_parity(parity, fine_strength(exact, parts), measured_m, constants.max_range_m)
+    scale = eighths, by_range[0, TOP]
+    return np.float32(measured_m), reflectivity_byte(percent, gain, counts, exact, scale, codes)
 
 
 @kernel

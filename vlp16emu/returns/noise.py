@@ -187,7 +187,7 @@ assumption: it is logarithmic between them."""
 
 @inline_kernel
 def reflectivity_byte(
-    percent: float, gain: float, noise: float, scale: tuple[float, float], codes: U1
+    percent: float, gain: float, noise: float, exact: float, scale: tuple[float, float], codes: U1
 ) -> np.uint8:
     """Return the byte of a reflectivity: 0..100 for a diffuse target, 101..255 for a retroreflector.
 
@@ -199,12 +199,14 @@ def reflectivity_byte(
     percent : range-corrected brightness in percent of a perpendicular white Lambertian surface
     gain : gain of the laser
     noise : noise in counts
+    exact : strength of a diffuse target with this gain and noise, before it is rounded
     scale : factor as from `eighths_at`, and greatest code of a matt surface
     codes : (101,) codes that the laser sends, from `sent_codes`
     """
     if percent <= RETROREFLECTIVE:
         (eighths, top) = scale
-        code = in_steps(min(max(gain * percent + noise, 0.0), top), eighths)
+        exact_code = min(max(gain * percent + noise, 0.0), top)
+        code = in_steps(exact_code, exact, eighths)
         sent = codes[np.int64(min(code, 100.0) + 0.5)]
         if top > 100.0 and sent == 100:  # such a laser sends no 100
             return np.uint8(min(np.floor(max(code, 100.0)) + 1.0, top))

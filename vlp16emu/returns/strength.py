@@ -152,26 +152,25 @@ def eighths_at(table: F8, range_m: float) -> float:
 
 @inline_kernel
 def strength(code: float, eighths: float) -> float:
-    """Return the strength, before rounding, whose code has the mean `code`; eighths of at least 8."""
-    shared = np.int64(eighths)
+    """Return the strength, before rounding, whose code has the mean `code`; that of 8 eighths for none."""
+    shared = np.int64(max(eighths, _PER_CODE))
     unit = min(shared & -shared, np.int64(_PER_CODE))  # greatest common divisor of the factor and 8
-    lost = 0.5 * (_PER_CODE - np.float64(unit)) / _PER_CODE  # mean of what truncation takes
-    return (code + lost) * _PER_CODE / eighths
+    lost = 0.5 - np.float64(unit) * (0.5 / _PER_CODE)  # mean of what truncation takes
+    return (code + lost) * _PER_CODE / np.float64(shared)
 
 
 @inline_kernel
-def in_steps(code: float, eighths: float) -> float:
-    """Return the code of the strength nearest to that of a code; the brightest code has no step."""
+def in_steps(code: float, exact: float, eighths: float) -> float:
+    """Return the code of the strength nearest to `exact`, that of `code`; the brightest code has no step."""
     if eighths < _PER_CODE or code >= _DIFFUSE:
         return code
-    nearest = np.floor(strength(code, eighths) + 0.5)
-    return min(np.floor(nearest * eighths / _PER_CODE), _DIFFUSE)
+    return min(np.floor(np.floor(exact + 0.5) * eighths * (1.0 / _PER_CODE)), _DIFFUSE)
 
 
 @inline_kernel
-def fine_strength(code: float, eighths: float, parts: float) -> float:
-    """Return a finer strength of a code; a strength has `parts` of them."""
-    return parts * (strength(code, max(eighths, _PER_CODE)) + 0.5)
+def fine_strength(exact: float, parts: float) -> float:
+    """Return the finer strength of a strength before rounding; a strength has `parts` of them."""
+    return parts * (exact + 0.5)
 
 
 @inline_kernel

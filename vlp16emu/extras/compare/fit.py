@@ -34,13 +34,14 @@ _FROM = 30.0
 _TOP = 90.0
 """Step of bright codes over the product of their scatter and the share of equal neighbours, from our own
 packets; greatest step; reflectivities at which the step is 1 and at which the key gives it."""
-_OTHER_MM = 2.8
-_EVEN_SCATTER, _EVEN_LEVEL = 0.06, (10, 90)
-_SET_AT = 20.0
-_PULSES, _FREE = 15, 11
-"""White error from the detector and the codes of a range, beside the setting, from our own packets; greatest
-scatter over the level of even surfaces, and their levels; level of the setting; pulses of a stretch, and
-those less the parameters of a cubic."""
+_OTHER_MM = (
+    2.8  # white error from the detector and the codes of a range, beside the setting; from our packets
+)
+_EVEN_SCATTER = 0.06  # greatest scatter over the level of even surfaces
+_LEAST_EVEN = 10.0  # their levels
+_MOST_EVEN = 90.0
+_SET_AT = 20.0  # level of the setting
+_FREE_SHARE = 15.0 / 11.0  # pulses of a stretch over those less the parameters of a cubic
 _COUNTS_EVEN = 0.65  # 0.5 where each range has its own code of 2 mm, 0.77 to 0.95 on real units
 _CONSTANT_GAIN = 0.57
 _GAIN_BY_RANGE = 1.42
@@ -120,11 +121,10 @@ def _even_white_mm(stretches: Stretches) -> float | None:
     """Return the white range noise on surfaces of even brightness, at code 20; None without such surfaces."""
     level = stretches.level
     scatter = np.sqrt((stretches.code_residual**2).mean(axis=1)) / np.maximum(level, 1.0)
-    low, high = _EVEN_LEVEL
-    chosen = (scatter < _EVEN_SCATTER) & (level >= low) & (level < high)
+    chosen = (scatter < _EVEN_SCATTER) & (level >= _LEAST_EVEN) & (level < _MOST_EVEN)
     if not chosen.any():
         return None
-    sigma_mm = np.sqrt((stretches.white_mm[chosen] ** 2).mean(axis=1) * (_PULSES / _FREE))
+    sigma_mm = np.sqrt((stretches.white_mm[chosen] ** 2).mean(axis=1) * _FREE_SHARE)
     return float(np.median(sigma_mm * (level[chosen] / _SET_AT) ** 0.125))
 
 

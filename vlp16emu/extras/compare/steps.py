@@ -12,10 +12,10 @@ _LSB_PER_M = 500.0
 _PER_CODE = 8
 _MOST = round(_PER_CODE * law("strength.most_far"))
 _TOP = 46  # codes below the calibration table of bright ones
-_LEAST_RETURNS, _LEAST_CODES, _MOST_COUNTED = 30, 6, 4
-_COVERED = 0.97
-"""Least returns and different codes within a class of range, most returns of one code that count, and share
-of them that a factor's codes must hold: a few returns have a neighbouring factor."""
+_LEAST_RETURNS = 30  # within a class of range, and different codes among them
+_LEAST_CODES = 6
+_MOST_COUNTED = 4  # returns of one code
+_COVERED = 0.97  # share of them that a factor's codes hold: a few returns have a neighbouring factor
 _NEAREST_M = 4.5  # nearer factors say little about those beyond 8 m
 _STEP = 0.02  # of the logarithm of range
 _LEAST_LASERS = 3
