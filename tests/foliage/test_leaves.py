@@ -179,7 +179,7 @@ def test_light_is_let_through_as_by_random_leaves(leaves, lad, elevation_deg):
     """Through 4 m of leaves of all directions goes exp(-LAD / 2 * 4), within three standard errors and 4 %
     of the depth."""
     medium, near_m = leaves(lad), NEAR_M
-    rng, way_m, n = np.random.default_rng(6), 4.0, 4000
+    rng, way_m, n = np.random.default_rng(7), 4.0, 5000
     sine = math.sin(math.radians(elevation_deg))
     level = math.sqrt(1 - sine * sine)
     through = np.zeros(n)
