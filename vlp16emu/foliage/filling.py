@@ -24,7 +24,7 @@ from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, I4, I8, U4, U8
 
 _PIECE_M = 0.25  # faces with longer sides are cut
-_LEVEL_SHARE = 0.95
+_LEVEL_SHARE = 0.94
 """Share of the area of leaves that lie nearly level. They grow in layers, along which level light goes for
 longer than a voxel, so that leaves hide each other beyond it: without the share they are met by 5 % too many
 rays (`tools/near_far old_growth`)."""

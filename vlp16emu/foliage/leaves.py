@@ -43,7 +43,7 @@ f4 = np.float32
 u4 = np.uint32
 _SPREAD = u4(128)  # step of the draw of an owner from facet to facet, of 256
 _LOW, _CROWN, _LEVEL = range(3)  # kinds of foliage
-_CLUMPS = (0.5, 0.5, 0.5, 1.0), (0.65, 1.0, 0.72, 0.32), (0.3, 0.7, 1.0, 0.0)
+_CLUMPS = (1.0, 0.7, 0.5, 0.7), (0.65, 1.0, 0.72, 0.32), (0.15, 0.6, 1.0, 0.15)
 """Weights of cubes of 250, 125, 62 and 31 mm in the order of leaves, by kind."""
 _Three = tuple[int, int, int]
 _Whose = tuple[np.uint32, tuple[int, int], int]
