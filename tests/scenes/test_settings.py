@@ -66,7 +66,7 @@ BOUNDS = re.compile(
 )
 
 
-BESIDE = {"sensor.min_range_m": ["sensor.max_range_m=131.07"]}
+BESIDE = {"sensor.min_range_m": ["sensor.max_range_m=131.07"], "sensor.max_range_m": ["sensor.model=vls-128"]}
 """Settings without which another key refuses a value within the limits."""
 
 

@@ -93,7 +93,7 @@ KEYS: dict[str, tuple[Any, Any, str]] = {
         5.0,
         "Time without packets: power off, and start of the sensor.",
     ),
-    "dead_laser.laser": (_number(int, ge=0, le=15), ..., "Number of the laser in order of firing, from 0."),
+    "dead_laser.laser": (_number(int, ge=0, le=1023), ..., "Number of the laser in wire order, from 0."),
     "sector_deg": (Sector, ..., "First and last azimuth of the dirt, clockwise."),
     "transmission": (Fraction, 0.3, "Share of the light that passes, in each direction."),
     "offset_us": (
@@ -177,6 +177,10 @@ def check_events(tables: object, scene: Tree) -> list[Event]:
     for number, event in enumerate(events):
         if rig is not None and event.unit > len(rig) + 1:
             raise ExpectationError(f"events[{number}].unit of at most {len(rig) + 1}, the units of the scene")
+        if event.kind == "dead_laser" and sensor is not None and rig is not None:
+            lasers = len([sensor, *rig][event.unit - 1].beam_table().elevation_deg)
+            if event.laser >= lasers:
+                raise ExpectationError(f"events[{number}].laser of at most {lasers - 1}, the sensor's lasers")
         if sensor is not None and not isinstance(sensor, Sensor) and event.effect != "optics":
             raise ExpectationError(
                 f'no {event.kind} (events[{number}]) beside sensor.model = "{sensor.model}"'
