@@ -244,9 +244,10 @@ def _spot_rate(rates: LossRates, code: float, range_m: float, gloss: float, near
 
     It is 0 on a calm surface that is neither dark nor near. `gloss` is the share of bright records.
     """
-    black = max(0.0, 1.0 - code / _BLACK_CODE)
-    far = min(1.0, _NEAR_M / range_m)
-    rate = rates.dark * black * far * far
+    rate = 0.0
+    if code < _BLACK_CODE:
+        far = min(1.0, _NEAR_M / range_m)
+        rate = rates.dark * (1.0 - code * (1.0 / _BLACK_CODE)) * far * far
     if range_m < _CALM_FROM_M:
         rate += near_rate
     if code >= _BRIGHT_CODE:
