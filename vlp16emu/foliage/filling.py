@@ -151,9 +151,12 @@ def _add_area(voxels: _Voxels, used: int, T: F8, at_m: _Place, whose: _Whose, ad
 @array_kernel
 def _ground_at(ground_m: F4, x: float, y: float) -> float:
     """Return the height of the ground at a place of the tile."""
-    u, v = x * (FINER / VOXEL_M) + FINER, y * (FINER / VOXEL_M) + FINER
-    i, j = int(u), int(v)
-    s, t = u - i, v - j
+    u = x * (FINER / VOXEL_M) + FINER
+    v = y * (FINER / VOXEL_M) + FINER
+    i = int(u)
+    j = int(v)
+    s = u - i
+    t = v - j
     return (1 - s) * ((1 - t) * ground_m[i, j] + t * ground_m[i, j + 1]) + s * (
         (1 - t) * ground_m[i + 1, j] + t * ground_m[i + 1, j + 1]
     )

@@ -177,7 +177,8 @@ def variant_of(h: np.uint32, code: np.uint32) -> int:
 
     Leaves lie nearly level where light from above meets more than 9 / 4 of the area that level light meets.
     """
-    level, upright = code & u4(127), (code >> u4(14)) & u4(127)
+    level = code & u4(127)
+    upright = (code >> u4(14)) & u4(127)
     kind = _LOW if code & GROUND else (_LEVEL if u4(3) * level < u4(2) * upright else _CROWN)
     return int(h & u4(_VARIANTS - 1)) + _VARIANTS * kind
 
