@@ -29,6 +29,8 @@ from vlp16emu.returns.lost import UNEVENNESS, Sight, lose, raised_code
 from vlp16emu.returns.noise import (
     NO_RETURN_KNOTS,
     REFLECTIVITY_TAIL,
+    ROOT_BY_CODE,
+    by_code,
     range_sigma_m,
     reflectivity_byte,
     with_heavy_tails,
@@ -368,9 +370,9 @@ def _none_is_seen(constants: DetectorConstants, n: int, laser: int, brightest: f
 
 
 @inline_kernel
-def _gain(laser: _Laser, amplitude: float) -> float:
+def _gain(laser: _Laser, range_m: float, reflectance: float) -> float:
     """Return the gain of a laser for an echo: that at the range where white would be as strong."""
-    return laser[2] * at_range(laser[4], 1.0 / np.sqrt(amplitude), GAIN_AT_RANGE)
+    return laser[2] * at_range(laser[4], range_m * by_code(ROOT_BY_CODE, reflectance), GAIN_AT_RANGE)
 
 
 @inline_kernel
@@ -403,7 +405,7 @@ def _measure(
         return np.float32(0.0), np.uint8(0)
     if not measured_m >= constants.min_range_m:
         measured_m = 0.0
-    gain = _gain(laser_errors, amplitude)
+    gain = _gain(laser_errors, range_m, reflectance)
     eighths = eighths_at(by_range, range_m)
     percent = 100.0 * reflectance
     exact = strength(min(max(percent * gain + counts, 0.0), 100.0), eighths)

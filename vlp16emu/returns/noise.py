@@ -18,8 +18,11 @@ from vlp16emu.types import F8, U1
 BIAS_LIMIT_M = 0.03  # accuracy of the data sheet, which no laser exceeds
 _NOISE_AT = 0.2  # reflectance at which the noise has the value of the settings
 _FAINTEST_REFLECTANCE = 0.01
-_NOISE_BY_CODE = np.sqrt(np.sqrt(np.sqrt(_NOISE_AT / (0.01 * np.maximum(np.arange(101.0), 1.0)))))
-"""Eighth root of the noise's reflectance over that of codes 0 to 100; faster than three roots."""
+_REFLECTANCES = 0.01 * np.maximum(np.arange(101.0), 1.0)
+_NOISE_BY_CODE = np.sqrt(np.sqrt(np.sqrt(_NOISE_AT / _REFLECTANCES)))
+ROOT_BY_CODE = 1.0 / np.sqrt(_REFLECTANCES)
+"""Eighth root of the noise's reflectance over those of codes 0 to 100, and the range at which white is as
+bright over the range; tables are faster than roots."""
 NO_RETURN_KNOTS = int(law("no_return.knots"))  # azimuth intervals over which no-return codes change
 
 
@@ -146,6 +149,14 @@ def range_beat_m(seed: int, amplitude_m: float, phase_deg: float | None) -> F8:
 
 
 @inline_kernel
+def by_code(table: F8, reflectance: float) -> float:
+    """Return the value of a table of codes 0 to 100 at a reflectance, interpolated; that of code 1 below."""
+    percent = 100.0 * min(max(reflectance, _FAINTEST_REFLECTANCE), 1.0)
+    below = min(np.int64(percent), np.int64(99))
+    return table[below] + (percent - below) * (table[below + 1] - table[below])
+
+
+@inline_kernel
 def range_sigma_m(constants: DetectorConstants, reflectance: float, amplitude: float) -> float:
     """Return the white range noise of an echo, one sigma.
 
@@ -160,12 +171,8 @@ def range_sigma_m(constants: DetectorConstants, reflectance: float, amplitude: f
     reflectance : reported reflectance, clipped to 0.01 .. 1
     amplitude : amplitude of the peak
     """
-    shown = min(max(reflectance, _FAINTEST_REFLECTANCE), 1.0)
     far_m = constants.sigma_m * constants.amplitude_noise / amplitude
-    percent = 100.0 * shown
-    below = min(np.int64(percent), 99)
-    factor = _NOISE_BY_CODE[below] + (percent - below) * (_NOISE_BY_CODE[below + 1] - _NOISE_BY_CODE[below])
-    own_m = constants.range_noise_m * factor
+    own_m = constants.range_noise_m * by_code(_NOISE_BY_CODE, reflectance)
     return math.sqrt(own_m * own_m + far_m * far_m)
 
 

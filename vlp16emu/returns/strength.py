@@ -25,6 +25,11 @@ TOP = 2
 _KNOTS = 32  # of a laser's gain
 _OF_UNIT = 1 << 16  # number of a draw of the unit that no laser has
 _PER_CODE = 8.0  # parts of a code in which its factor is an integer
+_MOST_EIGHTHS = round(_PER_CODE * law("strength.most_near"))
+_FACTORS = np.maximum(np.arange(_MOST_EIGHTHS + 2), int(_PER_CODE))  # eighths; every code is sent for none
+_STRENGTH_PER_CODE = _PER_CODE / _FACTORS
+_TRUNCATED = (0.5 - 0.5 * np.gcd(_FACTORS, int(_PER_CODE)) / _PER_CODE) * _STRENGTH_PER_CODE
+"""Strengths of a code by the factor in eighths, and those that truncation takes on average."""
 _DIFFUSE = 100.0
 _FULL = 255.0
 _RANGE_LSB_PER_M = 500.0  # of a packet: 2 mm
@@ -107,7 +112,7 @@ def _factors(seed: int, laser: int, far_step: float, unit_spread: float, at_m: F
     near = law("strength.near") * float(exp(np.array(law("strength.near_of_lasers") * near_z)))
     far = far_of_unit * float(exp(np.array(law("strength.far_of_lasers") * far_z)))
     near_m, coarse_m, far_m = span("strength.ranges_m")
-    below = np.clip(log(fine_m / at_m) / log(np.array(fine_m / near_m)), 0.0, None)
+    below = np.clip(log(fine_m / at_m) / log(np.array(fine_m / near_m)), 0.0, 1.0)
     beyond = np.clip(log(at_m / coarse_m) / log(np.array(far_m / coarse_m)), 0.0, 1.0)
     near = min(max(near, fine), law("strength.most_near"))
     far = min(max(far, fine), law("strength.most_far"))
@@ -153,10 +158,8 @@ def eighths_at(table: F8, range_m: float) -> float:
 @inline_kernel
 def strength(code: float, eighths: float) -> float:
     """Return the strength, before rounding, whose code has the mean `code`; that of 8 eighths for none."""
-    shared = np.int64(max(eighths, _PER_CODE))
-    unit = min(shared & -shared, np.int64(_PER_CODE))  # greatest common divisor of the factor and 8
-    lost = 0.5 - np.float64(unit) * (0.5 / _PER_CODE)  # mean of what truncation takes
-    return (code + lost) * _PER_CODE / np.float64(shared)
+    which = np.uint64(eighths)
+    return code * _STRENGTH_PER_CODE[which] + _TRUNCATED[which]
 
 
 @inline_kernel
