@@ -32,8 +32,8 @@ def wheel(tmp_path_factory):
 
 
 def test_a_wheel_is_the_package_and_its_scenes(wheel):
-    """A wheel has one importable name, every file of the package, every scene with its files, and nothing
-    compiled."""
+    """A wheel has one importable name, every file of the package, every scene with its files, every table of
+    a model, and nothing compiled."""
     names = set(wheel.namelist())
     assert {name.partition("/")[0] for name in names} == {
         "vlp16emu",
@@ -43,9 +43,10 @@ def test_a_wheel_is_the_package_and_its_scenes(wheel):
         path for path in (ROOT / "vlp16emu").rglob("*") if path.is_file() and "__pycache__" not in path.parts
     }
     scenes = {*(ROOT / "scenes").glob("*.toml"), *(ROOT / "scenes" / "own_plot").iterdir()}
+    models = set((ROOT / "protocol" / "models").glob("*.toml"))
     assert len(scenes) >= 7
     assert names >= {str(path.relative_to(ROOT)) for path in ours} | {
-        f"vlp16emu/{path.relative_to(ROOT)}" for path in scenes
+        f"vlp16emu/{path.relative_to(ROOT)}" for path in scenes | models
     }
     assert not [name for name in names if name.endswith((".pyc", ".nbc", ".nbi"))]
 

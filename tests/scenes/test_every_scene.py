@@ -49,10 +49,12 @@ def test_a_scene_gives_valid_packets(path):
         settings += [f"world.{one}" for one in FEW] if kind == "forest" else []
     scenario = load(str(path), settings)
     # A whole revolution: a single packet may look at the sky, or between stems.
-    payload = data_payloads(Emulator(scenario).packets(0.0, 0.1))
+    packets = list(Emulator(scenario).packets(0.0, 0.1))
     modes = {"strongest": 0x37, "last": 0x38, "dual": 0x39}
-    assert set(data_fields(payload)["return_mode"].tolist()) == {modes[scenario.sensor.return_mode]}
-    points = decode_data(payload, keep_no_returns=False)
-    assert len(points.ring) > 1000
-    assert points.distance_m.min() >= scenario.sensor.min_range_m
-    assert points.distance_m.max() <= 8.0
+    for unit, sensor in enumerate((scenario.sensor, *scenario.rig)):
+        payload = data_payloads(packet for packet in packets if packet.unit == unit)
+        assert set(data_fields(payload)["return_mode"].tolist()) == {modes[sensor.return_mode]}
+        points = decode_data(payload, keep_no_returns=False)
+        assert len(points.ring) > 1000
+        assert points.distance_m.min() >= sensor.min_range_m
+        assert points.distance_m.max() <= 8.0
