@@ -142,7 +142,8 @@ def report(data: Data, wanted: Array, title: str, *, whole: bool = False) -> Non
         flush=True,
     )
     for i in (asked[place] for place in np.argsort(-carried)[:8]):
-        real = " ".join(f"{np.nanmedian(x[data.unit == unit, i]):.3g}" for unit in data.units[True])
+        with warnings.catch_warnings(action="ignore"):  # a unit may lack a feature
+            real = " ".join(f"{np.nanmedian(x[data.unit == unit, i]):.3g}" for unit in data.units[True])
         ours = " ... ".join(f"{value:.3g}" for value in np.nanquantile(x[~data.real, i], (0.1, 0.5, 0.9)))
         print(f"| - {names[i]} | {own_area[i]:.2f} | {real} | {ours} |")
 
