@@ -378,8 +378,8 @@ def _gain(laser: _Laser, range_m: float, reflectance: float) -> float:
 @inline_kernel
 def _white_m(constants: DetectorConstants, laser: _Laser, reflectance: float, amplitude: float) -> float:
     """Return the white range noise of an echo, one sigma; larger on surfaces of uneven brightness."""
-    uneven = max(laser[7] - _EVEN_CHANGE, 0.0)
-    return laser[1] * range_sigma_m(constants, reflectance, amplitude) * (1.0 + _UNSTEADY * uneven)
+    uneven = _UNSTEADY * max(laser[7] - _EVEN_CHANGE, 0.0)
+    return laser[1] * range_sigma_m(constants, reflectance, amplitude, uneven)
 
 
 @inline_kernel

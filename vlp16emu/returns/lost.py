@@ -9,6 +9,7 @@ and `raised` of `vlp16emu/sensor/laws.toml`.
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -78,15 +79,13 @@ class Sight(NamedTuple):
     direction: F8
 
 
-_OF_SPOTS = ("dark", "gloss")
+_OF_SPOTS = ("dark", "gloss")  # rates that belong to spots
 
 
 def near_rates(seed: int, lasers: int, noise: Noise) -> F8:
     """Draw the share of records (lasers,) that each laser of a unit loses nearer than `spot.calm_from_m`."""
-    low, high = span("spot.near")
-    of_unit = low * power(
-        high / low, _of_unit(noise, float(uniform(seed, Purpose.LOSS_SPOT, 0, 1, 1 << 16)[0]))
-    )
+    drawn = float(uniform(seed, Purpose.LOSS_SPOT, 0, 1, 1 << 16)[0])
+    of_unit = _between(span("spot.near"), _of_unit(noise, drawn))
     spread = law("spot.near_lasers")
     of_laser = exp(spread * normal(seed, Purpose.LOSS_SPOT, 1, lasers, 1 << 16) - 0.5 * spread * spread)
     return np.asarray(noise.in_spots * of_unit * of_laser)
@@ -97,20 +96,22 @@ def loss_rates(seed: int, noise: Noise) -> LossRates:
     draws = uniform(seed, Purpose.LOSS, 0, len(LossRates._fields), 1 << 16).tolist()
     rates = {}
     for name, draw in zip(LossRates._fields, draws, strict=True):
-        low, high = span(f"loss.{name}")
         factor = noise.in_spots if name in _OF_SPOTS else noise.records_lost
-        rates[name] = (
-            (1.0 if name == "raise_code" else factor) * low * power(high / low, _of_unit(noise, draw))
-        )
-    if not (
-        noise.records_lost > 0.0 and noise.no_return_reflectivity
-    ):  # no-returns next to returns as others
-        rates["raise_code"] = 0.0
+        if name == "raise_code":  # 0: no-returns next to returns are as others
+            factor = float(noise.records_lost > 0.0 and noise.no_return_reflectivity)
+        rates[name] = factor * _between(span(f"loss.{name}"), _of_unit(noise, draw))
     return LossRates(**rates)
 
 
 def _of_unit(noise: Noise, draw: float) -> float:
+    """Return a number that is drawn for a unit, or that of a median unit."""
     return draw if noise.unit_spread > 0.0 else 0.5
+
+
+def _between(limits: Sequence[float], draw: float) -> float:
+    """Return the value between two limits at a uniform number, by the logarithm."""
+    low, high = limits
+    return float(low * power(high / low, draw))
 
 
 @inline_kernel

@@ -157,22 +157,24 @@ def by_code(table: F8, reflectance: float) -> float:
 
 
 @inline_kernel
-def range_sigma_m(constants: DetectorConstants, reflectance: float, amplitude: float) -> float:
+def range_sigma_m(constants: DetectorConstants, reflectance: float, amplitude: float, uneven: float) -> float:
     """Return the white range noise of an echo, one sigma.
 
-    sigma**2 = noise**2 (0.2 / reflectance)**0.25 + (width / signal-to-noise ratio)**2. The first term is
-    measured on four real units on even smooth surfaces without the beat (law `range.unsteady`); it does not
-    grow with range, because the sensor fires with more power at far or dark targets: on the HDL-32E one of 11
-    powers, chosen by the previous shot (its software version 2.0). The second term is the least error of the
-    position of a Gaussian pulse in white noise, and counts at maximum power.
+    sigma**2 = (1 + uneven)**2 noise**2 (0.2 / reflectance)**0.25 + (width / signal-to-noise ratio)**2. The
+    first term is measured on four real units on even smooth surfaces without the beat, and on uneven ones
+    (law `range.unsteady`); it does not grow with range, because the sensor fires with more power at far or
+    dark targets: on the HDL-32E one of 11 powers, chosen by the previous shot (its software version 2.0). The
+    second term is the least error of the position of a Gaussian pulse in white noise, and counts at maximum
+    power.
 
     Parameters
     ----------
     reflectance : reported reflectance, clipped to 0.01 .. 1
     amplitude : amplitude of the peak
+    uneven : increase of the first term where brightness changes
     """
     far_m = constants.sigma_m * constants.amplitude_noise / amplitude
-    own_m = constants.range_noise_m * by_code(_NOISE_BY_CODE, reflectance)
+    own_m = constants.range_noise_m * by_code(_NOISE_BY_CODE, reflectance) * (1.0 + uneven)
     return math.sqrt(own_m * own_m + far_m * far_m)
 
 
