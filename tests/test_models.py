@@ -119,7 +119,7 @@ def test_a_rig_of_two_models():
     ("settings", "expected"),
     [
         (["rig=[{model='hdl-32e'}]"], "models whose firing sequences last equally long"),
-        (["sensor.max_range_m=140"], "at most 131.07 m as max_range_m, the largest code of a vlp-16"),
+        (["sensor.max_range_m=140"], "at most 131.07 m as max_range_m, the largest distance code of vlp-16"),
         (["sensor.model=vls-64"], "vls-128"),
         (
             ["sensor.model=vlp-32c", 'events=[{kind="dead_laser", at_s=0.1, laser=32}]'],

@@ -65,7 +65,7 @@ def read_sequences(path: Path) -> Sequences:
     table = table_of(packets, PacketClock())
     model = layouts_of(table)[0].model
     if model.lasers != layout.LASERS and not is_before_release(table):
-        raise CaptureError(str(path), f"packets of a {model.title}", "those of a VLP-16 or another Puck")
+        raise CaptureError(str(path), f"{model.title} packets", "those of a VLP-16 or another Puck")
     if len(modes := np.unique(table["return_mode"])) > 1:
         raise CaptureError(str(path), f"{len(modes)} return modes", "one")
     sequences = _sequences_of(path, table)
