@@ -188,7 +188,9 @@ class Sensor(Lidar):
         """Raise ValueError for a range beyond the model's largest distance code."""
         most_m = 65.535 * model_table(self.model)["packet"]["distance_mm"]
         if self.max_range_m > most_m:
-            raise ExpectationError(f"at most {most_m:g} m as max_range_m, the largest distance code of {self.model}")
+            raise ExpectationError(
+                f"at most {most_m:g} m as max_range_m, the largest distance code of {self.model}"
+            )
         return self
 
     @model_validator(mode="after")
