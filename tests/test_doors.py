@@ -19,6 +19,7 @@ from vlp16emu.world.settings import WorldSection
 NUMBER = 7
 TEXT = "no such folder"
 class Bare: pass
+def unread(a: "no expression"): pass
 class Renamed(WorldSection):
     kind: Literal["other"] = "other"
 class Opaque(MotionSection):
@@ -48,6 +49,7 @@ bad place = not a module!!
 [vlp16emu.verbs]
 seven = damaged:NUMBER
 leave = leaves
+unread = damaged:unread
 """
 _RUN = """
 import sys
@@ -77,6 +79,7 @@ _COMMANDS = (
     "truth no_such_scene t",
     "seven",
     "leave",
+    "unread",
     "points static_bench x.xyz",
 )
 
@@ -109,7 +112,7 @@ def test_verbs_work_beside_broken_entry_points(said):
     """`scenes` and `schema` print all that is ours, an unknown name of a scene is bad input, and so is what
     is broken where it is named."""
     out, lines = said
-    assert lines[-1] == "0 0 2 2 2 2"
+    assert lines[-1] == "0 0 2 2 2 2 2"
     decoder = json.JSONDecoder()
     scenes, end = decoder.raw_decode(out)
     schema, _ = decoder.raw_decode(out[end:].lstrip())
@@ -129,7 +132,13 @@ def test_a_broken_entry_point_is_left_out_with_a_line(said, group, name, reason)
 
 
 @pytest.mark.parametrize(
-    "name", ["seven of vlp16emu.verbs", "leave of vlp16emu.verbs", ".xyz of vlp16emu.clouds"]
+    "name",
+    [
+        "seven of vlp16emu.verbs",
+        "leave of vlp16emu.verbs",
+        "unread of vlp16emu.verbs",
+        ".xyz of vlp16emu.clouds",
+    ],
 )
 def test_a_broken_entry_point_that_is_named_is_bad_input(said, name):
     """A verb and a format of points are refused in one line that names who has broken them."""

@@ -241,7 +241,7 @@ def _cloud_check(found: object, _name: str) -> str | None:
 def _verb_check(found: object, _name: str) -> str | None:
     if not callable(found):
         return "a function"
-    inspect.signature(found)  # raises ValueError for a function without one
+    inspect.signature(found, eval_str=True)  # raises if it has none, or an annotation is no expression
     return None
 
 

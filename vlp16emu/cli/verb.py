@@ -19,7 +19,7 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
     dataclass is None if none of its options is given. A function without such parameters is returned
     unchanged.
     """
-    parameters = inspect.signature(function).parameters.values()
+    parameters = inspect.signature(function, eval_str=True).parameters.values()
     options = list(options_of_function(function))
     if parameters and not options:
         return function
@@ -44,7 +44,7 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
 
 def options_of_function(function: Callable[..., None]) -> Iterator[Declared]:
     """Yield the options of a function."""
-    for parameter in inspect.signature(function).parameters.values():
+    for parameter in inspect.signature(function, eval_str=True).parameters.values():
         default = MISSING if parameter.default is inspect.Parameter.empty else parameter.default
         yield from _options_of_annotation(parameter.name, parameter.annotation, default)
 
