@@ -120,3 +120,17 @@ def test_options_that_are_settings_agree_with_the_page():
     assert runs.StreamOptions(to="10.0.0.1:2370").receiver == ("10.0.0.1", 2370)
     with pytest.raises(InputError, match="to: found an empty text"):  # an empty variable of a script
         runs.StreamOptions(to="")
+
+
+def test_annotations_may_be_text():
+    """A verb of a module with `from __future__ import annotations` has its options."""
+    own = {}
+    exec(  # as a module of another package
+        "from __future__ import annotations\n"
+        "from typing import Annotated\n"
+        "from vlp16emu.run.options import Option\n"
+        "def verb(*, speed_s: Annotated[float, Option('Some time.', 'S', gt=0)] = 1.0) -> None: ...\n",
+        own,
+    )
+    (option,) = options_of_function(own["verb"])
+    assert (option.name, option.kind, option.default) == ("--speed", float, 1.0)
