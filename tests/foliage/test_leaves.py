@@ -90,9 +90,9 @@ def test_a_voxel_has_one_leaf_in_each_column_along_each_axis():
 
 @pytest.mark.parametrize(("kind", "low", "high"), [(0, 0.4, 0.6), (1, 0.4, 0.6), (2, 0.3, 0.4)])
 def test_leaves_come_in_clumps_of_their_kind(kind, low, high):
-    """Where a fifth of the columns have a leaf, 1 / 16 of the variance would lie between squares of 125 mm,
-    of 16 columns each, if leaves came singly. For low plants and crowns it is half, for level leaves a
-    third."""
+    """Half the variance of low plants and crowns lies between squares of 125 mm, of 16 columns each, and a
+    third of that of level leaves, where a fifth of the columns have a leaf; of single leaves it is
+    1 / 16."""
     own = room._LEAF_OF[:, 16 * kind : 16 * (kind + 1)].reshape(-1, 4, 4, 4, 4)
     squares = (own < 256 // 5).mean(axis=(2, 4))
     mean = (256 // 5) / 256

@@ -198,7 +198,7 @@ def test_low_plants_are_as_dense_as_the_voxel_over_the_ground_makes_them(ground_
 
 @pytest.mark.parametrize(("tilt_deg", "left"), [(0.0, 0.95), (20.0, 0.95), (60.0, 1.0)])
 def test_leaves_that_lie_nearly_level_hide_each_other_beyond_a_voxel(tilt_deg, left):
-    """Of the area of leaves tilted by 20 degrees at most 0.95 is left; steeper ones keep all."""
+    """Leaves tilted by at most 20 degrees keep 0.95 of their area, steeper ones all of it."""
     tilt = np.radians(tilt_deg)
     along, across = 0.1 * np.array([np.cos(tilt), 0, np.sin(tilt)]), np.array([0, 0.2, 0])
     corners_m = np.tile(np.stack([along, across, -along, -across]) + [0, 0, 3.2], (16, 1))

@@ -90,8 +90,8 @@ def test_points_of_real_units(request, capture):
 
 
 def test_points_of_a_real_vlp_32c(real_vlp_32c):
-    """It holds for a real VLP-32C too, but for the packets within which it left out azimuths: there
-    velodyne_decoder takes the gap for speed."""
+    """Points of a real VLP-32C are the same, except in packets with a gap of azimuths, which velodyne_decoder
+    takes for speed."""
     azimuth = data_fields(real_vlp_32c)["blocks"]["azimuth_cdeg"].astype(int)
     has_gap = np.flatnonzero((np.diff(azimuth) % 36_000).max(axis=1) > 100)
     assert len(has_gap) == 5
@@ -99,7 +99,8 @@ def test_points_of_a_real_vlp_32c(real_vlp_32c):
 
 
 def test_points_of_a_real_vls_128(real_vls_128):
-    """It holds for a real VLS-128 too, but for the first packet, of which velodyne_decoder knows no speed."""
+    """Points of a real VLS-128 are the same, except in the first packet: velodyne_decoder lacks its
+    speed."""
     compare(real_vls_128[:300], leaves_out=[0])
 
 

@@ -139,7 +139,8 @@ def test_codes_are_those_of_the_table(data_packet, position_packet):
 def test_scales_and_bounds_are_those_of_the_table(data_packet):
     """Least count and least code of the distance, and the number of azimuth codes, are the table's."""
     distance, azimuth = row_of(data_packet["record"], "distance"), row_of(data_packet["block"], "azimuth")
-    assert (distance["scale"], distance["minimum"]) == (layout.DISTANCE_LSB_M, layout.MIN_DISTANCE_LSB)
+    vlp_16 = MODELS[SensorModel.VLP_16]
+    assert (distance["scale"], distance["minimum"]) == (vlp_16.distance_lsb_m, vlp_16.minimum_lsb)
     assert azimuth["maximum"] == layout.AZIMUTH_CODES - 1
 
 

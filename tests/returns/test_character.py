@@ -262,8 +262,8 @@ def test_codes_that_are_8_modulo_9_are_rarer():
 
 
 def test_noise_grows_where_brightness_is_uneven():
-    """Where a surface of half the brightness follows another in every pulse, ranges have three times the
-    noise of an even wall; a perfect unit has the same noise on both, and more on the darker ones."""
+    """Ranges of surfaces whose brightness halves and doubles from pulse to pulse have three times the noise
+    of an even wall; a unit without that law has the same noise on both."""
     k = 600
     one, two = pulses(k, [10.0]), pulses(k, [10.0])
     two.surface[:] = np.repeat(np.arange(k) % 2, 16)

@@ -188,6 +188,7 @@ def stretches_of(operation: Steps[Operation], model: SensorModel) -> tuple[Stret
     single = layout_of(model, ReturnMode.STRONGEST)
 
     def sequence_at(since_ns: int) -> int:
+        """Return the first firing sequence of the next packet of single return."""
         return -(-since_ns // single.period_ns) * single.sequences
 
     spans = list[Stretch]()

@@ -201,7 +201,6 @@ SEQUENCES_PER_PACKET = MappingProxyType(
 )
 BLOCK_PERIOD_NS = SEQUENCES_PER_BLOCK * SEQUENCE_NS
 DISTANCE_LSB_M = MODELS[SensorModel.VLP_16].distance_lsb_m
-MIN_DISTANCE_LSB = MODELS[SensorModel.VLP_16].minimum_lsb
 BLOCK_FLAG = MODELS[SensorModel.VLP_16].flags[0]  # of the first block of a packet of all models
 BLOCK_FLAGS = frozenset(flag for model in MODELS.values() for flag in model.flags)
 SPLIT_PRODUCTS = [model.product for model in MODELS.values() if len(model.flags) > 1]

@@ -212,13 +212,7 @@ def _detect(
                 errors.parts,
                 before[UNEVENNESS, j],
             )
-            lit = gather(constants, rays, start, stop, nodes)
-            if constants.extinction_per_m > 0.0:
-                air_m, air = clutter_echo(constants, n, j, start, stop, rays.range_m)
-                if air > 0.0:
-                    nodes[RANGE, lit] = air_m
-                    nodes[AMPLITUDE, lit] = air
-                    lit += 1
+            lit = _gather_with_air(constants, n, j, rays, start, stop, nodes)
             at_m, light = _only_echo(constants, n, j, nodes, lit, peaks)
             if light > 0.0 and _is_seen(constants, n, j, at_m, light):
                 measured = _measure(constants, (noise[0, j], noise[1, j]), at_m, light, laser_errors)
@@ -238,6 +232,21 @@ def _detect(
                 place = (constants.seed, sight, i, at_m, errors.near_lost[j])
                 pulse = (rays, errors.sheet, start, stop)
                 _lose(constants, errors.no_return[j], pulse, place, noise, j, distance_m, reflectivity)
+
+
+@inline_kernel
+def _gather_with_air(
+    constants: DetectorConstants, n: int, laser: int, rays: SubRays, start: int, stop: int, nodes: F8
+) -> int:
+    """Fill the nodes of pulse (n, laser) from its sub-rays and from the air; return their number."""
+    lit = gather(constants, rays, start, stop, nodes)
+    if constants.extinction_per_m > 0.0:
+        air_m, air = clutter_echo(constants, n, laser, start, stop, rays.range_m)
+        if air > 0.0:
+            nodes[RANGE, lit] = air_m
+            nodes[AMPLITUDE, lit] = air
+            lit += 1
+    return lit
 
 
 @inline_kernel

@@ -313,6 +313,7 @@ class Builders(ThreadPoolExecutor):
         """Run a part of building a window."""
 
         def part() -> T:
+            """Run the part once steps are in time."""
             self._openers.give_way()
             return fn(*args, **kwargs)
 
