@@ -1,12 +1,13 @@
 """What is shown of a run while it goes on, and of its error."""
 
 import io
+import json
 import sys
 import threading
 
 import pytest
 
-from vlp16emu.cli.printer import audit_text
+from vlp16emu.cli.printer import audit_text, rows_of, tree_of
 from vlp16emu.cli.terminal import Progress, compile_first
 from vlp16emu.extras.accuracy.audit import AuditFinding
 from vlp16emu.kernels import compiler
@@ -92,3 +93,14 @@ def test_an_interval_that_gives_no_order_of_magnitude_is_left_out(low_m, high_m,
     assert f"RMSE 25.7 mm before noise ({said}), 0.0 % lost" in audit_text(
         AuditFinding(False, 100, 0.0257, low_m, high_m, 0.0, 0.0, 0.0)
     )
+
+
+def test_a_zero_has_no_sign():
+    """A small negative number rounds to 0 in rows, and a negative zero is 0.0 in JSON: `-0` is no result."""
+    fit = {"rate_ppm": -0.0, "offset_s": -0.0, "median_delay_ms": 0.0, "most_delay_ms": 0.0, "parts": 1}
+    assert rows_of({"host_ahead_s": -2e-4, "fit": fit}) == {
+        "host ahead": "0 s",
+        "host's clock": "+0 ppm, +0.000000 s from the sensor's, "
+        "packets late by 0 ms in the median and 0 ms at most",
+    }
+    assert json.dumps(tree_of({"host_ahead_s": -0.0})) == '{"host_ahead_s": 0.0}'

@@ -1,6 +1,7 @@
 """Results on standard output: as JSON, or as rows for people."""
 
 import json
+import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
@@ -132,7 +133,7 @@ def _cell(value: str | float) -> str:
 
 
 def tree_of(value: object) -> object:
-    """Return a result in JSON types; NaN becomes None.
+    """Return a result in JSON types; NaN becomes None, and a negative zero zero.
 
     The properties of a dataclass stand beside its fields.
     """
@@ -142,8 +143,8 @@ def tree_of(value: object) -> object:
         return [tree_of(item) for item in value]
     if isinstance(value, Enum) and not isinstance(value, str):
         return value.name.lower()
-    if isinstance(value, float) and value != value:  # noqa: PLR0124  # NaN, which JSON does not have
-        return None
+    if isinstance(value, float):
+        return None if math.isnan(value) else value + 0.0  # JSON has no NaN; -0.0 + 0.0 is 0.0
     return str(value) if isinstance(value, Path) else value
 
 
@@ -242,7 +243,7 @@ def text_of(value: object) -> str:
     if isinstance(value, int):
         return count_text(value)
     if isinstance(value, float):
-        return f"{round(value, 3):.12g}"
+        return f"{round(value, 3):z.12g}"
     if is_dataclass(value) or isinstance(value, Mapping):
         pairs = ((name, text_of(member)) for name, member in members(value))
         return ", ".join(f"{_label(name)} {text}{_unit_suffix(name)}" for name, text in pairs if text)
@@ -319,7 +320,7 @@ def _fit_text(fits: "Mapping[str, float] | Sequence[Mapping[str, float]]") -> st
     texts = []
     for fit in [fits] if isinstance(fits, Mapping) else fits:
         text = (
-            f"{fit['rate_ppm']:+.3g} ppm, {fit['offset_s']:+.6f} s from the sensor's, packets late by "
+            f"{fit['rate_ppm']:+z.3g} ppm, {fit['offset_s']:+z.6f} s from the sensor's, packets late by "
             f"{fit['median_delay_ms']:.3g} ms in the median and {fit['most_delay_ms']:.3g} ms at most"
         )
         texts.append(f"{text}, in {fit['parts']:.0f} parts" if fit["parts"] > 1 else text)
