@@ -147,7 +147,7 @@ def _members_of(result: "Verification") -> Tree:
 def _print_verification(title: str, result: "Verification") -> None:
     for finding in result.findings:
         print_line(str(finding))
-    from vlp16emu.sensor.models import model_table
+    from vlp16emu.models import model_table
 
     listed = ("clean", "model", "broken_rules", "notes", "findings")
     tree = {name: value for name, value in _members_of(result).items() if name not in listed and value}

@@ -23,7 +23,6 @@ from vlp16emu.extras.compare.table import REAL
 from vlp16emu.packets.layout import BLOCK_PERIOD_NS
 from vlp16emu.returns import Noise
 from vlp16emu.sensor.settings import MOST_OFF_RPM, RPM_STEP, Sensor, set_rpm
-from vlp16emu.types import SensorModel
 
 _EVEN_CDEG2 = 0.111
 _PER_RATE_CDEG2 = 3.55
@@ -142,7 +141,7 @@ def _rotor(sequences: Sequences, found: Statistics) -> dict[str, object]:
         raise InputError("speed_error_rpm", f"a mean speed of {sequences.rpm:.1f} rpm", expected)
     model = sequences.layout.model.name
     out: dict[str, object] = {
-        **({} if model is SensorModel.VLP_16 else {"model": model}),
+        **({} if model == Sensor().model else {"model": model}),
         "preset": "unit",
         "rotation_spread": 0.0,
         "rpm": rpm,
