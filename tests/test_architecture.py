@@ -37,6 +37,7 @@ FLOORS = (
         "inputs",
         "kernels",
         "libraries",
+        "models",
         "once",
         "output",
         "random",
@@ -134,7 +135,7 @@ OPENS = {
     "kernels/compiler.py": "its own table, and /dev/null",
     "output.py": "all outputs",
     "sensor/laws.py": "its own table",
-    "sensor/models.py": "its own tables",
+    "models.py": "its own tables",
     "store.py": "the cache",
 }
 OPENERS = {"open", "read_bytes", "read_text", "memmap", "fromfile", "open_memmap", "loadtxt", "genfromtxt"}

@@ -8,7 +8,6 @@ from PIL import Image, ImageDraw
 from unmask_windows import Array
 
 from vlp16emu.extras.compare import Sequences
-from vlp16emu.extras.compare.statistics import _UPWARDS
 from vlp16emu.packets.layout import AZIMUTH_CODES
 
 WIDTH, ROW_PX, TITLE_PX, GAP_PX = 1400, 6, 14, 3
@@ -36,7 +35,8 @@ def images(one: Sequences) -> tuple[Image.Image, Image.Image]:
     """Return codes and ranges of the first sweep, lasers by elevation."""
     azimuth = np.interp(one.number, 2 * one.block, one.azimuth_cdeg)
     turn = int(np.searchsorted(azimuth, azimuth[0] + AZIMUTH_CODES))
-    d, r = (v[:turn, _UPWARDS[::-1]].T for v in (one.distance_lsb, one.reflectivity))
+    downwards = np.argsort(one.layout.model.beams.ring)[::-1]
+    d, r = (v[:turn, downwards].T for v in (one.distance_lsb, one.reflectivity))
     return shades(r / 100.0, d == 0), shades(np.log(np.maximum(d, BLACK_LSB) / BLACK_LSB) / E_FOLDS, d == 0)
 
 

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, get_args
 
 from vlp16emu.errors import InputError
+from vlp16emu.models import MODEL_NAMES
 
 if TYPE_CHECKING:
     from importlib.metadata import Distribution, EntryPoint
@@ -67,12 +68,7 @@ DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its obje
     },
     "sensors": {
         "free": "vlp16emu.extras.free_sensor:FreeSensor",
-        "hdl-32e": "vlp16emu.sensor.settings:Sensor",
-        "puck-hi-res": "vlp16emu.sensor.settings:Sensor",
-        "puck-lite": "vlp16emu.sensor.settings:Sensor",
-        "vlp-16": "vlp16emu.sensor.settings:Sensor",
-        "vlp-32c": "vlp16emu.sensor.settings:Sensor",
-        "vls-128": "vlp16emu.sensor.settings:Sensor",
+        **dict.fromkeys(MODEL_NAMES, "vlp16emu.sensor.settings:Sensor"),
     },
     "scenes": {},  # folders of scene files
     "clouds": {

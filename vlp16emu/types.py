@@ -10,10 +10,12 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 from functools import cache
-from typing import Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
+
+from vlp16emu.models import MODEL_NAMES
 
 # Arrays by numpy's type codes
 F4 = NDArray[np.float32]
@@ -34,15 +36,17 @@ class ReturnMode(StrEnum):
     DUAL = "dual"
 
 
-class SensorModel(StrEnum):
-    """Sensor models whose packets are known: the tables of `protocol/models`."""
+if TYPE_CHECKING:
 
-    VLP_16 = "vlp-16"
-    PUCK_LITE = "puck-lite"
-    PUCK_HI_RES = "puck-hi-res"
-    HDL_32E = "hdl-32e"
-    VLP_32C = "vlp-32c"
-    VLS_128 = "vls-128"
+    class SensorModel(StrEnum):
+        """Sensor models whose packets are known: the tables of `protocol/models`."""
+
+        VLP_16 = "vlp-16"
+
+else:  # a type checker reads no folder
+    SensorModel = StrEnum(
+        "SensorModel", {name.upper().replace("-", "_"): name for name in MODEL_NAMES}, module=__name__
+    )
 
 
 class PpsState(IntEnum):

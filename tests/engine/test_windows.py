@@ -115,6 +115,39 @@ def test_a_wire_sensor_is_cut_as_ever():
     assert (whole.edges_ns(2) == (2 * SEGMENT + np.arange(SEGMENT + 1)) * whole.block_ns).all()
 
 
+def unit_of(lasers, sequence_ns):
+    """What `Batching.of` reads of a unit without packets."""
+    beams = SimpleNamespace(elevation_deg=np.zeros(lasers), sequence_ns=sequence_ns)
+    return SimpleNamespace(head=SimpleNamespace(beams=beams), section=None)
+
+
+def test_sensors_of_equal_sequences_share_blocks_and_others_have_their_own():
+    """Blocks are those of the sensor with most lasers among those with equally long firing sequences; beside
+    others the edges of a segment end with the longest block of the others."""
+    alone = Batching.of([unit_of(16, 55_296), unit_of(32, 55_296)])
+    assert alone == {55_296: Batching(32, 55_296)}
+    mixed = Batching.of([unit_of(16, 55_296), unit_of(32, 46_080), unit_of(128, 53_300)])
+    others = [Batching(32, 46_080), Batching(128, 53_300)]
+    assert [mixed[46_080], mixed[53_300]] == others
+    longest_ns = max(batching.block_ns for batching in others)
+    edges_ns = mixed[55_296].edges_ns(1)
+    assert (edges_ns[:-1] == Batching(16, 55_296).edges_ns(1)).all()
+    assert edges_ns[-1] - edges_ns[-2] == longest_ns
+
+
+def test_blocks_of_another_length_are_in_the_segment_that_they_begin_in():
+    """The same windows serve blocks of another length: none is opened twice, and runs keep to segments."""
+    opened = []
+    of = windows(per_segment=64, opened=opened)
+    longer = of.in_blocks_of(SimpleNamespace(block_ns=130, parts=1))
+    assert [longer.name_of(block) for block in (0, 49, 50, 98, 99)] == [0, 0, 1, 1, 2]
+    runs = list(longer.runs(range(200), 8, 2))
+    assert [block for run in runs for block in run] == list(range(200))
+    assert all(run.start * 130 // 6400 == (run.stop - 1) * 130 // 6400 for run in runs)
+    assert longer.at_block(50).result() == of.at_block(64).result() == "segment 1"
+    assert opened == [1]
+
+
 @pytest.mark.parametrize("lasers", [1, 8, 64, 256, 1024])
 @pytest.mark.parametrize("sequence_ns", [2_315, 55_556, 5_555_556])
 def test_blocks_of_any_sensor_are_bounded(lasers, sequence_ns):

@@ -147,7 +147,7 @@ def _members_of(result: "Verification") -> Tree:
 def _print_verification(title: str, result: "Verification") -> None:
     for finding in result.findings:
         print_line(str(finding))
-    from vlp16emu.sensor.models import model_table
+    from vlp16emu.models import model_table
 
     listed = ("clean", "model", "broken_rules", "notes", "findings")
     tree = {name: value for name, value in _members_of(result).items() if name not in listed and value}
@@ -168,9 +168,9 @@ def compare(
 ) -> None:
     """Compare two captures, emulated or real, by the statistics that distinguish units.
 
-    Each difference is given as a multiple of the spread of real units; real units differ by at most 1. At
-    most a minute of each capture is read. Scatter of ranges and of reflectivity also depends on the scene:
-    compare walls with walls, foliage with foliage.
+    Each difference is given as a multiple of the spread of real VLP-16 units, also for other models; real
+    units differ by at most 1. At most a minute of each capture is read. Scatter of ranges and of reflectivity
+    also depends on the scene: compare walls with walls, foliage with foliage.
     """
     from vlp16emu.extras.compare import compare_statistics, histograms_of, read_sequences
     from vlp16emu.extras.plot.sheet import plotting

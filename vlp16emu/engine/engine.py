@@ -94,7 +94,9 @@ class Engine:
 
     scenario: Scenario  # Determines every byte
     parts: Parts
-    batching: Batching
+    batchings: dict[
+        int, Batching
+    ]  # By the length of firing sequences; windows have the segments of the first
     windows: Windows[Geometry]
     receiver: "Receiver | None"  # None if none is connected
     threads: int  # Workers; they change the speed only
@@ -115,10 +117,19 @@ class Engine:
         """
         parts = assemble(scenario, like)
         threads = threads or usable_cores()
-        batching = Batching.of(parts.units)
-        windows = windows_of(parts, scenario.start_ns, batching, threads)
+        batchings = Batching.of(parts.units)
+        windows = windows_of(parts, scenario.start_ns, next(iter(batchings.values())), threads)
         receiver = make_receiver(scenario, parts, windows) if scenario.gps.connected else None
-        return cls(scenario, parts, batching, windows, receiver, threads, tuple(taps))
+        return cls(scenario, parts, batchings, windows, receiver, threads, tuple(taps))
+
+    @property
+    def batching(self) -> Batching:
+        """Blocks of the first sensor, and the segments of the windows."""
+        return self.batching_of(self.parts.units[0])
+
+    def batching_of(self, unit: Unit) -> Batching:
+        """Return the blocks in which a sensor is computed."""
+        return self.batchings[unit.head.beams.sequence_ns]
 
     def packets(self, start_s: float = 0.0, stop_s: float | None = None) -> Iterator[Packet]:
         """Return the packets sent from `start_s` until before `stop_s`, in order of sending.
@@ -149,8 +160,8 @@ class Engine:
         A block in which settings change is returned once for the settings before and once for those after,
         each time with the firing sequences that are sent; blocks without any are left out.
         """
-        blocks = self.batching.blocks(*self.span_ns(start_s, stop_s))
         sensor = self.parts.units[unit]
+        blocks = self.batching_of(sensor).blocks(*self.span_ns(start_s, stop_s))
         return chain.from_iterable(
             self._returns_of(sensor, stretch, blocks, truth=truth) for stretch in sensor.timeline.spans
         )
@@ -199,7 +210,7 @@ class Engine:
         for stretch in unit.timeline.stretches(start_ns, stop_ns):
             detector = unit.detector.for_mode(stretch.mode)
             packer = Packer(unit, stretch, self.truth_of)
-            blocks = stretch.blocks(self.batching.block)
+            blocks = stretch.blocks(self.batching_of(unit).block)
             scans = self._scans(unit, detector, blocks, threads, truth=self.truth_of is not None)
             # With `map` no variable keeps returns, up to 25 MB, until the next are ready.
             for packets in map(packer.pack, scans):
@@ -207,7 +218,7 @@ class Engine:
 
     def _returns_of(self, unit: Unit, stretch: Stretch, blocks: range, *, truth: bool) -> Iterator[Returns]:
         """Yield returns of the blocks in which a stretch sends, with the firing sequences that are sent."""
-        sending = stretch.blocks_among(blocks, self.batching.block)
+        sending = stretch.blocks_among(blocks, self.batching_of(unit).block)
         for returns in self._scans(
             unit, unit.detector.for_mode(stretch.mode), sending, self.threads, truth=truth
         ):
@@ -221,14 +232,15 @@ class Engine:
     ) -> Iterator[Returns]:
         """Scan blocks on several threads; yield their returns in order of blocks."""
         at_once = 1 if self.prompt or self.truth_of else unit.beam.revolutions_at_once
-        block = self.batching.block
+        batching = self.batching_of(unit)
+        windows = self.windows if batching == self.batching else self.windows.in_blocks_of(batching)
         seed = self.parts.world.seed
 
         def work(run: range, opened: Future[Geometry]) -> Returns:
-            return self._scan(Job(unit, detector, run, block, seed, truth), opened)
+            return self._scan(Job(unit, detector, run, batching.block, seed, truth), opened)
 
-        runs = self.windows.runs(blocks, at_once, threads)
-        return in_order(work, runs, self.windows, threads=threads, stop=blocks.stop)
+        runs = windows.runs(blocks, at_once, threads)
+        return in_order(work, runs, windows, threads=threads, stop=blocks.stop)
 
     def _scan(self, job: Job, opened: Future[Geometry]) -> Returns:
         return scan(job, opened.result(), self.taps)

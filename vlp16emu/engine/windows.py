@@ -55,19 +55,28 @@ class Batching:
     lasers: int
     sequence_ns: int  # from one firing sequence to the next
     parts: int = 1  # parts of a block, for packets that do not wait for a whole block; they change no byte
+    overhang_ns: int = 0  # longest time for which blocks of other sensors last beyond the end of a segment
 
     @classmethod
-    def of(cls, units: Sequence[Unit]) -> Self:
-        """Return the batching of a run; for sensors with packets, blocks are cut into steps of a live run.
+    def of(cls, units: Sequence[Unit]) -> dict[int, Self]:
+        """Return the batchings of a run by the length of firing sequences; the first one has the segments.
 
-        The sensors of a rig, whose firing sequences are equally long, have the blocks of the one with most
-        lasers.
+        Sensors whose firing sequences are equally long have the blocks of the one with most lasers. For
+        sensors with packets, blocks are cut into steps of a live run.
         """
-        beams = units[0].head.beams
-        batching = cls(max(len(unit.head.beams.elevation_deg) for unit in units), beams.sequence_ns)
-        if not isinstance(units[0].section, Sensor):
-            return batching
-        return replace(batching, parts=max(round(batching.block_ns / STEP_NS), 1))
+        lasers = dict[int, int]()
+        for unit in units:
+            beams = unit.head.beams
+            lasers[beams.sequence_ns] = max(lasers.get(beams.sequence_ns, 0), len(beams.elevation_deg))
+        found = {sequence_ns: cls(most, sequence_ns) for sequence_ns, most in lasers.items()}
+        _, *others = (batching.block_ns for batching in found.values())
+        if isinstance(units[0].section, Sensor):
+            found = {
+                sequence_ns: replace(batching, parts=max(round(batching.block_ns / STEP_NS), 1))
+                for sequence_ns, batching in found.items()
+            }
+        lead = next(iter(found))
+        return found | {lead: replace(found[lead], overhang_ns=max(others, default=0))}
 
     @property
     def block(self) -> int:
@@ -90,9 +99,13 @@ class Batching:
         return range(start_ns // self.block_ns, -(-stop_ns // self.block_ns))
 
     def edges_ns(self, segment: int) -> NDArray[np.int64]:
-        """Edges (n,) of the whole blocks of a segment since the first pulse: begins, and the last end."""
+        """Edges (n,) of the whole blocks of a segment since the first pulse: begins, and the last end.
+
+        If other sensors have other blocks, the end of the last one that begins in the segment is one too.
+        """
         first, stop = segment * self.segment, (segment + 1) * self.segment
-        return np.arange(first, stop + 1, self.parts, dtype=np.int64) * self.block_ns
+        edges_ns = np.arange(first, stop + 1, self.parts, dtype=np.int64) * self.block_ns
+        return np.append(edges_ns, edges_ns[-1] + self.overhang_ns) if self.overhang_ns else edges_ns
 
 
 class Windows(Generic[S]):
@@ -121,10 +134,9 @@ class Windows(Generic[S]):
         threads: int,
         prepare_thread: Callable[[], None] | None = None,
     ) -> None:
-        self._block_ns = batching.block_ns
-        self._per_segment = batching.segment if moves else None
-        self._free = int((1 - _LEAD - _LAG) * batching.segment)
-        self._parts = batching.parts
+        self._segment_ns = batching.segment * batching.block_ns
+        self._moves = moves
+        self._count_in(batching)
         opener = ThreadPoolExecutor(1, "open", prepare_thread)
         too_far = max(0, threads + 1 - self._free)
 
@@ -134,6 +146,18 @@ class Windows(Generic[S]):
 
         self._future_of = future_of
         self.stop = Event()  # never set; see `stopped_by`
+
+    def _count_in(self, batching: Batching) -> None:
+        """Take numbers of blocks as those of a batching."""
+        self._block_ns = batching.block_ns
+        self._free = int((1 - _LEAD - _LAG) * self._segment_ns / batching.block_ns)
+        self._parts = batching.parts
+
+    def in_blocks_of(self, batching: Batching) -> Self:
+        """Return the same windows for blocks of another batching, each in the segment in which it begins."""
+        windows = copy(self)
+        windows._count_in(batching)  # noqa: SLF001  # of the same class
+        return windows
 
     def stopped_by(self, stop: Event) -> Self:
         """Return the same windows for a run that stops waiting for results once `stop` is set."""
@@ -152,7 +176,7 @@ class Windows(Generic[S]):
 
     def name_of(self, block: int) -> Hashable:
         """Name of the window of a block: its segment."""
-        return block // self._per_segment if self._per_segment else 0
+        return block * self._block_ns // self._segment_ns if self._moves else 0
 
     def at_block(self, block: int) -> Future[S]:
         """Window of a block."""
@@ -164,7 +188,7 @@ class Windows(Generic[S]):
 
     def open_ahead(self, block: int, stop: int) -> None:
         """Begin to open the window that is needed a while after a block; a run ends before block `stop`."""
-        lead = int(_LEAD * self._per_segment) if self._per_segment else 0
+        lead = int(_LEAD * self._segment_ns / self._block_ns) if self._moves else 0
         self.at_block(min(block + lead, stop - 1))
 
     def runs(self, blocks: range, at_once: int, threads: int) -> Iterator[range]:

@@ -169,8 +169,8 @@ def layout_of(model: SensorModel, mode: ReturnMode) -> Layout:
     return Layout(MODELS[model], 1 + (mode is ReturnMode.DUAL))
 
 
-PRODUCTS = MappingProxyType({MODELS[name].product: name for name in reversed(SensorModel)})
-"""Model by product byte, the first one of the byte."""
+PRODUCTS = MappingProxyType({model.product: model.read_as for model in MODELS.values()})
+"""Model by product byte."""
 PRODUCT_WORDS = " or ".join(
     ", ".join(f"{code:#x}" for code in codes) for codes in (sorted(PRODUCTS)[:-1], sorted(PRODUCTS)[-1:])
 )

@@ -32,7 +32,6 @@ from vlp16emu.errors import InputError
 from vlp16emu.motion.settings import Gps, MotionSection, Mount
 from vlp16emu.raycast.settings import Beam
 from vlp16emu.returns import Detector, Noise, Weather
-from vlp16emu.sensor.models import model_table
 from vlp16emu.sensor.settings import AnySensor, Lidar, Sensor
 from vlp16emu.settings import ExpectationError, LazySection, OneOf, Preset, Section, Seed, merge_tables
 from vlp16emu.trees import Tree
@@ -256,8 +255,6 @@ class Scenario(Section):
         for key in ("name", "serial_number", "address"):
             if len({getattr(unit, key) for unit in units}) < len(units):
                 raise ExpectationError(f"{key} of its own for each unit, [sensor] included")
-        if len({model_table(unit.model)["firing"]["sequence_ns"] for unit in units}) > 1:
-            raise ExpectationError("models whose firing sequences last equally long, [sensor] included")
         if {unit.data_port for unit in units} & {unit.position_port for unit in units}:
             raise ExpectationError("a data_port that is no unit's position_port, [sensor] included")
         gps = info.data.get("gps")

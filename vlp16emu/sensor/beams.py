@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos
+from vlp16emu.models import model_table
 from vlp16emu.random import Purpose, normal
-from vlp16emu.sensor.models import model_table
 from vlp16emu.types import F8, I8, SensorModel
 
 
@@ -79,6 +79,7 @@ class Model:
     name: SensorModel
     title: str
     product: int  # second factory byte
+    read_as: SensorModel  # model that packets with this product byte are taken for
     flags: tuple[int, ...]  # flags of the blocks of one firing sequence
     distance_lsb_m: float
     minimum_lsb: int  # smallest nonzero distance code
@@ -106,6 +107,7 @@ class Model:
             name=name,
             title=table["title"],
             product=packet["product"],
+            read_as=SensorModel(packet.get("read_as", name)),
             flags=tuple(packet["flags"]),
             distance_lsb_m=packet["distance_mm"] / 1000,
             minimum_lsb=packet["minimum_code"],

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self, get_args
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from vlp16emu.errors import ScenarioError
-from vlp16emu.sensor.models import model_table
+from vlp16emu.models import MODEL_NAMES, model_table
 from vlp16emu.settings import ExpectationError, OneOf, Preset, Seed
 from vlp16emu.trees import Tree
 
@@ -147,12 +147,18 @@ class Lidar(Preset):
         raise NotImplementedError
 
 
+if TYPE_CHECKING:
+    _ModelName = str
+else:
+    _ModelName = Literal[MODEL_NAMES]  # a type checker reads no folder
+
+
 class Sensor(Lidar):
     """A lidar whose packets are known, with its factory values and configuration."""
 
     either_or: ClassVar[frozenset[str]] = frozenset({"start_azimuth_deg", "phase_lock_deg"})
 
-    model: Literal["vlp-16", "puck-lite", "puck-hi-res", "hdl-32e", "vlp-32c", "vls-128"] = "vlp-16"
+    model: _ModelName = "vlp-16"
     """Sensor model: beams, firing times and layout of packets (`protocol/models`). The character of other
     units than Pucks is not known, and is that of a VLP-16."""
     rpm: Annotated[int, Field(ge=LEAST_RPM, le=MOST_RPM)] = 600

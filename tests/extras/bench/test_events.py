@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from kit import data_payloads
 
 from vlp16emu import Emulator
 from vlp16emu.engine import Job, scan
 from vlp16emu.engine.field_of_view import FieldOfView
 from vlp16emu.engine.timeline import Packer
-from vlp16emu.packets import data_fields, decode_position
+from vlp16emu.packets import data_fields, decode_position, points_in
 from vlp16emu.scenario import load
 from vlp16emu.sensor.head import Head
 from vlp16emu.types import PacketKind
@@ -223,6 +224,22 @@ def test_a_dirty_window_takes_its_share_of_the_light_twice(each_unit):
     assert (light[1][inside].sum() / light[0][inside].sum()) == pytest.approx(0.25, abs=0.03)
     outside = (azimuth < 3900) | (azimuth > 8100)
     assert (light[0][outside] == light[1][outside]).all()
+
+
+def test_dirt_stands_in_the_way_of_beams_not_of_the_rotor():
+    """All points of a VLS-128 in the sector are darker, and none beside it, though its beams are up to
+    6.4 deg off the rotor's angle."""
+    dirty = {"kind": "dirty_window", "at_s": 0.0, "sector_deg": [40, 80], "transmission": 0.5}
+    clean, dimmed = (
+        points_in(data_fields(data_payloads(Emulator("static_bench", settings).packets(0.0, 0.05))))
+        for settings in ({"sensor.model": "vls-128"}, {"sensor.model": "vls-128", "events": [dirty]})
+    )
+    x_m, y_m, _ = clean.xyz_m.T
+    azimuth_deg = np.degrees(np.arctan2(-y_m, x_m)) % 360
+    is_darker = dimmed.reflectivity < clean.reflectivity
+    assert is_darker[(azimuth_deg > 40.1) & (azimuth_deg < 79.9)].all()
+    assert not is_darker[(azimuth_deg < 39.9) | (azimuth_deg > 80.1)].any()
+    assert is_darker.sum() > 10_000
 
 
 def test_a_free_clock_steps_and_drifts():

@@ -6,13 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kit import real_capture
 
 from vlp16emu import Emulator
 from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.extras.compare import compare_statistics, fit_settings, read_sequences, statistics_of
 from vlp16emu.packets import DATA_PAYLOAD
+from vlp16emu.sensor.beams import MODELS
 from vlp16emu.sinks import PcapSink
-from vlp16emu.types import Packet, PacketKind
+from vlp16emu.types import Packet, PacketKind, SensorModel
 
 CAPTURES = Path(__file__).resolve().parents[4] / "shared" / "captures"
 LAWS = Path(__file__).parents[3] / "vlp16emu/sensor/laws.toml"
@@ -95,6 +97,56 @@ def test_known_settings_come_back_from_our_own_packets(recorded):
     assert sensor["speed_error_rpm"] == pytest.approx(-0.9, abs=0.06)
     assert sensor["hum_deg"] == pytest.approx(0.002, rel=0.2)
     assert sensor["clock_error_ppm"] == pytest.approx(12.0, abs=0.3)
+
+
+@pytest.mark.parametrize("model", ["puck-hi-res", "hdl-32e", "vlp-32c", "vls-128"])
+def test_known_settings_of_other_models_come_back(recorded, model):
+    """Model, beat, noise, gain, speed and encoder of each model are found, with its lasers, codes and times.
+
+    The rate of the clock is left out where units have a period of their own, remainders of ranges where the
+    unit of distance is another one, and what is known of readings 110.592 us apart where they are not.
+    """
+    known = {
+        "sensor.model": model,
+        "sensor.return_mode": "dual",
+        "sensor.rotation_spread": 0.0,
+        "sensor.speed_error_rpm": -0.9,
+        "sensor.speed_wander_rpm": 0.0,
+        "sensor.hum_deg": 0.002,
+        "sensor.clock_error_ppm": 12.0,
+        "noise.gain_spread": 0.06,
+        "noise.gain_by_range": 0.15,
+        "noise.range_noise_m": 0.007,
+        "noise.unit_spread": 0.0,
+    }
+    sequences = recorded(model, UNIT | BEAT | SHORT_SIGHTED | known)
+    found = fit_settings(sequences)
+    noise, sensor = found["noise"], found["sensor"]
+    of_model = MODELS[SensorModel(model)]
+    assert (sensor["model"], sensor["return_mode"]) == (model, "dual")
+    assert noise["range_beat_m"] == pytest.approx(0.0055, abs=0.0003)
+    assert noise["range_beat_phase_deg"] == pytest.approx(123.0, abs=3.0)
+    assert noise["range_noise_m"] == pytest.approx(0.007, rel=0.05)
+    assert noise["gain_spread"] == pytest.approx(0.06, rel=0.33)
+    assert sensor["eccentricity_deg"] == pytest.approx(0.06, abs=0.003)
+    assert sensor["speed_error_rpm"] == pytest.approx(-0.9, abs=0.06)
+    assert sensor["hum_deg"] == pytest.approx(0.002, rel=0.2)
+    assert ("clock_error_ppm" in sensor) == (of_model.period_us is None)
+    assert sensor.get("clock_error_ppm", 12.0) == pytest.approx(12.0, abs=0.5)
+    assert ("range_counts" in noise) == (of_model.distance_lsb_m == 0.002)
+    assert ("encoder_rate_error" in sensor) == (of_model.beams.per_reading == 2)
+    same = compare_statistics(sequences, sequences)
+    assert len(same) > 12
+    assert not any(row.distance or row.apart for row in same)
+    assert of_model.lasers == 16 or not any(any(row.unlike) for row in same)
+
+
+def test_other_models_have_no_beat():
+    """A real HDL-32E has none with the period of a VLP-16's, whose least is 3.8 mm; its noise is 12 mm."""
+    found = statistics_of(read_sequences(real_capture("mrpt_hdl32e.pcap")))
+    assert found["range.beat_mm"] < 0.2
+    assert found["range.white_at_20_mm"] == pytest.approx(11.6, abs=0.2)
+    assert found["rotation.speed_off_percent"] < 0.5
 
 
 def test_a_unit_without_character_is_unlike_any_real_one(recorded):

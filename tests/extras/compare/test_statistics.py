@@ -18,6 +18,8 @@ from vlp16emu.extras.compare.statistics import (
     stretches_of,
 )
 from vlp16emu.extras.compare.table import REAL, Known
+from vlp16emu.packets.layout import layout_of
+from vlp16emu.types import ReturnMode, SensorModel
 
 COUNT = 7200
 NUMBER = np.arange(COUNT)
@@ -27,7 +29,10 @@ DRAW = np.random.default_rng(1)
 def sequences_of(distance_lsb=None, reflectivity=None, **others):
     """A wall at 5 m, of reflectivity 30, before a rotor that turns evenly at 600 rpm."""
     block, packet = np.arange(COUNT // 2), np.arange(COUNT // 24)
+    layout = layout_of(SensorModel.VLP_16, ReturnMode.STRONGEST)
     fields = {
+        "layout": layout,
+        "period_ns": layout.period_ns,
         "number": NUMBER,
         "distance_lsb": np.full((COUNT, 16), 2500) if distance_lsb is None else distance_lsb,
         "reflectivity": np.full((COUNT, 16), 30) if reflectivity is None else reflectivity,

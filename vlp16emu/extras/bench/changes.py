@@ -16,7 +16,7 @@ from vlp16emu.sensor.clock import ClockEvent
 from vlp16emu.sensor.operation import Operation
 from vlp16emu.sensor.rotor import Wobble
 from vlp16emu.sensor.steps import Span, Spans, Steps
-from vlp16emu.types import Firings, Hits, Returns
+from vlp16emu.types import F8, Firings, Hits, Returns
 from vlp16emu.units import FOREVER_NS, S_NS, seconds_to_ns
 
 
@@ -27,14 +27,16 @@ class DisturbedOptics:
     events: Sequence[tuple[int, int, Event]]
     """Begin and end, in ns since the first pulse, of each event with the effect `optics`, and the event."""
     start_ns: int  # UTC of the first pulse
+    azimuth_offset_deg: F8  # (L,) azimuth of each beam minus that of the rotor
 
     def dim(self, firings: Firings, hits: Hits) -> Hits:
         """Attenuate the light of each pulse by a dirty window, twice, through the cosine of incidence."""
         transmission = np.ones(firings.t_ns.shape, np.float32)
+        beam_deg = (firings.azimuth_deg + self.azimuth_offset_deg) % 360.0
         for event, is_affected in self._affected_pulses("dirty_window", firings):
             begin_deg, end_deg = event.sector_deg
-            is_after = firings.azimuth_deg >= begin_deg
-            is_before = firings.azimuth_deg <= end_deg
+            is_after = beam_deg >= begin_deg
+            is_before = beam_deg <= end_deg
             is_in_sector = is_after & is_before if begin_deg <= end_deg else is_after | is_before
             transmission[is_in_sector & is_affected] *= event.transmission * event.transmission
         of_hits = np.repeat(transmission, hits.count.reshape(-1))
@@ -65,6 +67,7 @@ def with_events(state: SensorState, scenario: Scenario, number: int) -> SensorSt
         return state
     start_ns = scenario.start_ns
     optics = [(event.begin_ns, event.end_ns, event) for event in events if event.effect == "optics"]
+    beams = [scenario.sensor, *scenario.rig][number].beam_table()
     wobbles = (
         Wobble(event.begin_ns, event.end_ns - event.begin_ns, event.amplitude_rpm, event.period_s)
         for event in events
@@ -75,7 +78,7 @@ def with_events(state: SensorState, scenario: Scenario, number: int) -> SensorSt
         gps=gps_of(state.gps, events, start_ns),
         wobbles=tuple(wobbles),
         clock_events=tuple(_clock_events(events, start_ns)),
-        optics=DisturbedOptics(optics, start_ns) if optics else None,
+        optics=DisturbedOptics(optics, start_ns, beams.azimuth_offset_deg) if optics else None,
     )
 
 

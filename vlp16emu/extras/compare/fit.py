@@ -20,6 +20,7 @@ from vlp16emu.extras.compare.statistics import (
 )
 from vlp16emu.extras.compare.steps import far_factor
 from vlp16emu.extras.compare.table import REAL
+from vlp16emu.packets.layout import BLOCK_PERIOD_NS
 from vlp16emu.returns import Noise
 from vlp16emu.sensor.settings import MOST_OFF_RPM, RPM_STEP, Sensor, set_rpm
 
@@ -138,7 +139,9 @@ def _rotor(sequences: Sequences, found: Statistics) -> dict[str, object]:
     if abs(off_rpm) > MOST_OFF_RPM:
         expected = f"a speed of a unit within {MOST_OFF_RPM:g} rpm at 600"
         raise InputError("speed_error_rpm", f"a mean speed of {sequences.rpm:.1f} rpm", expected)
+    model = sequences.layout.model.name
     out: dict[str, object] = {
+        **({} if model == Sensor().model else {"model": model}),
         "preset": "unit",
         "rotation_spread": 0.0,
         "rpm": rpm,
@@ -148,7 +151,7 @@ def _rotor(sequences: Sequences, found: Statistics) -> dict[str, object]:
         "twice_per_turn_deg": round(abs(twice) / 100, 4),
         "hum_deg": round(max(found["rotation.tick_us"], 0.0) * _HALF_DEG_PER_US, 5),
     }
-    if abs(rpm - 600) <= RPM_STEP:
+    if abs(rpm - 600) <= RPM_STEP and sequences.layout.reading_ns == BLOCK_PERIOD_NS:
         excess_cdeg2 = max(local(turning.rest_cdeg).var() - _EVEN_CDEG2, 0.0)
         out["encoder_rate_error"] = round(min(math.sqrt(excess_cdeg2 / _PER_RATE_CDEG2), 0.5), 3)
     out["speed_error_rpm"] = round(off_rpm, 3)

@@ -8,7 +8,6 @@ import numpy as np
 
 from vlp16emu.extras.compare.sequences import Sequences
 from vlp16emu.extras.compare.statistics import stretches_of
-from vlp16emu.packets import layout
 from vlp16emu.types import F8
 from vlp16emu.units import US_NS
 
@@ -44,7 +43,7 @@ def _reflectivity_of_no_returns(sequences: Sequences) -> F8:
 
 
 def _ranges_m(sequences: Sequences) -> F8:
-    return np.asarray(sequences.distance_lsb[sequences.distance_lsb > 0] * layout.DISTANCE_LSB_M)
+    return np.asarray(sequences.range_mm[sequences.distance_lsb > 0] / 1000)
 
 
 def _arrivals_us(sequences: Sequences) -> F8:

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from vlp16emu.captures import Capture, table_of
 from vlp16emu.errors import CaptureError
-from vlp16emu.packets import PacketClock, PacketTable, layout
+from vlp16emu.packets import PacketClock, PacketTable
 from vlp16emu.packets.decode import is_before_release, is_dual, layouts_of
-from vlp16emu.sensor.beams import SEQUENCE_NS
+from vlp16emu.packets.layout import AZIMUTH_CODES, DATA_BYTES, Layout
 from vlp16emu.sensor.settings import LEAST_RPM, MOST_RPM
-from vlp16emu.types import I8
+from vlp16emu.types import F8, I8, SensorModel
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
 _LEAST_PACKETS = 80  # one revolution at 600 rpm has 75
@@ -23,17 +23,22 @@ _MARGIN = 0.1  # of the speed: other rotors stand, or change speed
 
 @dataclass(frozen=True, slots=True)
 class Sequences:
-    """n firing sequences of b blocks and p packets; in dual return, from the odd blocks."""
+    """n firing sequences of L lasers, b azimuth readings and p packets; in dual return the strongest returns.
 
-    number: I8  # (n,) from 0, in units of 55.296 us: lost packets leave gaps
-    distance_lsb: I8  # (n, 16)
-    reflectivity: I8  # (n, 16)
+    A reading of a VLP-16 is a block, with two firing sequences.
+    """
+
+    layout: Layout  # of the packets
+    period_ns: int  # from packet to packet, measured where units of the model differ from the manual
+    number: I8  # (n,) from 0: lost packets leave gaps
+    distance_lsb: I8  # (n, L)
+    reflectivity: I8  # (n, L)
     azimuth_cdeg: I8  # (b,) unwrapped, so it rises past north
-    block: I8  # (b,) number of the blocks, in units of 110.592 us
+    block: I8  # (b,) number of the readings
     clock_ns: I8  # (p,) the sensor's clock, hours added
     stamp_ns: I8  # (p,) stamps of the capture
     packet: I8  # (p,) from 0, numbered through gaps
-    last: tuple[I8, I8] | None  # distances and reflectivities (n, 16) of the even blocks, in dual return
+    last: tuple[I8, I8] | None  # distances and reflectivities (n, L) of the last returns, in dual return
 
     @property
     def is_dual(self) -> bool:
@@ -41,31 +46,33 @@ class Sequences:
         return self.last is not None
 
     @property
+    def range_mm(self) -> F8:
+        """Distances (n, L) in mm, 0 for none."""
+        return np.asarray(self.distance_lsb * (self.layout.model.distance_lsb_m * 1000))
+
+    @property
     def packet_us(self) -> float:
         """Period of the packets by the manual, in microseconds."""
-        return len(self.number) // len(self.packet) * SEQUENCE_NS / US_NS
+        return self.layout.period_ns / US_NS
 
     @property
     def rpm(self) -> float:
         """Mean speed of the rotor."""
-        turned = (self.azimuth_cdeg[-1] - self.azimuth_cdeg[0]) / layout.AZIMUTH_CODES
-        return float(turned / (self.block[-1] * layout.BLOCK_PERIOD_NS / S_NS) * 60)
+        turned = (self.azimuth_cdeg[-1] - self.azimuth_cdeg[0]) / AZIMUTH_CODES
+        return float(turned / (self.block[-1] * self.period_ns / self.layout.readings / S_NS) * 60)
 
 
 def read_sequences(path: Path) -> Sequences:
     """Read at most a minute of a capture, with any product byte.
 
     Raises CaptureError if it is no capture, has less than a revolution or two return modes, or its rotor
-    speed is not possible for a VLP-16.
+    speed is not possible for a sensor.
     """
-    data = (datagram for datagram in Capture(path) if len(datagram.payload) == layout.DATA_BYTES)
+    data = (datagram for datagram in Capture(path) if len(datagram.payload) == DATA_BYTES)
     packets = list(islice(data, _MOST_PACKETS))
     if len(packets) < _LEAST_PACKETS:
         raise CaptureError(str(path), f"{len(packets)} data packets", f"{_LEAST_PACKETS} at least")
     table = table_of(packets, PacketClock())
-    model = layouts_of(table)[0].model
-    if model.lasers != layout.LASERS and not is_before_release(table):
-        raise CaptureError(str(path), f"{model.title} packets", "those of a VLP-16 or another Puck")
     if len(modes := np.unique(table["return_mode"])) > 1:
         raise CaptureError(str(path), f"{len(modes)} return modes", "one")
     sequences = _sequences_of(path, table)
@@ -76,25 +83,29 @@ def read_sequences(path: Path) -> Sequences:
 
 def _sequences_of(path: Path, table: PacketTable) -> Sequences:
     dual = bool(is_dual(table)[0])
-    blocks = table["blocks"][:, 1::2] if dual else table["blocks"]
-    per_packet = layout.BLOCKS_PER_PACKET // 2 if dual else layout.BLOCKS_PER_PACKET
+    layout = layouts_of(table, SensorModel.VLP_16 if is_before_release(table) else None)[dual]
     # The clock of a sensor that restarts falls; its packets come later all the same.
-    since_ns = np.cumsum(np.diff(table["sensor_ns"], prepend=table["sensor_ns"][:1]) % HOUR_NS)
-    packet = np.rint(since_ns / (per_packet * layout.BLOCK_PERIOD_NS)).astype(np.int64)
+    step_ns = np.diff(table["sensor_ns"], prepend=table["sensor_ns"][:1]) % HOUR_NS
+    since_ns = np.cumsum(step_ns)
+    period_ns = layout.measured_period_ns(step_ns // US_NS)
+    packet = np.rint(since_ns / period_ns).astype(np.int64)
     if (np.diff(packet) < 1).any():
         raise CaptureError(
             str(path), "time stamps that stand still or fall", "packets of one sensor in order"
         )
-    block = (packet[:, None] * per_packet + np.arange(per_packet)).ravel()
-    number = (block[:, None] * layout.SEQUENCES_PER_BLOCK + np.arange(layout.SEQUENCES_PER_BLOCK)).ravel()
-    azimuth_cdeg = blocks["azimuth_cdeg"].ravel().astype(np.int64)
+    block = (packet[:, None] * layout.readings + np.arange(layout.readings)).ravel()
+    number = (block[:, None] * layout.per_reading + np.arange(layout.per_reading)).ravel()
+    azimuth_cdeg = layout.by_reading(table["blocks"]["azimuth_cdeg"])[:, :, 0, -1].ravel().astype(np.int64)
     apart = np.diff(block)
-    step_cdeg = np.diff(azimuth_cdeg) % layout.AZIMUTH_CODES
+    step_cdeg = np.diff(azimuth_cdeg) % AZIMUTH_CODES
     # In a gap the rotor turns at its usual speed.
     off_cdeg = np.median(step_cdeg[apart == 1]) * apart - step_cdeg
-    step_cdeg += np.rint(off_cdeg / layout.AZIMUTH_CODES).astype(np.int64) * layout.AZIMUTH_CODES
-    distance_lsb, reflectivity = _by_laser(blocks)
+    step_cdeg += np.rint(off_cdeg / AZIMUTH_CODES).astype(np.int64) * AZIMUTH_CODES
+    last, strongest = (_by_laser(layout, table["blocks"]["records"], copy) for copy in (0, -1))
+    distance_lsb, reflectivity = strongest
     return Sequences(
+        layout=layout,
+        period_ns=period_ns,
         number=number,
         distance_lsb=distance_lsb,
         reflectivity=reflectivity,
@@ -103,13 +114,14 @@ def _sequences_of(path: Path, table: PacketTable) -> Sequences:
         clock_ns=table["sensor_ns"][0] % HOUR_NS + since_ns,
         stamp_ns=table["arrival_ns"],
         packet=packet,
-        last=_by_laser(table["blocks"][:, ::2]) if dual else None,
+        last=last if dual else None,
     )
 
 
-def _by_laser(blocks: NDArray[np.void]) -> tuple[I8, I8]:
-    """Return distances and reflectivities (n, 16) of the firing sequences of blocks."""
+def _by_laser(layout: Layout, records: NDArray[np.void], copy: int) -> tuple[I8, I8]:
+    """Return distances and reflectivities (n, L) of the firing sequences of one of the copies of blocks."""
+    lasers = layout.model.lasers
+    by_copy = layout.by_laser(records).reshape(-1, layout.copies, layout.per_reading, lasers)[:, copy]
     names = ("distance_lsb", "reflectivity")
-    records = blocks["records"]
-    distance, code = (records[name].reshape(-1, layout.LASERS).astype(np.int64) for name in names)
+    distance, code = (by_copy[name].reshape(-1, lasers).astype(np.int64) for name in names)
     return distance, code

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.extras.compare.sequences import Sequences
-from vlp16emu.packets.layout import AZIMUTH_CODES
+from vlp16emu.packets.layout import AZIMUTH_CODES, BLOCK_PERIOD_NS, DISTANCE_LSB_M
 from vlp16emu.sensor.settings import set_rpm
 from vlp16emu.types import F8, I8, AnyArray
 from vlp16emu.units import US_NS
@@ -29,7 +29,7 @@ _LEAST_STRETCHES = 30
 """Least number of pairs of neighbours or codes of a laser, and of stretches, for a statistic."""
 _MOST_COUNTS = 15
 _COMB_CODES = (50, 100)
-_COMB_RANGES_LSB = 250 * 1.4 ** np.arange(14)
+_COMB_RANGES_MM = 500 * 1.4 ** np.arange(14)
 _LEAST_COMB = 200
 """Codes, edges of the range classes from half a metre to 40 m, and the least number of codes in a class."""
 _SCATTERED = 0.4
@@ -39,7 +39,6 @@ clipped at 100."""
 _GAIN_CODES = (10, 90)
 _SECTOR_CDEG = 4500
 _LEAST_GAIN = 100
-_UPWARDS = np.r_[0:16:2, 1:16:2]  # lasers by elevation (63-9243 Rev D, table 9-1)
 
 Statistics = dict[str, float]
 
@@ -92,12 +91,12 @@ def stretches_of(sequences: Sequences) -> Stretches | None:
     number = sequences.number[: count * _PULSES].reshape(count, _PULSES)
     lasers = sequences.distance_lsb.shape[1]
     shape = (count, _PULSES, lasers)
-    distance = sequences.distance_lsb[: count * _PULSES].reshape(shape).transpose(0, 2, 1)
+    range_mm = sequences.range_mm[: count * _PULSES].reshape(shape).transpose(0, 2, 1)
     codes = sequences.reflectivity[: count * _PULSES].reshape(shape).transpose(0, 2, 1)
-    residual_mm = 2.0 * distance @ _Q
+    residual_mm = range_mm @ _Q
     is_gapless = number[:, -1] - number[:, 0] == _PULSES - 1
     is_smooth = (residual_mm**2).mean(axis=2) < _SMOOTHEST_MM**2
-    is_smooth &= (distance > 0).all(axis=2) & is_gapless[:, None]
+    is_smooth &= (range_mm > 0).all(axis=2) & is_gapless[:, None]
     slot = (24 * number[:, :1] + np.arange(lasers)) % _SLOTS
     found = Stretches(residual_mm[is_smooth], slot[is_smooth], codes[is_smooth])
     return found if len(found.first_slot) >= _LEAST_STRETCHES else None
@@ -159,7 +158,7 @@ def codes(sequences: Sequences) -> Statistics:
     """
     seen = sequences.distance_lsb > 0
     r = sequences.reflectivity
-    far = np.searchsorted(_COMB_RANGES_LSB, sequences.distance_lsb)
+    far = np.searchsorted(_COMB_RANGES_MM, sequences.range_mm)
     histogram = far * far.shape[1] + np.arange(far.shape[1])
     low, high = _COMB_CODES
     bright = seen & (r >= low) & (r < high)
@@ -178,8 +177,9 @@ def gains(sequences: Sequences) -> Statistics:
     Each laser is compared with its neighbours above and below on the same surface. Gains count as far as both
     of two sets of alternate sectors of 45 deg show them, so the scene does not.
     """
-    d = sequences.distance_lsb[:, _UPWARDS]
-    r = sequences.reflectivity[:, _UPWARDS]
+    upwards = np.argsort(sequences.layout.model.beams.ring)
+    d = sequences.distance_lsb[:, upwards]
+    r = sequences.reflectivity[:, upwards]
     mid, low, high = d[:, 1:-1], *_GAIN_CODES
     usable = (d > 0) & (r >= low) & (r < high)
     same = usable[:, :-2] & usable[:, 1:-1] & usable[:, 2:]
@@ -208,9 +208,9 @@ def gains(sequences: Sequences) -> Statistics:
 _LEAST_EDGES = 15
 _LEAST_PACKETS = 250
 _ALIKE_LSB = 12
-_FLAT_LSB = 20
-_EQUAL_LSB = 15
-_STEPS_LSB = (150, 700)
+_FLAT_MM = 40
+_EQUAL_MM = 30
+_STEPS_MM = (300, 1400)
 """Greatest change of range between neighbours whose parity counts, beside a record, and across it, on one
 surface; least near and far steps."""
 _CODE_STEP = 20
@@ -240,19 +240,19 @@ def lost_records(sequences: Sequences) -> Statistics:
     There is one for each change across the pairs: none of range; steps of 0.3 to 1.4 m, and larger; 20 codes
     of reflectivity and more on one surface.
     """
-    d = sequences.distance_lsb
+    d = sequences.range_mm
     r = sequences.reflectivity
     before, a, middle, c, after = (d[i : len(d) - 4 + i] for i in range(5))
     in_row = (sequences.number[4:] - sequences.number[:-4] == 4)[:, None]
     is_edge = in_row & (np.minimum(np.minimum(before, a), np.minimum(c, after)) > 0)
-    is_edge &= (np.abs(a - before) < _FLAT_LSB) & (np.abs(c - after) < _FLAT_LSB)
-    step_lsb = np.abs(c - a)
-    (near, far) = _STEPS_LSB
-    same = is_edge & (step_lsb < _EQUAL_LSB)
+    is_edge &= (np.abs(a - before) < _FLAT_MM) & (np.abs(c - after) < _FLAT_MM)
+    step_mm = np.abs(c - a)
+    (near, far) = _STEPS_MM
+    same = is_edge & (step_mm < _EQUAL_MM)
     places = {
         "lost.on_a_surface": same,
-        "lost.at_steps_below_1.4_m": is_edge & (step_lsb >= near) & (step_lsb < far),
-        "lost.at_steps_above_1.4_m": is_edge & (step_lsb >= far),
+        "lost.at_steps_below_1.4_m": is_edge & (step_mm >= near) & (step_mm < far),
+        "lost.at_steps_above_1.4_m": is_edge & (step_mm >= far),
         "lost.at_code_steps": same & (np.abs(r[3:-1] - r[1:-3]) >= _CODE_STEP),
     }
     return {name: float((middle[at] == 0).mean()) for name, at in places.items() if at.sum() >= _LEAST_EDGES}
@@ -274,7 +274,7 @@ def no_returns(sequences: Sequences) -> Statistics:
 
 
 def commonest(silent: NDArray[np.bool_], r: I8) -> I8:
-    """Return the commonest code (16,) of each laser's records without a return, 0 if there are too few."""
+    """Return the commonest code (L,) of each laser's records without a return, 0 if there are too few."""
     laser_codes = [column[is_silent] for column, is_silent in zip(r.T, silent.T, strict=True)]
     return np.array([np.bincount(c).argmax() if len(c) >= _LEAST_EDGES else 0 for c in laser_codes])
 
@@ -380,7 +380,7 @@ def rotation(sequences: Sequences) -> Statistics:
         "rotation.rarest_of_five": (np.bincount(azimuth % 5, minlength=5) / len(azimuth)).min(),
         "rotation.uneven_of_twenty": (20.0 * np.bincount(azimuth % 20, minlength=20) / len(azimuth)).std(),
     }
-    if _AT_RPM[0] < rpm < _AT_RPM[1]:
+    if _AT_RPM[0] < rpm < _AT_RPM[1] and sequences.layout.reading_ns == BLOCK_PERIOD_NS:
         out["rotation.short_steps"] = (step < _LEAST_STEP_CDEG).mean()
     turns = (azimuth - azimuth[0]) // AZIMUTH_CODES
     if turns[-1] >= 3:
@@ -393,8 +393,11 @@ def rotation(sequences: Sequences) -> Statistics:
 def _residues(sequences: Sequences) -> Statistics:
     """Return the spread over lasers of the share of odd distances, and how uneven remainders of four are.
 
-    Also the share of even changes between neighbours of a laser that have one code and nearly one range.
+    Also the share of even changes between neighbours of a laser that have one code and nearly one range. None
+    for models with another unit of distance, whose remainders say something else.
     """
+    if sequences.layout.model.distance_lsb_m != DISTANCE_LSB_M:
+        return {}
     d = sequences.distance_lsb
     odd = [(codes[codes > 0] % 2).mean() for codes in d.T if (codes > 0).sum() >= _LEAST]
     if len(odd) < 5:
@@ -419,8 +422,11 @@ def _clocks(sequences: Sequences) -> Statistics:
     arrival_us = (np.diff(stamp_us) - np.diff(clock_us)).std()
     if len(clock_us) < _LEAST_PACKETS:
         return {"clock.arrival_us": arrival_us}
-    return {
-        "clock.error_ppm": (np.polyfit(sequences.packet, clock_us, 1)[0] / sequences.packet_us - 1) * 1e6,
+    host = {
         "clock.host_ppm": (np.polyfit(clock_us, stamp_us, 1)[0] - 1) * 1e6,
         "clock.arrival_us": arrival_us,
     }
+    if sequences.layout.model.period_us is not None:  # the period of a unit is not known beside its clock
+        return host
+    error_ppm = (np.polyfit(sequences.packet, clock_us, 1)[0] / sequences.packet_us - 1) * 1e6
+    return {"clock.error_ppm": error_ppm} | host

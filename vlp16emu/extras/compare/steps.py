@@ -8,7 +8,7 @@ from vlp16emu.extras.compare.sequences import Sequences
 from vlp16emu.sensor.laws import law, span
 from vlp16emu.types import F8
 
-_LSB_PER_M = 500.0
+_MM_PER_M = 1000.0
 _PER_CODE = 8
 _MOST = round(_PER_CODE * law("strength.most_far"))
 _TOP = 46  # codes below the calibration table of bright ones
@@ -34,20 +34,20 @@ def far_factor(sequences: Sequences) -> float | None:
     """
     _, coarse_m, far_m = span("strength.ranges_m")
     of_lasers = []
-    for range_lsb, code in zip(sequences.distance_lsb.T, sequences.reflectivity.T, strict=True):
+    for range_mm, code in zip(sequences.range_mm.T, sequences.reflectivity.T, strict=True):
         factors = [
             (eighths / _PER_CODE) ** (math.log(far_m / coarse_m) / math.log(min(at_m, far_m) / coarse_m))
-            for at_m, eighths in _factors(range_lsb, code)
+            for at_m, eighths in _factors(range_mm, code)
         ]
         if factors:
             of_lasers.append(float(np.median(factors)))
     return float(np.median(of_lasers)) if len(of_lasers) >= _LEAST_LASERS else None
 
 
-def _factors(range_lsb: F8, code: F8) -> list[tuple[float, int]]:
+def _factors(range_mm: F8, code: F8) -> list[tuple[float, int]]:
     """Return ranges of a laser in metres, and the eighths of its factor there."""
-    chosen = (range_lsb >= _NEAREST_M * _LSB_PER_M) & (code > 0) & (code < _TOP)
-    place = (np.log(range_lsb[chosen] / (_NEAREST_M * _LSB_PER_M)) / _STEP).astype(np.int64)
+    chosen = (range_mm >= _NEAREST_M * _MM_PER_M) & (code > 0) & (code < _TOP)
+    place = (np.log(range_mm[chosen] / (_NEAREST_M * _MM_PER_M)) / _STEP).astype(np.int64)
     found = []
     for which in np.unique(place):
         codes = code[chosen][place == which]

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from vlp16emu.extras.compare.sequences import Sequences
 from vlp16emu.extras.compare.statistics import statistics_of
+from vlp16emu.packets.layout import LASERS
 
 _ONE_UNIT_FACTOR = 2.0  # of the limits of a statistic that is known of one unit
 
@@ -57,13 +58,16 @@ class Compared(NamedTuple):
     second: float
     distance: float  # difference as a multiple of the spread of real units
     apart: bool  # True if real units do not differ this much
-    unlike: tuple[bool, bool]  # True for each that is outside the limits of real units
+    unlike: tuple[
+        bool, bool
+    ]  # True for each Puck that is outside the limits of real units, which are VLP-16s
 
 
 def compare_statistics(first: Sequences, second: Sequences) -> list[Compared]:
     """Compare two captures by the statistics that both have."""
     first_values = statistics_of(first)
     second_values = statistics_of(second)
+    is_puck = [sequences.layout.model.lasers == LASERS for sequences in (first, second)]
     rows = []
     for name in first_values:
         if name not in second_values or name not in REAL:
@@ -72,6 +76,6 @@ def compare_statistics(first: Sequences, second: Sequences) -> list[Compared]:
         values = (first_values[name], second_values[name])
         spread = max(known.high - known.low, _LEAST_SPREAD * abs(known.high), 1e-9)
         distance = abs(values[0] - values[1]) / spread
-        unlike = not known.is_like(values[0]), not known.is_like(values[1])
-        rows.append(Compared(name, known.text, *values, distance, distance > 1.0, unlike))
+        unlike = [puck and not known.is_like(value) for puck, value in zip(is_puck, values, strict=True)]
+        rows.append(Compared(name, known.text, *values, distance, distance > 1.0, (unlike[0], unlike[1])))
     return rows

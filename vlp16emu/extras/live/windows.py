@@ -178,7 +178,7 @@ class CubeWindows(Windows[Geometry]):
         super().__init__(open_window, batching, moves=True, threads=threads, prepare_thread=prepare_thread)
         self._start_ns = start_ns
         self._motion = motion
-        self._segment = batching.segment if parts.wind is not None else None  # time counts if trees sway
+        self._sways = parts.wind is not None  # time counts if trees sway
         self._looked_ns = 0
         self._named: tuple[int, Hashable] = (start_ns, None)  # begin of an ordinary block, and its name
         self._guess: Future[Geometry] | None = None  # window that was last opened ahead
@@ -249,7 +249,7 @@ class CubeWindows(Windows[Geometry]):
         cube = Cube.containing(before_m)
         if not cube.serves(place_m, speed_m_s):
             cube = Cube.containing(place_m)
-        return cube, block // self._segment if self._segment else 0
+        return cube, block * self._block_ns // self._segment_ns if self._sways else 0
 
 
 def lower_priority(thread: int) -> None:

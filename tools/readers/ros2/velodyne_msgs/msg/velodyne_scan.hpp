@@ -1,0 +1,1 @@
+#pragma once  // Nebula's decoders include it, and use nothing of it
