@@ -302,7 +302,7 @@ class FarCaster(EmbreeCaster):
             key, parts = shape
             name = self._tiled.shape_name(key)
             return recall(
-                name and f"cloud {name} {parts.tolist()}", lambda: cloud_of(self._tiled.shape(key), parts)
+                name and f"cloud {name} {parts.tolist()}", lambda: cloud_of(self._tiled.shape(key), parts, self._tiled.core(key))
             )
 
         self._clouds |= dict(zip(new, self._workers.map(measure, new.items()), strict=True))

@@ -76,3 +76,9 @@ class TiledWorld(World, Protocol):
 
     def far_tile(self, ix: int, iy: int) -> FarTile:
         """Return a far square of the world; equal arguments give equal squares."""
+
+    def core(self, key: ShapeKey) -> F8 | None:
+        """Return heights and radii (2, k) of the stem around the z axis of a shape that has none itself.
+
+        None for other shapes. Heights ascend; what is inside the stem is not part of the far medium.
+        """

@@ -234,6 +234,10 @@ class ForestWorld:
                 return floor_meshes(self.seed, key)
         raise KeyError(key)
 
+    def core(self, key: ShapeKey) -> F8 | None:
+        """Return heights and radii (2, k) of the stem in a crown; None for other shapes."""
+        return prototypes.crown_core(key, table=self.plants.trees) if isinstance(key, prototypes.CrownKey) else None
+
     def stems(self, key: TileKey) -> list[Mesh]:
         """Return the meshes of a tile's shape without the first, the ground."""
         return self._stem_meshes(key.ix, key.iy)
