@@ -65,8 +65,8 @@ def cloud_of(meshes: Sequence[Mesh], parts: U1, core: F8 | None = None) -> Cloud
     Parameters
     ----------
     parts : (meshes,) `PlantPart` of each mesh; meshes that are `EXACT` are left out
-    core : (2, k) heights, ascending, and radii of the stem around the shape's z axis, in which branches begin;
-        none if the stem is part of the shape
+    core : (2, k) heights, ascending, and radii of the stem around the shape's z axis, in which branches
+        begin; None for other shapes
     """
     exact = (parts == EXACT).tolist()
     meshes = [
@@ -110,8 +110,8 @@ def cloud_of(meshes: Sequence[Mesh], parts: U1, core: F8 | None = None) -> Cloud
 def outside(corners_m: F8, mesh_of: I8, core: F8) -> tuple[F8, I8]:
     """Return what of faces (f, 4, 3) is outside a stem, and their meshes.
 
-    Branches begin on the stem's axis. What is inside the bark would be met in front of the stem, too, once it is
-    spread over a voxel. Triangles across the bark are cut in halves, `_CUTS` times.
+    Branches begin on the stem's axis. Once it is spread over a voxel, what is inside the bark would be met in
+    front of the stem too. Triangles across the bark are cut in halves, `_CUTS` times.
     """
     for _ in range(_CUTS):
         within = _is_within(corners_m, core)

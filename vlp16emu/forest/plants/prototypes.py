@@ -94,7 +94,9 @@ def crown_core(key: CrownKey, *, table: Table | None = None) -> F8:
     at_m = np.append(
         np.linspace(0.0, key.crown_base_m, 16)[:-1], np.linspace(key.crown_base_m, key.height_m, 16)
     )
-    return np.stack([at_m - key.crown_base_m, _stem_radius_m(key, (table or flora().trees)[key.species], at_m)])
+    return np.stack(
+        [at_m - key.crown_base_m, _stem_radius_m(key, (table or flora().trees)[key.species], at_m)]
+    )
 
 
 def _stem_radius_m(key: CrownKey, species: Species, at_m: F8) -> F8:
