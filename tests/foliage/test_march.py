@@ -156,7 +156,19 @@ class Twin:
             return MISS
         met_m = at_m[n - 1] + (at_m[n] - at_m[n - 1]) * over_m[n - 1] / (over_m[n - 1] - over_m[n])
         x, y = u + du * met_m, v + dv * met_m
-        return met_m, int(self.M.ground.surface[int(x) // (4 * FINER), int(y) // (4 * FINER)])
+        surface = int(self.M.ground.surface[int(x) // (4 * FINER), int(y) // (4 * FINER)])
+        word = int(self.M.ground.sides[int(x), int(y)])
+        own = 4 * (word >> 8) + 2 * (int(x) & 1) + (int(y) & 1)
+        own = own * 0x9E3779B1 & M32
+        own = (own ^ own >> 15) * 0x85EBCA77 & M32
+        own ^= own >> 13
+        i, j, s, t = int(x), int(y), x % 1, y % 1
+        corners = grid[i : i + 2, j : j + 2]
+        east, north = corners[1] - corners[0], corners[:, 1] - corners[:, 0]
+        slope = np.array([east[int(s < t)], north[int(s >= t)]]) * FINER / VOXEL_M
+        sine = abs(d[2] - slope @ d[:2]) / math.hypot(1.0, *slope)
+        is_side = word and own >> 16 < 65536 * (1 - math.exp(-(word & 255) / 255 / sine))
+        return met_m, surface + (word >> 8 if is_side else 0)
 
 
 def marched(medium, origin_m, direction, axis=None, far_m=FAR_M):
@@ -186,7 +198,7 @@ def within_m(medium, origin_m, direction):
 @pytest.fixture(scope="module")
 def stand(workers):
     """Nine tiles, their window and their medium."""
-    world = lab.Tiles()
+    world = lab.Tiles(low=True)
     window = world.window(np.array([[10.0, 10.0, 6.0]]))
     far = FarCaster(world, workers)
     return world, window, far.medium(window, far.tiles(window))

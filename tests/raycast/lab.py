@@ -198,6 +198,10 @@ def bumpy(x, y):
     return 0.12 * x - 0.05 * y + 0.4 * np.sin(x / 3.1) * np.cos(y / 4.3) + 3.3
 
 
+FACING = np.linspace(0.2, 0.9, QUANTILES, dtype="f4")
+"""Quantiles of the cosine of incidence of low things."""
+
+
 class Tiles:
     """Squares of ground with stems, crowns over some of them, and stones; a `World` that is a medium
     beyond `near_m`."""
@@ -216,6 +220,7 @@ class Tiles:
         height_m=bumpy,
         seed=99,
         bow_m=0.0,
+        low=False,
     ):
         self.near_m, self.seed, self.height_m, self.across, self._bow_m = (
             near_m,
@@ -224,6 +229,7 @@ class Tiles:
             across,
             bow_m,
         )
+        self._low = low
         self._kept, self._per_tile, self._things, self._crowns_far = {}, per_tile, things, crowns_far
         self._shapes = {"crown": crown(), "stone": stone()}
 
@@ -260,6 +266,7 @@ class Tiles:
             first.append(len(rows))
             tree = [(Semantic.TREE, part) for part in CROWN_PARTS]
             rows += tree if key == "crown" else [(Semantic.STONE, PlantPart.NONE)]
+        rows.append((Semantic.GROUND, PlantPart.NONE))  # that of low things
         surfaces = np.zeros(len(rows), SURFACE)
         surfaces["semantic"], surfaces["part"] = np.array(rows).T
         surfaces["reflectance"] = 0.4
@@ -278,7 +285,7 @@ class Tiles:
 
     def far_tile(self, ix, iy):
         """Describe a tile from afar."""
-        stems, placed, first, _ = self.tile(ix, iy)
+        stems, placed, first, surfaces = self.tile(ix, iy)
         own = [i for i, (key, _) in enumerate(placed) if self._crowns_far or key != "crown"]
         placed, first = [placed[i] for i in own], first[own]
         corner_m, keys = self.corner_m(ix, iy), [*self.parts] if placed else []
@@ -294,7 +301,18 @@ class Tiles:
             np.array([part for key in keys for part in self.parts[key]], "u1"),
             stems,
             self.height_m(x, y),
+            self.sides(ix, iy, len(surfaces) - 1),
+            FACING,
         )
+
+    def sides(self, ix, iy, row):
+        """Low things, on a third of the squares of a tile, if there are any."""
+        rng = np.random.default_rng([ix + 1000, iy + 1000, 1])
+        code = rng.integers(1, 256, (80, 80)) * (rng.random((80, 80)) < self._low / 3)
+        return np.where(code, row << 8 | code, 0).astype("u4")
+
+    def core(self, _key):
+        """Branches do not begin inside a stem."""
 
     def shape(self, key):
         """Meshes of a tile, ground first, of a crown or of a stone."""
@@ -348,7 +366,15 @@ def no_medium():
         owner=np.zeros(0, np.uint64),
         surface=np.zeros((1, 1, 9), np.uint32),
         cosine=np.zeros((0, len(KNOTS), QUANTILES), np.float32),
-        ground=Ground(np.zeros((2, 2), np.float32), np.zeros((1, 1), np.uint32), 0.0, 0.0, 0.0),
+        ground=Ground(
+            np.zeros((2, 2), np.float32),
+            np.zeros((1, 1), np.uint32),
+            0.0,
+            0.0,
+            0.0,
+            np.zeros((1, 1), "u4"),
+            FACING,
+        ),
         stems=stems_of(
             np.zeros((0, 8)),
             np.zeros((0, 5, 16), np.float32),

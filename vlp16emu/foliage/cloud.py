@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.elementary import cos, log, norm
+from vlp16emu.elementary import cos, hypot, log, norm
 from vlp16emu.foliage.tiles import EXACT
 from vlp16emu.foliage.voxel import KNOTS, QUANTILES, VOXEL_M
 from vlp16emu.kernels.compiler import inline_kernel, kernel
@@ -27,6 +27,7 @@ _CELL_M = 0.25
 _FEW_FACES = 2000
 """Shapes with at most this many faces are kept face by face: saplings, whose leaves hide each other as those
 of crowns do, and stones, logs, ferns and tufts, which are stretched when placed."""
+_CUTS = 4  # of the triangles of a branch where it leaves the stem: to pieces of some centimetres
 
 
 _COSINE = (np.arange(TILTS) + 0.5) / TILTS
@@ -58,12 +59,14 @@ class Cloud:
     radius_m: float  # greatest distance of a corner from the shape's origin
 
 
-def cloud_of(meshes: Sequence[Mesh], parts: U1) -> Cloud:
+def cloud_of(meshes: Sequence[Mesh], parts: U1, core: F8 | None = None) -> Cloud:
     """Measure the projected area of a shape of some meshes.
 
     Parameters
     ----------
     parts : (meshes,) `PlantPart` of each mesh; meshes that are `EXACT` are left out
+    core : (2, k) heights, ascending, and radii of the stem around the shape's z axis, in which branches
+        begin; None for other shapes
     """
     exact = (parts == EXACT).tolist()
     meshes = [
@@ -79,13 +82,16 @@ def cloud_of(meshes: Sequence[Mesh], parts: U1) -> Cloud:
         if mesh.faces.shape[1] == 3:
             faces_m[:, 3] = faces_m[:, 2]
     mesh_of = np.repeat(np.arange(len(meshes)), np.diff(first))
+    few = len(corners_m) <= _FEW_FACES
+    if core is not None:
+        corners_m, mesh_of = outside(corners_m, mesh_of, core)
+        first = np.searchsorted(mesh_of, np.arange(len(meshes) + 1))
     area_m2, weight = _face_areas(corners_m, mesh_of, len(meshes))
     projection = np.zeros((len(meshes), len(KNOTS)))
     cosine = np.ones((len(meshes), len(KNOTS), QUANTILES))
     for number in np.flatnonzero(weight.any(axis=1)).tolist():
         projection[number], cosine[number] = _angular_law(weight[number])
     counted = share[mesh_of]
-    few = len(corners_m) <= _FEW_FACES
     is_leaf = parts == PlantPart.LEAF
     if not few or (is_leaf.any() and not is_leaf.all()):
         effective, light = look_through(corners_m, first, share)
@@ -99,6 +105,39 @@ def cloud_of(meshes: Sequence[Mesh], parts: U1) -> Cloud:
         kept = np.zeros((0, 4, 3), np.float32), np.zeros(0, np.uint8), np.zeros(0, np.float32)
     radius_m = float(norm(corners_m).max(initial=0.0))
     return Cloud(*cells, *kept, projection.astype(np.float32), cosine.astype(np.float32), radius_m)
+
+
+def outside(corners_m: F8, mesh_of: I8, core: F8) -> tuple[F8, I8]:
+    """Return what of faces (f, 4, 3) is outside a stem, and their meshes.
+
+    Branches begin on the stem's axis. Once it is spread over a voxel, what is inside the bark would be met in
+    front of the stem too. Triangles across the bark are cut in halves, `_CUTS` times.
+    """
+    for _ in range(_CUTS):
+        within = _is_within(corners_m, core)
+        across = within.any(axis=1) & ~within.all(axis=1) & (corners_m[:, 2] == corners_m[:, 3]).all(axis=1)
+        halves = _halves(corners_m[across])
+        corners_m = np.concatenate([corners_m[~across], *halves])
+        mesh_of = np.concatenate([mesh_of[~across], mesh_of[across], mesh_of[across]])
+    keep = ~_is_within(_middles_m(corners_m), core)
+    order = np.argsort(mesh_of[keep], kind="stable")
+    return corners_m[keep][order], mesh_of[keep][order]
+
+
+def _is_within(points_m: F8, core: F8) -> NDArray[np.bool_]:
+    """Return a mask (...,) of the points (..., 3) inside a stem."""
+    radius_m = np.interp(points_m[..., 2], core[0], core[1], left=0.0, right=0.0)
+    return np.asarray(hypot(points_m[..., 0], points_m[..., 1]) < radius_m)
+
+
+def _halves(corners_m: F8) -> tuple[F8, F8]:
+    """Cut triangles (f, 4, 3), whose last corner is there twice, through the middle of their longest side."""
+    corners_m = corners_m[:, :3]
+    longest = norm(np.roll(corners_m, -1, axis=1) - corners_m).argmax(axis=1)
+    turned = (longest[:, None] + np.arange(3)) % 3
+    a, b, c = np.moveaxis(np.take_along_axis(corners_m, turned[..., None], axis=1), 1, 0)
+    middle = (a + b) / 2
+    return np.stack([a, middle, c, c], axis=1), np.stack([middle, b, c, c], axis=1)
 
 
 def _face_areas(corners_m: F8, mesh_of: I8, meshes: int) -> tuple[F8, F8]:

@@ -48,17 +48,22 @@ def _ground(
 ) -> Ground:
     ground_m = np.full((size[0] * BRICK * FINER + 1, size[1] * BRICK * FINER + 1), _NO_GROUND_M)
     surface = np.zeros(size[:2], np.uint32)
+    sides = np.zeros((size[0] * BRICK * FINER, size[1] * BRICK * FINER), np.uint32)
     low = np.array(list(rows)).min(axis=0)
     for (ix, iy), row in rows.items():
         i, j = (ix - low[0]) * _BRICKS, (iy - low[1]) * _BRICKS
         surface[i : i + _BRICKS, j : j + _BRICKS] = row
         across, up = (slice(at * BRICK * FINER, (at + _BRICKS) * BRICK * FINER + 1) for at in (i, j))
         ground_m[across, up] = tiles[ix, iy].ground_m[FINER:-FINER, FINER:-FINER] - window.origin_m[2]
+        across, up = (slice(at * BRICK * FINER, (at + _BRICKS) * BRICK * FINER) for at in (i, j))
+        sides[across, up] = tiles[ix, iy].sides
     known = ground_m > _NO_GROUND_M / 2
     along_x = np.abs(np.diff(ground_m, axis=0))[known[1:] & known[:-1]]
     along_y = np.abs(np.diff(ground_m, axis=1))[known[:, 1:] & known[:, :-1]]
     steepest = float(hypot(along_x.max(initial=0.0), along_y.max(initial=0.0)) * FINER / VOXEL_M)
-    return Ground(ground_m, surface, float(corner_m[0]), float(corner_m[1]), steepest)
+    return Ground(
+        ground_m, surface, float(corner_m[0]), float(corner_m[1]), steepest, sides, tiles[ix, iy].facing
+    )
 
 
 def _stems(window: TiledWindow, tiles: Mapping[Name, FarTile], rows: Mapping[Name, int]) -> Stems:
@@ -302,7 +307,8 @@ class FarCaster(EmbreeCaster):
             key, parts = shape
             name = self._tiled.shape_name(key)
             return recall(
-                name and f"cloud {name} {parts.tolist()}", lambda: cloud_of(self._tiled.shape(key), parts)
+                name and f"cloud {name} {parts.tolist()}",
+                lambda: cloud_of(self._tiled.shape(key), parts, self._tiled.core(key)),
             )
 
         self._clouds |= dict(zip(new, self._workers.map(measure, new.items()), strict=True))

@@ -4,11 +4,14 @@ import math
 
 import numpy as np
 
+from vlp16emu.elementary import exp
 from vlp16emu.foliage.lanes import Ground, Pulse
-from vlp16emu.foliage.voxel import BRICK, FINER, VOXEL_M
+from vlp16emu.foliage.tiles import SIDE_CODES, SIDE_ROW_BIT
+from vlp16emu.foliage.voxel import BRICK, FINER, QUANTILES, VOXEL_M
 from vlp16emu.kernels.compiler import inline_kernel
 
 f4 = np.float32
+u4 = np.uint32
 _Ray = tuple[np.float32, np.float32, np.float32, np.float32, np.float32, np.float32]
 _Slope = tuple[np.float32, np.float32, np.float32]
 """Height over the ground, and the slope of the ground along x and y."""
@@ -50,8 +53,36 @@ def meet_ground(ground: Ground, pulse: Pulse, middle_m: np.float32, length: np.f
                 max(int((y + dy * at_m - f4(ground.corner_y_m)) * across), 0), ground.surface.shape[1] - 1
             )
             L.surface[lane] = ground.surface[i, j]
+            _meet_side(ground, pulse, lane, (x + dx * at_m, y + dy * at_m))
             met = True
     return met
+
+
+@inline_kernel
+def _meet_side(ground: Ground, pulse: Pulse, lane: int, at_m: tuple[np.float32, np.float32]) -> None:
+    """Replace the ground that a lane meets by the side of a low thing in front of it, if there is one.
+
+    The lower the light, the more of the ground is behind such sides: where they have the projected area a per
+    area of ground, light that meets the ground at the sine s meets a side first in 1 - exp(-a / s) of all
+    cases (Beer's law).
+    """
+    (x, y) = at_m
+    sides = ground.sides
+    i = min(max(int((x - f4(ground.corner_x_m)) * f4(FINER / VOXEL_M)), 0), sides.shape[0] - 1)
+    j = min(max(int((y - f4(ground.corner_y_m)) * f4(FINER / VOXEL_M)), 0), sides.shape[1] - 1)
+    word = sides[i, j]
+    if not word:
+        return
+    L = pulse.lanes
+    row = word >> u4(SIDE_ROW_BIT)
+    # Squares of a tile keep their draws from window to window: tiles have an even number of them.
+    drawn = u4(u4(row * u4(4) + u4(2 * (i & 1) + (j & 1))) * u4(0x9E3779B1))
+    drawn = u4(u4(drawn ^ u4(drawn >> u4(15))) * u4(0x85EBCA77))
+    drawn = u4(drawn ^ u4(drawn >> u4(13)))
+    side = float(word & u4(SIDE_CODES)) / SIDE_CODES
+    if float(drawn >> u4(16)) < 65536.0 * (1.0 - exp(-side / max(float(L.cosine[lane]), 1e-3))):
+        L.cosine[lane] = ground.facing[int(drawn & u4(0xFFFF)) % QUANTILES]
+        L.surface[lane] += row
 
 
 @inline_kernel

@@ -21,6 +21,8 @@ class Ground(NamedTuple):
     corner_x_m: float
     corner_y_m: float
     steepest: float  # greatest slope
+    sides: U4  # (8 x, 8 y) low things on the squares of `height_m`, as in `FarTile`
+    facing: F4  # (QUANTILES,) likewise
 
 
 class Stems(NamedTuple):

@@ -4,14 +4,15 @@ A window with tiles is cast as faces up to `near_m` and as a medium beyond; othe
 alone.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.foliage.voxel import COLUMNS, FINER, QUANTILES
 from vlp16emu.trees import Tree
-from vlp16emu.types import F8, I8, U1, ShapeKey, Window, World
+from vlp16emu.types import F4, F8, I8, U1, U4, ShapeKey, Window, World
 
 STEM = np.dtype(
     [
@@ -30,6 +31,9 @@ STEM = np.dtype(
 EXACT = 255
 """In place of a `PlantPart`: a mesh of a `FarTile` that is exact as `STEM`s, not part of the medium."""
 
+SIDE_CODES = 255  # greatest code of a side, for as much side as ground
+SIDE_ROW_BIT = 8  # first bit of the row of its surface
+
 
 @dataclass(frozen=True, slots=True)
 class FarTile:
@@ -46,6 +50,11 @@ class FarTile:
     ground_m: F8
     """Heights (85, 85) every 0.25 m in x and y, from 0.5 m outside the corner to 0.5 m outside the opposite
     one."""
+    sides: U4 = field(default_factory=lambda: np.zeros((COLUMNS * FINER, COLUMNS * FINER), np.uint32))
+    """Sides of things that are too low for the medium, on squares (80, 80) of 0.25 m: their projected area
+    over that of the square, 255 for 1, and from `SIDE_ROW_BIT` the row of their surface in the tile."""
+    facing: F4 = field(default_factory=lambda: np.ones(QUANTILES, np.float32))
+    """(QUANTILES,) quantiles of the cosine of incidence of such things, the same for all tiles."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,3 +85,9 @@ class TiledWorld(World, Protocol):
 
     def far_tile(self, ix: int, iy: int) -> FarTile:
         """Return a far square of the world; equal arguments give equal squares."""
+
+    def core(self, key: ShapeKey) -> F8 | None:
+        """Return heights and radii (2, k) of the stem around the z axis of a shape that has none itself.
+
+        None for other shapes. Heights ascend; what is inside the stem is not part of the far medium.
+        """

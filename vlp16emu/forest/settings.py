@@ -326,7 +326,7 @@ class DwarfShrubs(Cover):
 class Moss(Cover):
     """Cushions of moss within 12 m of the path, eight times as wide as high; labelled as ground.
 
-    They are cast up to `near_m`.
+    They are cast up to `near_m`; beyond, their sides are met in place of the ground.
     """
 
     height_m: Range = (0.03, 0.08)

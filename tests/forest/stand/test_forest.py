@@ -160,8 +160,8 @@ def test_everything_has_one_number_and_its_own_class(full_forest, track_m):
         assert name in fixed.get(Semantic(int(row["semantic"])), (name,) if " bark" in name else ())
 
 
-def test_moss_and_litter_are_not_seen_from_afar(full_forest, track_m):
-    """They are near geometry alone, without a number; herbs and all else are in the far medium too."""
+def test_moss_and_litter_are_no_part_of_the_medium(full_forest, track_m):
+    """They are near geometry, without a number; herbs and all else are in the far medium too."""
     window = full_forest.window(track_m)
     low = np.array([is_low(key) for key in window.shapes])[window.shape]
     assert low.sum() > 50

@@ -92,7 +92,7 @@ class Furnished:
         self.height_m = world.height_m
         self.near_m = world.near_m
         self.seed = world.seed
-        for name in ("name", "far_tile", "reaches"):  # a hall has no far tiles, and no end
+        for name in ("name", "far_tile", "core", "reaches"):  # a hall has no far tiles, and no end
             if hasattr(world, name):
                 setattr(self, name, getattr(world, name))
         self._reach_m = reach_m

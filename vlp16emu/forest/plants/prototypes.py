@@ -89,6 +89,22 @@ def crown_branches(seed: int, key: CrownKey, *, table: Table | None = None) -> t
     return (first, bare) if species.foliage else (first.select(np.zeros(0, np.int64)), join(first, bare))
 
 
+def crown_core(key: CrownKey, *, table: Table | None = None) -> F8:
+    """Return heights, ascending in the crown frame, and radii (2, 31) of the stem in which branches begin."""
+    at_m = np.append(
+        np.linspace(0.0, key.crown_base_m, 16)[:-1], np.linspace(key.crown_base_m, key.height_m, 16)
+    )
+    return np.stack(
+        [at_m - key.crown_base_m, _stem_radius_m(key, (table or flora().trees)[key.species], at_m)]
+    )
+
+
+def _stem_radius_m(key: CrownKey, species: Species, at_m: F8) -> F8:
+    """Return the radii of a prototype's stem at heights (n,) over the ground."""
+    taper = species.taper_rows(np.array([key.dbh_m]))
+    return taper_radius_m(taper, np.array([key.dbh_m]), np.array([key.height_m]), at_m[None])[0]
+
+
 def crown_wood_m3(seed: int, key: CrownKey, *, table: Table | None = None) -> float:
     """Volume of all branches of a prototype, including dead ones."""
     orders, dead = _orders(seed, key, (table or flora().trees)[key.species])[1:]
@@ -127,8 +143,7 @@ def _orders(
     name = species.number, key.variant, round(key.dbh_m * 1e4)
     rng, bole_rng = (generator(seed, purpose, *name) for purpose in (Growth.CROWN, Growth.DEAD_BRANCH))
     at_m = np.append(*(np.linspace(key.crown_base_m, end_m, 16) for end_m in (key.height_m, 0.0)))
-    taper = species.taper_rows(np.array([key.dbh_m]))
-    stem_m = taper_radius_m(taper, np.array([key.dbh_m]), np.array([key.height_m]), at_m[None])[0]
+    stem_m = _stem_radius_m(key, species, at_m)
     habit = species.crown.in_stand(key.openness)
     longest_m = habit.base_fraction * key.crown_width_m / 2
     living, *dead = bole_branches(bole_rng, habit, key.crown_base_m, longest_m, stem_m[16:])

@@ -19,6 +19,7 @@ from vlp16emu.forest.plants.foliage import IvyKey, ivy_meshes, ivy_tops_m
 from vlp16emu.forest.plants.species import Trees
 from vlp16emu.forest.plants.stem import STEM_LAYERS, STEM_PARTS, StemKey, stem_layers, stem_meshes
 from vlp16emu.forest.settings import Woods
+from vlp16emu.forest.stand.cushions import side_of, sides_on
 from vlp16emu.forest.stand.floor_shapes import FloorKey, floor_meshes
 from vlp16emu.forest.stand.given_stand import GivenStand
 from vlp16emu.forest.stand.inventory import far_stems
@@ -209,6 +210,8 @@ class ForestWorld:
             part=np.concatenate([np.zeros(0, np.uint8), *parts]),
             stems=np.concatenate([stems, modelled]),
             ground_m=self.height_m(x, y),
+            sides=sides_on(corner_m, tile, self.seed),
+            facing=side_of(self.seed)[1],
         )
 
     def shape(self, key: ShapeKey) -> tuple[Mesh, ...]:
@@ -233,6 +236,14 @@ class ForestWorld:
             case FloorKey():
                 return floor_meshes(self.seed, key)
         raise KeyError(key)
+
+    def core(self, key: ShapeKey) -> F8 | None:
+        """Return heights and radii (2, k) of the stem in a crown; None for other shapes."""
+        return (
+            prototypes.crown_core(key, table=self.plants.trees)
+            if isinstance(key, prototypes.CrownKey)
+            else None
+        )
 
     def stems(self, key: TileKey) -> list[Mesh]:
         """Return the meshes of a tile's shape without the first, the ground."""
