@@ -37,8 +37,8 @@ _PRESETS: dict[str, dict[str, object]] = {
         "no_return_reflectivity": True,
         "no_return_wander": 1.5,
         "records_lost": 1.0,
-        "gain_spread": 0.06,
-        "gain_by_range": 0.17,
+        "gain_spread": 0.04,
+        "gain_by_range": 0.13,
     },
 }
 
