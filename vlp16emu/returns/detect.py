@@ -228,7 +228,7 @@ def _detect(
                         exact_m[i, j, column] = peaks[RANGE, chosen[column]]
             if constants.lost.step + constants.lost.dark > 0.0:
                 place = (constants.seed, sight, i, at_m, errors.near_lost[j])
-                pulse = (rays, errors.sheet, start, stop)
+                pulse = (lit, rays, errors.sheet, start, stop)
                 _lose(constants, errors.no_return[j], pulse, place, noise, j, distance_m, reflectivity)
 
 
@@ -251,7 +251,7 @@ def _gather_with_air(
 def _lose(
     constants: DetectorConstants,
     no_return: float,
-    pulse: tuple[SubRays, U4, int, int],
+    pulse: tuple[int, SubRays, U4, int, int],
     place: tuple[int, Sight, int, float, float],
     noise: F8,
     j: int,

@@ -34,6 +34,7 @@ _TRUNCATED = (0.5 - 0.5 * np.gcd(_FACTORS, int(_PER_CODE)) / _PER_CODE) * _STREN
 _DIFFUSE = 100.0
 _FULL = 255.0
 _RANGE_LSB_PER_M = 500.0  # of a packet: 2 mm
+_M_PER_RANGE_LSB = 0.002
 
 
 class Strength(NamedTuple):
@@ -158,7 +159,7 @@ def _parities(seed: int, lasers: int) -> U1:
 def at_range(table: F8, range_m: float, column: int) -> float:
     """Return a column of a laser's table (bins, 3) at a range, interpolated."""
     place = min(range_m * _BINS_PER_M, _BINS - 1.001)
-    knot = np.int64(place)
+    knot = np.uint64(place)  # signed indices might count from the end
     fraction = place - knot
     return table[knot, column] + fraction * (table[knot + 1, column] - table[knot, column])
 
@@ -188,15 +189,15 @@ def in_steps(code: float, exact: float, eighths: float) -> float:
 def count_of(counts: F8, code: float) -> float:
     """Return the count of the receiver, before rounding, of a code of 0 to 100 before it is rounded."""
     place = code + 0.5
-    below = np.int64(place)
+    below = np.uint64(place)
     return counts[below] + (place - below) * (counts[below + 1] - counts[below])
 
 
 @inline_kernel
 def with_parity(parity: U1, count: float, range_m: float, most_m: float) -> float:
     """Return a range as a count of 4 mm and the correction of a receiver's count; `most_m` is its limit."""
-    odd = np.float64(parity[np.int64(count)])
+    odd = np.float64(parity[np.uint64(count)])
     counts = 2.0 * np.floor(0.5 * (range_m * _RANGE_LSB_PER_M - odd) + 0.5) + odd
     if counts > most_m * _RANGE_LSB_PER_M:
         counts -= 2.0
-    return counts / _RANGE_LSB_PER_M
+    return counts * _M_PER_RANGE_LSB
