@@ -45,8 +45,8 @@ def even_shares(noise, reflectance):
 
 
 def test_ranges_are_counts_of_4_mm_and_a_correction():
-    """Neighbours of equal code differ by an even number of 2 mm in 0.64 to 0.99 of all pairs on real units, at
-    codes 45 to 60 more often than at 8 to 15, those of other codes in 0.5 to 0.75; without counts in half.
+    """Neighbours of equal code differ by an even number of 2 mm in 0.64 to 0.99 of all pairs on real units,
+    at codes 45 to 60 more often than at 8 to 15, those of other codes in 0.5 to 0.75; without counts in half.
 
     The correction of a count is the same in a capture, and the lasers' are independent.
     """

@@ -104,8 +104,8 @@ class Noise(Preset):
     there. It is about 1 at 1 to 3 m, and up to 4 at 0.5 m; the gain of a laser follows it. 0 sends every code
     at all ranges, without that gain."""
     range_counts: bool = False
-    """True if ranges are counts of 4 mm plus a correction in steps of 2 mm by laser and count of the receiver,
-    as on real units: neighbours of one count then differ by a multiple of 4 mm."""
+    """True if ranges are counts of 4 mm plus a correction in steps of 2 mm by laser and count of the
+    receiver, as on real units: neighbours of one count then differ by a multiple of 4 mm."""
     gain_spread: Annotated[float, Field(ge=0, le=0.3)] = 0.03
     """Relative error of reflectivity per laser at all ranges, one sigma, as far as neighbours in elevation
     differ; with what changes with range 0.057 to 0.097 on real units at 1 to 2.5 m."""

@@ -63,7 +63,8 @@ def test_known_settings_come_back_from_our_own_packets(recorded):
     clock within 0.3 ppm, gain within a third.
 
     The middle of what no-returns carry is found within 40 %, the spread of its lasers; the rate of lost
-    records within a factor of four, as few are at steps of this hall. Two revolutions of lost packets change nothing.
+    records within a factor of four, as few are at steps of this hall. Two revolutions of lost packets change
+    nothing.
     """
     known = {
         "sensor.rotation_spread": 0.0,
