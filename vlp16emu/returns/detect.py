@@ -29,15 +29,13 @@ from vlp16emu.returns.lost import UNEVENNESS, Sight, lose, raised_code
 from vlp16emu.returns.noise import (
     NO_RETURN_KNOTS,
     REFLECTIVITY_TAIL,
-    ROOT_BY_CODE,
-    by_code,
     range_sigma_m,
     reflectivity_byte,
     with_heavy_tails,
 )
 from vlp16emu.returns.settings import DetectorConstants
 from vlp16emu.returns.strength import GAIN as GAIN_AT_RANGE
-from vlp16emu.returns.strength import TOP, at_range, eighths_at, fine_strength, strength, with_parity
+from vlp16emu.returns.strength import TOP, at_range, count_of, eighths_at, strength, with_parity
 from vlp16emu.sensor.laws import law
 from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, I8, U1, U4, Firings, Hits, PlantPart, Returns, Semantic
@@ -54,9 +52,9 @@ _UNSTEADY = law("range.unsteady")
 _EVEN_CHANGE = law("range.even_change")
 _UNSHIFTED_CODE = 40.0  # code at which reflectivity does not change the range
 _Pair = tuple[float, float]
-_Laser = tuple[float, float, float, U1, F8, U1, float, float]
+_Laser = tuple[float, float, float, U1, F8, U1, F8, float]
 """Range error of a laser in metres, its factor on the white range noise, its gain, codes as in `sent_codes`,
-its tables and parts as in `Strength`, and the mean change of code of its last pulses."""
+its tables and the unit's counts as in `Strength`, and the mean change of code of its last pulses."""
 _LANE_BITS = 16  # lane of a random number: the laser in the lower bits, rank or column of the echo above them
 
 
@@ -160,7 +158,7 @@ class _Errors(NamedTuple):
     near_lost: F8
     by_range: F8
     parity: U1
-    parts: float
+    counts: F8
 
 
 @kernel
@@ -209,7 +207,7 @@ def _detect(
                 errors.codes[j],
                 errors.by_range[j],
                 errors.parity[j],
-                errors.parts,
+                errors.counts,
                 before[UNEVENNESS, j],
             )
             lit = _gather_with_air(constants, n, j, rays, start, stop, nodes)
@@ -230,7 +228,7 @@ def _detect(
                         exact_m[i, j, column] = peaks[RANGE, chosen[column]]
             if constants.lost.step + constants.lost.dark > 0.0:
                 place = (constants.seed, sight, i, at_m, errors.near_lost[j])
-                pulse = (rays, errors.sheet, start, stop)
+                pulse = (lit, rays, errors.sheet, start, stop)
                 _lose(constants, errors.no_return[j], pulse, place, noise, j, distance_m, reflectivity)
 
 
@@ -253,7 +251,7 @@ def _gather_with_air(
 def _lose(
     constants: DetectorConstants,
     no_return: float,
-    pulse: tuple[SubRays, U4, int, int],
+    pulse: tuple[int, SubRays, U4, int, int],
     place: tuple[int, Sight, int, float, float],
     noise: F8,
     j: int,
@@ -379,12 +377,6 @@ def _none_is_seen(constants: DetectorConstants, n: int, laser: int, brightest: f
 
 
 @inline_kernel
-def _gain(laser: _Laser, range_m: float, reflectance: float) -> float:
-    """Return the gain of a laser for an echo: that at the range where white would be as strong."""
-    return laser[2] * at_range(laser[4], range_m * by_code(ROOT_BY_CODE, reflectance), GAIN_AT_RANGE)
-
-
-@inline_kernel
 def _white_m(constants: DetectorConstants, laser: _Laser, reflectance: float, amplitude: float) -> float:
     """Return the white range noise of an echo, one sigma; larger on surfaces of uneven brightness."""
     uneven = _UNSTEADY * max(laser[7] - _EVEN_CHANGE, 0.0)
@@ -400,7 +392,7 @@ def _measure(
     The distance is 0 below the least range, and both are 0 beyond the greatest.
     """
     (range_noise, other_noise) = noise
-    (error_m, _, _, codes, by_range, parity, parts, _) = laser_errors
+    (error_m, _, own_gain, codes, by_range, parity, counts_of_code, _) = laser_errors
     reflectance = amplitude * range_m * range_m
     shown = min(100.0 * reflectance, 100.0)
     measured_m = range_m + error_m + constants.range_walk_m * (shown - _UNSHIFTED_CODE)
@@ -414,12 +406,13 @@ def _measure(
         return np.float32(0.0), np.uint8(0)
     if not measured_m >= constants.min_range_m:
         measured_m = 0.0
-    gain = _gain(laser_errors, range_m, reflectance)
+    gain = own_gain * at_range(by_range, range_m, GAIN_AT_RANGE)
     eighths = eighths_at(by_range, range_m)
     percent = 100.0 * reflectance
-    exact = strength(min(max(percent * gain + counts, 0.0), 100.0), eighths)
+    code = min(max(percent * gain + counts, 0.0), 100.0)
+    exact = strength(code, eighths)
     if parity.shape[0] > 0 and measured_m > 0.0:
-        measured_m = with_parity(parity, fine_strength(exact, parts), measured_m, constants.max_range_m)
+        measured_m = with_parity(parity, count_of(counts_of_code, code), measured_m, constants.max_range_m)
     scale = eighths, by_range[0, TOP]
     return np.float32(measured_m), reflectivity_byte(percent, gain, counts, exact, scale, codes)
 

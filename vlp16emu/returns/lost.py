@@ -156,7 +156,7 @@ def _fraction(x: float) -> float:
 def lose(
     rates: LossRates,
     noise: tuple[float, float],
-    pulse: tuple[SubRays, U4, int, int],
+    pulse: tuple[int, SubRays, U4, int, int],
     place: tuple[int, Sight, int, float, float],
     before: F8,
     laser: int,
@@ -170,7 +170,8 @@ def lose(
     Parameters
     ----------
     noise : normal numbers of the pulse, whose last digits decide on losses at steps
-    pulse : its sub-rays, as in `second_surface_share`
+    pulse : number of its nodes, of which one has no step of range, and its sub-rays as in
+        `second_surface_share`
     place : seed of the unit, pulses and row of this one, its range before errors, and the share of near
         records that its laser loses
     before : (6, L) state of each laser: mean code, -1 for none, last range, mean change of range, mean change
@@ -184,26 +185,33 @@ def lose(
     code = min(np.float64(reflectivity[0]), 100.0)
     level = before[0, laser]
     range_m = np.float64(distance_m[0])
-    # Where ranges jump, as in trees, steps and spots lose fewer records.
-    calm = _ROUGH_M / (_ROUGH_M + before[2, laser])
+    rough_m = before[2, laser]
     change_m = min(abs(range_m - before[1, laser]), _MOST_ROUGH_M)
-    before[2, laser] += _POWER_GAIN * (change_m - before[2, laser])
+    before[2, laser] += _POWER_GAIN * (change_m - rough_m)
     before[1, laser] = range_m
     before[0, laser] = code if level < 0.0 else level + _POWER_GAIN * (code - level)
     change = min(abs(code - level) / max(level, _BRIGHT_CODE), 1.0) if level >= 0.0 else 0.0
     is_uneven = before[3, laser] > _UNEVEN_FROM
     before[3, laser] += _POWER_GAIN * (change - before[3, laser])
     before[UNEVENNESS, laser] += _NOISE_GAIN * (min(change, _MOST_CHANGE) - before[UNEVENNESS, laser])
+    lost = _fraction(noise[0] * _DIGITS)  # no further number is drawn
+    follows = before[4, laser]
+    before[4, laser] = 0.0
+    is_calm = change <= _STEP_FROM and follows == 0.0 and not is_uneven
+    has_spots = code < _BLACK_CODE or range_m < _CALM_FROM_M
+    is_single = pulse[0] < 2
+    if is_calm and not has_spots and (is_single or lost >= rates.step):  # nearly every pulse
+        return
+    # Where ranges jump, as in trees, steps and spots lose fewer records.
+    calm = _ROUGH_M / (_ROUGH_M + rough_m)
     is_up = code > level
     jump = calm * _loss_at_step(rates, level, code) if change > _STEP_FROM else 0.0
-    sure = jump + calm * before[4, laser] * rates.again
-    before[4, laser] = 0.0
-    lost = _fraction(noise[0] * _DIGITS)  # no further number is drawn
+    sure = jump + calm * follows * rates.again
     gloss = calm * rates.gloss if is_uneven else 0.0
     if lost >= sure and not _is_in_spot(_spot_rate(rates, code, range_m, gloss, place[4]), place, laser):
-        if lost >= sure + calm * rates.step or pulse[3] - pulse[2] < 2:
+        if is_single or lost >= sure + calm * rates.step:
             return
-        share = second_surface_share(*pulse)
+        share = second_surface_share(*pulse[1:])
         if lost >= sure + calm * rates.step * 4.0 * share * (1.0 - share):
             return
     before[4, laser] = 1.0

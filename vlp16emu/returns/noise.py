@@ -20,9 +20,7 @@ _NOISE_AT = 0.2  # reflectance at which the noise has the value of the settings
 _FAINTEST_REFLECTANCE = 0.01
 _REFLECTANCES = 0.01 * np.maximum(np.arange(101.0), 1.0)
 _NOISE_BY_CODE = np.sqrt(np.sqrt(np.sqrt(_NOISE_AT / _REFLECTANCES)))
-ROOT_BY_CODE = 1.0 / np.sqrt(_REFLECTANCES)
-"""Eighth root of the noise's reflectance over those of codes 0 to 100, and the range at which white is as
-bright over the range; tables are faster than roots."""
+"""Eighth root of the noise's reflectance over those of codes 0 to 100; a table is faster than roots."""
 NO_RETURN_KNOTS = int(law("no_return.knots"))  # azimuth intervals over which no-return codes change
 
 

@@ -37,8 +37,8 @@ _PRESETS: dict[str, dict[str, object]] = {
         "no_return_reflectivity": True,
         "no_return_wander": 1.5,
         "records_lost": 1.0,
-        "gain_spread": 0.06,
-        "gain_by_range": 0.17,
+        "gain_spread": 0.04,
+        "gain_by_range": 0.13,
     },
 }
 
@@ -101,16 +101,17 @@ class Noise(Preset):
     reflectivity_far_step: Annotated[float, Field(ge=0, le=8)] = 0.0
     """Median over lasers of the spacing of reflectivity codes beyond 8 m: 1.2 to 1.8 on real units, whose
     codes are strengths of echoes, as integers, times eighths that depend on laser and range, 1 to 2.75
-    there. It is about 1 at 1 to 3 m, and up to 4 at 0.5 m. 0 sends every code at all ranges."""
+    there. It is about 1 at 1 to 3 m, and up to 4 at 0.5 m; the gain of a laser follows it. 0 sends every code
+    at all ranges, without that gain."""
     range_counts: bool = False
-    """True if ranges are counts of 4 mm plus a correction in steps of 2 mm by laser and strength, as on real
-    units: neighbours of equal strength then differ by a multiple of 4 mm."""
+    """True if ranges are counts of 4 mm plus a correction in steps of 2 mm by laser and count of the
+    receiver, as on real units: neighbours of one count then differ by a multiple of 4 mm."""
     gain_spread: Annotated[float, Field(ge=0, le=0.3)] = 0.03
-    """Relative error of reflectivity per laser, one sigma, as far as neighbours in elevation differ; 0.057 to
-    0.097 on real units."""
+    """Relative error of reflectivity per laser at all ranges, one sigma, as far as neighbours in elevation
+    differ; with what changes with range 0.057 to 0.097 on real units at 1 to 2.5 m."""
     gain_by_range: Annotated[float, Field(ge=0, le=0.5)] = 0.0
-    """Relative error of reflectivity per laser that changes with the strength of the echo, and so with range
-    and brightness, one sigma; 0.15 to 0.2 on real units."""
+    """Relative error of reflectivity per laser that changes with range, one sigma, beside what follows the
+    spacing of codes; both together have 0.18 on real units."""
     records_lost: Annotated[float, Field(ge=0, le=2)] = 0.0
     """Factor on the loss of records at steps of brightness or range; 1 for the random rates of real units, 0
     for none. With a `unit_spread` of 0 the rates are those of a median unit."""

@@ -1,9 +1,10 @@
 """Strength of an echo as an integer of the receiver: steps of reflectivity codes, and parity of ranges.
 
 A code is the strength times an integer of eighths that depends on the laser and the range, without its
-fraction: at 9/8 the codes 8, 17, 26 ... are missing, at 20/8 only 0, 2, 5, 7, 10 ... are sent. A range is
-twice a count of 4 mm, plus a correction in steps of 2 mm from a table by laser and strength. Sources: the
-laws `strength` of `vlp16emu/sensor/laws.toml`.
+fraction: at 9/8 the codes 8, 17, 26 ... are missing, at 20/8 only 0, 2, 5, 7, 10 ... are sent. Lasers receive
+about the same strength from one surface, so the gain of a laser follows this factor. A range is twice a count
+of 4 mm, plus a correction in steps of 2 mm from a table by laser and count of the receiver. Sources: the laws
+`strength` of `vlp16emu/sensor/laws.toml`.
 """
 
 from typing import NamedTuple
@@ -18,7 +19,7 @@ from vlp16emu.types import F8, U1
 
 _BINS_PER_M = 16
 _BINS = 1024  # up to 64 m, beyond which factors no longer change
-PARITIES = 1024  # strengths with a correction of their own
+PARITIES = 256  # counts of the receiver with a correction of their own: those of most codes, and some more
 EIGHTHS = 0  # columns of `Strength.by_range`
 GAIN = 1
 TOP = 2
@@ -33,6 +34,7 @@ _TRUNCATED = (0.5 - 0.5 * np.gcd(_FACTORS, int(_PER_CODE)) / _PER_CODE) * _STREN
 _DIFFUSE = 100.0
 _FULL = 255.0
 _RANGE_LSB_PER_M = 500.0  # of a packet: 2 mm
+_M_PER_RANGE_LSB = 0.002
 
 
 class Strength(NamedTuple):
@@ -41,8 +43,8 @@ class Strength(NamedTuple):
     by_range: F8
     """(L, bins, 3) factor of a strength in eighths of a code before it is rounded, 0 for none, gain, and
     greatest code of a matt surface, every 1/16 m."""
-    parity: U1  # (L, PARITIES) correction of the range by fine strength, modulo 2; empty for none
-    parts: float  # fine strengths in a strength
+    parity: U1  # (L, PARITIES) correction of the range by count of the receiver, modulo 2; empty for none
+    counts: F8  # (102,) count of the receiver of each code, before it is rounded
 
 
 def strength_of(
@@ -60,25 +62,21 @@ def strength_of(
     Parameters
     ----------
     far_step : median factor of a strength beyond 8 m; 0 to send all codes
-    unit_spread : above 0, units differ in that factor, and in the fine strengths of a strength
-    gain_spread : spread of the logarithm of a laser's gain over ranges
+    unit_spread : above 0, units differ in that factor, and in the counts of a code
+    gain_spread : spread of the logarithm of a laser's gain over ranges, beside what follows the factor
     has_counts : True if ranges are counts of 4 mm and a correction
     is_real : True if lasers of some units do not clip at code 100
     """
     by_range = np.zeros((lasers, _BINS, 3))
     by_range[..., TOP] = _tops(seed, lasers)[:, None] if is_real else _DIFFUSE
     at = np.maximum(np.arange(_BINS), 1) / _BINS_PER_M
-    for laser in range(lasers):
-        by_range[laser, :, GAIN] = exp(_wave(seed, laser, gain_spread, at))
-        if far_step > 0.0:
-            factor = _factors(seed, laser, far_step, unit_spread, at)
-            by_range[laser, :, EIGHTHS] = _PER_CODE * factor
-    least, most = law("strength.parts_least"), law("strength.parts_most")
-    parts = least + (most - least) * float(uniform(seed, Purpose.STRENGTH, 0, 1)[0])
-    if unit_spread == 0.0:
-        parts = float(np.sqrt(least * most))
+    by_range[..., GAIN] = exp(np.stack([_wave(seed, laser, gain_spread, at) for laser in range(lasers)]))
+    if far_step > 0.0:
+        factors = np.stack([_factors(seed, laser, far_step, unit_spread, at) for laser in range(lasers)])
+        by_range[..., EIGHTHS] = _PER_CODE * factors
+        by_range[..., GAIN] *= _gains(seed, factors, unit_spread)
     parity = _parities(seed, lasers) if has_counts else np.zeros((lasers, 0), np.uint8)
-    return Strength(by_range, parity, parts)
+    return Strength(by_range, parity, _counts(seed, unit_spread))
 
 
 def _tops(seed: int, lasers: int) -> F8:
@@ -87,6 +85,14 @@ def _tops(seed: int, lasers: int) -> F8:
     of_laser = uniform(seed, Purpose.STRENGTH, 3, lasers)
     is_open = (of_unit < law("strength.open_units")) & (of_laser < law("strength.open_lasers"))
     return np.where(is_open, _FULL, _DIFFUSE)
+
+
+def _counts(seed: int, unit_spread: float) -> F8:
+    """Draw the count of the receiver of each code, (102,), before it is rounded."""
+    least, most = span("strength.counts_of_units")
+    drawn = float(uniform(seed, Purpose.STRENGTH, 0, 1)[0]) if unit_spread > 0.0 else 0.5
+    of_code = np.interp(np.arange(101.0) + 0.5, span("strength.counts_at"), span("strength.counts"))
+    return np.concatenate([[0.0], np.cumsum((least + (most - least) * drawn) * of_code)])
 
 
 def _wave(seed: int, laser: int, spread: float, at_m: F8) -> F8:
@@ -119,10 +125,19 @@ def _factors(seed: int, laser: int, far_step: float, unit_spread: float, at_m: F
     return np.asarray(fine * exp(below * log(np.array(near / fine)) + beyond * log(np.array(far / fine))))
 
 
-def _parities(seed: int, lasers: int) -> U1:
-    """Draw whether the correction of each laser and fine strength is odd, (lasers, PARITIES).
+def _gains(seed: int, factors: F8, unit_spread: float) -> F8:
+    """Return the gains (lasers, n) of a unit's lasers with these factors of their strengths."""
+    least, most = span("strength.gain_by_factor")
+    drawn = float(uniform(seed, Purpose.STRENGTH, 4, 1, _OF_UNIT)[0]) if unit_spread > 0.0 else 0.5
+    logarithm = log(factors)
+    away = logarithm - logarithm.sum(axis=0) / len(factors)
+    return exp((least + (most - least) * drawn) * away)
 
-    In each block of strengths, laser by laser, what would make odd ranges of all lasers more or less than one
+
+def _parities(seed: int, lasers: int) -> U1:
+    """Draw whether the correction of each laser and count of the receiver is odd, (lasers, PARITIES).
+
+    In each block of counts, laser by laser, what would make odd ranges of all lasers more or less than one
     half is exchanged.
     """
     changes = 0.5 - 0.5 * law("strength.parity_correlation")
@@ -144,7 +159,7 @@ def _parities(seed: int, lasers: int) -> U1:
 def at_range(table: F8, range_m: float, column: int) -> float:
     """Return a column of a laser's table (bins, 3) at a range, interpolated."""
     place = min(range_m * _BINS_PER_M, _BINS - 1.001)
-    knot = np.int64(place)
+    knot = np.uint64(place)  # signed indices might count from the end
     fraction = place - knot
     return table[knot, column] + fraction * (table[knot + 1, column] - table[knot, column])
 
@@ -171,16 +186,18 @@ def in_steps(code: float, exact: float, eighths: float) -> float:
 
 
 @inline_kernel
-def fine_strength(exact: float, parts: float) -> float:
-    """Return the finer strength of a strength before rounding; a strength has `parts` of them."""
-    return parts * (exact + 0.5)
+def count_of(counts: F8, code: float) -> float:
+    """Return the count of the receiver, before rounding, of a code of 0 to 100 before it is rounded."""
+    place = code + 0.5
+    below = np.uint64(place)
+    return counts[below] + (place - below) * (counts[below + 1] - counts[below])
 
 
 @inline_kernel
-def with_parity(parity: U1, fine: float, range_m: float, most_m: float) -> float:
-    """Return a range as a count of 4 mm and the correction of a fine strength; `most_m` is its limit."""
-    odd = np.float64(parity[np.int64(min(max(fine, 0.0), PARITIES - 1.0))])
+def with_parity(parity: U1, count: float, range_m: float, most_m: float) -> float:
+    """Return a range as a count of 4 mm and the correction of a receiver's count; `most_m` is its limit."""
+    odd = np.float64(parity[np.uint64(count)])
     counts = 2.0 * np.floor(0.5 * (range_m * _RANGE_LSB_PER_M - odd) + 0.5) + odd
     if counts > most_m * _RANGE_LSB_PER_M:
         counts -= 2.0
-    return counts / _RANGE_LSB_PER_M
+    return counts * _M_PER_RANGE_LSB

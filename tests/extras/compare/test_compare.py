@@ -65,7 +65,8 @@ def test_known_settings_come_back_from_our_own_packets(recorded):
     clock within 0.3 ppm, gain within a third.
 
     The middle of what no-returns carry is found within 40 %, the spread of its lasers; the rate of lost
-    records within a factor of three. Two revolutions of lost packets change nothing.
+    records within a factor of four, as few are at steps of this hall. Two revolutions of lost packets change
+    nothing.
     """
     known = {
         "sensor.rotation_spread": 0.0,
@@ -90,7 +91,7 @@ def test_known_settings_come_back_from_our_own_packets(recorded):
     assert noise["gain_spread"] == pytest.approx(0.06, rel=0.33)
     assert noise["range_counts"]
     assert noise["no_return_level"] == pytest.approx(14.0, rel=0.4)
-    assert 0.3 < noise["records_lost"] < 3.0
+    assert 0.25 < noise["records_lost"] < 4.0
     assert sensor["eccentricity_deg"] == pytest.approx(0.06, abs=0.003)
     assert sensor["eccentricity_phase_deg"] == pytest.approx(40.0, abs=3.0)
     assert sensor["twice_per_turn_deg"] == pytest.approx(0.008, abs=0.002)

@@ -29,7 +29,7 @@ _PER_RATE_CDEG2 = 3.55
 """Local variance of encoder readings without rate error, and the variance that the error adds: from our own
 packets at 540 to 660 rpm."""
 _LEVEL = 80.0  # middle of the reflectivities whose neighbours are compared
-_EQUAL_STEPS = 2.65
+_EQUAL_STEPS = 3.1
 _COARSEST = 5.0
 _FROM = 30.0
 _TOP = 90.0
@@ -44,8 +44,8 @@ _MOST_EVEN = 90.0
 _SET_AT = 20.0  # level of the setting
 _FREE_SHARE = 15.0 / 11.0  # pulses of a stretch over those less the parameters of a cubic
 _COUNTS_EVEN = 0.65  # 0.5 where each range has its own code of 2 mm, 0.77 to 0.95 on real units
-_CONSTANT_GAIN = 0.57
-_GAIN_BY_RANGE = 1.42
+_CONSTANT_GAIN = 0.36
+_GAIN_BY_RANGE = 1.18
 """Shares of the spread of gains over lasers, as both kinds of sectors show it: keys of our own packets over
 their statistic. One capture does not separate them."""
 _ON_A_SURFACE = "lost.on_a_surface"

@@ -13,7 +13,7 @@ from vlp16emu.forest.stand.stand import TREE
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.types import F8, I8, SURFACE, PlantPart, Semantic, ShapeKey
 
-_LITTER_REFLECTANCE = 0.30  # leaf litter and soil at 903 nm; assumption
+_LITTER_REFLECTANCE = 0.25  # dead leaves and needles at 0.90 um, [E900] of species.toml
 
 
 @dataclass(frozen=True, slots=True)
