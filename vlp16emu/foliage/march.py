@@ -1,9 +1,9 @@
 """The march of light through the far medium: a grid of ground, tapered stems, and voxels of foliage.
 
 A pulse passes slabs of voxels along the axis that it is most parallel to, some at a time; before each time it
-is intersected with the stems that it may meet there (`vlp16emu.foliage.stems`). The voxel on its centre ray decides for all
-sub-rays in a slab: the density of foliage (`vlp16emu.foliage.leaves`), and whether ground may be met; each
-sub-ray is then intersected exactly with the ground (`vlp16emu.foliage.ground`).
+is intersected with the stems that it may meet there (`vlp16emu.foliage.stems`). The voxel on its centre ray
+decides for all sub-rays in a slab: the density of foliage (`vlp16emu.foliage.leaves`), and whether ground may
+be met; each sub-ray is then intersected exactly with the ground (`vlp16emu.foliage.ground`).
 """
 
 from typing import NamedTuple
