@@ -271,6 +271,22 @@ def test_light_that_leaves_the_grid_meets_nothing_beyond():
         assert marched(medium, [origin_m], [direction])[1][0] == NO_SURFACE
 
 
+def test_stems_are_met_alike_in_the_grid_and_beside_it(stand):
+    """Rays meet the same stems in a grid of empty voxels, where stems are looked for some slabs at a time,
+    and beside a grid, where all of them are at once."""
+    world, _, medium = stand
+    inside = medium._replace(brick=np.zeros_like(medium.brick))
+    beside = medium._replace(brick=np.zeros((1, 1, 1, 2), "u8"), corner_m=(500.0, 500.0, 500.0))
+    met = 0
+    for towards in ("x", "-y"):
+        origin_m, direction = some_rays(world, towards, 300)
+        for o, d in zip(origin_m, direction, strict=True):
+            here, there = (marched(each, [o], [d]) for each in (inside, beside))
+            assert all(a[0] == b[0] for a, b in zip(here, there, strict=True))
+            met += here[1][0] != NO_SURFACE
+    assert met > 50
+
+
 def pulses_of_eight(world, count, seed=4):
     """Middles (n, 2, 3) and eight rays (n, 2, 8, 3) each: a beam of a VLP-16, some of them wide apart."""
     rng = np.random.default_rng(seed)

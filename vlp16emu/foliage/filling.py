@@ -19,7 +19,7 @@ from vlp16emu.foliage.voxel import (
     TILE_BIT,
     VOXEL_M,
 )
-from vlp16emu.kernels.compiler import array_kernel
+from vlp16emu.kernels.compiler import array_kernel, inline_kernel, kernel
 from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, I4, I8, U4, U8
 
@@ -74,21 +74,7 @@ def fill_block(
             needed += pieces * pieces
         node, area = _with_capacity(node, area, used, needed)
         voxels = _Voxels(head, node, area, low_m, ground_m)
-        scale = power(abs(_determinant(T)), 2.0 / 3.0)
-        for c in range(library.first_cell[s], library.first_cell[s + 1]):
-            law = library.first_law[s] + library.mesh[c]
-            for k in range(3):
-                add[k] = library.area_m2[c] * scale * library.projection[law, k]
-            x, y, z = library.place_m[c, 0], library.place_m[c, 1], library.place_m[c, 2]
-            at = (np.float64(x), np.float64(y), np.float64(z))
-            whose = (tile_of[p], row[p] + library.mesh[c], law)
-            used = _add_area(voxels, used, T, at, whose, add)
-        for f in range(library.first_face[s], library.first_face[s + 1]):
-            mesh = library.corner_mesh[f]
-            law = library.first_law[s] + mesh
-            whose = (tile_of[p], row[p] + mesh, law)
-            corners_m = library.corners_m[f]
-            used = _add_face(voxels, used, T, corners_m, library.corner_share[f], whose, add, projection)
+        used = _add_shape(library, s, voxels, used, T, (tile_of[p], row[p]), add, projection)
     flags = np.zeros(head.shape, np.uint32)
     _mark_ground(flags, ground_m, low_m)
     return _pack(head, flags, node, area, used, _volumes(head.shape[2], ground_m, low_m))
@@ -108,7 +94,40 @@ def _with_capacity(node: I8, area: F8, used: int, needed: int) -> tuple[I8, F8]:
     return node, area
 
 
-@array_kernel
+@kernel
+def _add_shape(
+    library: Library,
+    s: int,
+    voxels: _Voxels,
+    used: int,
+    T: F8,
+    placed: tuple[int, int],
+    add: F8,
+    projection: F8,
+) -> int:
+    """Add shape s of the library, placed by T, to the voxels; return the number of owners.
+
+    It counts no references: threads that fill blocks side by side would wait for each other's counts.
+    """
+    (tile, first_row) = placed
+    first_law = library.first_law[s]
+    scale = power(abs(_determinant(T)), 2.0 / 3.0)
+    for c in range(library.first_cell[s], library.first_cell[s + 1]):
+        law = first_law + library.mesh[c]
+        for k in range(3):
+            add[k] = library.area_m2[c] * scale * library.projection[law, k]
+        x, y, z = library.place_m[c, 0], library.place_m[c, 1], library.place_m[c, 2]
+        at = (np.float64(x), np.float64(y), np.float64(z))
+        used = _add_area(voxels, used, T, at, (tile, first_row + library.mesh[c], law), add)
+    for f in range(library.first_face[s], library.first_face[s + 1]):
+        mesh = library.corner_mesh[f]
+        whose = (tile, first_row + mesh, first_law + mesh)
+        share = library.corner_share[f]
+        used = _add_face(voxels, used, T, library.corners_m[f], share, whose, add, projection)
+    return used
+
+
+@inline_kernel
 def _determinant(T: F8) -> float:
     return (
         T[0, 0] * (T[1, 1] * T[2, 2] - T[1, 2] * T[2, 1])
@@ -117,7 +136,7 @@ def _determinant(T: F8) -> float:
     )
 
 
-@array_kernel
+@inline_kernel
 def _add_area(voxels: _Voxels, used: int, T: F8, at_m: _Place, whose: _Whose, add: F8) -> int:
     """Add projected areas at a place of a shape to its voxel; return the number of owners."""
     head, node, area, low_m, ground_m = voxels
@@ -148,7 +167,7 @@ def _add_area(voxels: _Voxels, used: int, T: F8, at_m: _Place, whose: _Whose, ad
     return used
 
 
-@array_kernel
+@inline_kernel
 def _ground_at(ground_m: F4, x: float, y: float) -> float:
     """Return the height of the ground at a place of the tile."""
     u = x * (FINER / VOXEL_M) + FINER
@@ -162,7 +181,7 @@ def _ground_at(ground_m: F4, x: float, y: float) -> float:
     )
 
 
-@array_kernel
+@inline_kernel
 def _pieces(T: F8, corners_m: F4) -> int:
     """Return the number of pieces into which the sides of a face are cut."""
     longest = 0.0
@@ -177,7 +196,7 @@ def _pieces(T: F8, corners_m: F4) -> int:
     return min(max(math.ceil(math.sqrt(longest) / _PIECE_M), 1), 64)
 
 
-@array_kernel
+@kernel
 def _add_face(
     voxels: _Voxels, used: int, T: F8, corners_m: F4, share: float, whose: _Whose, add: F8, projection: F8
 ) -> int:
@@ -291,7 +310,7 @@ def _pack(head: I4, flags: U4, node: I8, area: F8, used: int, volume: F4) -> _Pa
     return mask, first, record, first_owner, owner
 
 
-@array_kernel
+@inline_kernel
 def _areas(node: I8, area: F8, at: int) -> tuple[float, float, float]:
     area0 = area1 = area2 = 0.0
     while at >= 0:
@@ -302,7 +321,7 @@ def _areas(node: I8, area: F8, at: int) -> tuple[float, float, float]:
     return area0, area1, area2
 
 
-@array_kernel
+@inline_kernel
 def _code(area_m2: float) -> np.uint32:
     """Return the code of the projected area of a voxel, at least 1 for any area."""
     if area_m2 <= 0.0:

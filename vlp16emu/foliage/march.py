@@ -1,9 +1,9 @@
 """The march of light through the far medium: a grid of ground, tapered stems, and voxels of foliage.
 
-A pulse first meets the stems in its way (`vlp16emu.foliage.stems`). Up to the range where they end it, it
-passes slabs of voxels along the axis that it is most parallel to. The voxel on its centre ray decides for all
-sub-rays in a slab: the density of foliage (`vlp16emu.foliage.leaves`), and whether ground may be met; each
-sub-ray is then intersected exactly with the ground (`vlp16emu.foliage.ground`).
+A pulse passes slabs of voxels along the axis that it is most parallel to, some at a time; before each time it
+is intersected with the stems that it may meet there (`vlp16emu.foliage.stems`). The voxel on its centre ray
+decides for all sub-rays in a slab: the density of foliage (`vlp16emu.foliage.leaves`), and whether ground may
+be met; each sub-ray is then intersected exactly with the ground (`vlp16emu.foliage.ground`).
 """
 
 from typing import NamedTuple
@@ -13,7 +13,7 @@ import numpy as np
 from vlp16emu.foliage.ground import meet_ground
 from vlp16emu.foliage.lanes import AHEAD, Lanes, Medium, Pulse, count_bits, lowest_bit
 from vlp16emu.foliage.leaves import Weights, lit_lanes, meet_leaves, weights_of
-from vlp16emu.foliage.stems import StemsAhead, find_stems_ahead, meet_stems
+from vlp16emu.foliage.stems import StemsAhead, StemsLeft, find_stems_ahead, meet_stems
 from vlp16emu.foliage.voxel import BRICK, GROUND, LEAVES, VOXEL_M
 from vlp16emu.kernels.compiler import array_kernel, inline_kernel, kernel
 from vlp16emu.raycast.adaptive import RayBudget
@@ -121,7 +121,6 @@ def march(M: Medium, bricks: U8, ahead: StemsAhead, pulse: Pulse) -> None:
     n = pulse.n
     near_m = pulse.near_m
     axis = pulse.axis
-    meet_stems(M.stems, ahead, pulse)
     corner_m = (f4(M.corner_m[0]), f4(M.corner_m[1]), f4(M.corner_m[2]))
     centre = _centre_ray(corner_m, axis, near_m)
     axes = (centre.main, centre.second, centre.third)
@@ -132,7 +131,15 @@ def march(M: Medium, bricks: U8, ahead: StemsAhead, pulse: Pulse) -> None:
     first, stop = _crossing(centre, grid.size)
     slab = -_floor(-first)
     slabs = _floor(min(stop, (last_m - centre.to_middle) / length + f4(1.5)))
-    while slab <= slabs:
+    stems = StemsLeft(ZERO, np.uint64(0))
+    while True:
+        # Outside the grid there are stems all the same.
+        until_m = centre.to_middle + f4(slab + AHEAD + 1) * length if slab <= slabs else f4(np.inf)
+        stems, met = meet_stems(M.stems, ahead, pulse, stems, until_m)
+        if met:
+            alive, slabs = _drop_ended(L, centre, n, alive, slab, slabs)
+        if slab > slabs:
+            break
         left = _occupied_voxels(L, centre, grid, bricks, slab, slabs)
         while left:
             left, voxels = _lit_voxels(M, pulse, centre, grid, weights, bricks, slab, left, alive)

@@ -196,23 +196,43 @@ def _sector(axes: F4, spread: float) -> _Sector:
     return _Sector(x_m, y_m, away_m, mx, my, edges[0], edges[1], level)
 
 
+class StemsLeft(NamedTuple):
+    """Stems ahead that a pulse has not been intersected with."""
+
+    begin: int  # first stem of the next block
+    close: np.uint64  # bits of the stems of the block before it that may be hit
+
+
 @inline_kernel
-def meet_stems(stems: Stems, ahead: StemsAhead, pulse: Pulse) -> None:
-    """Intersect the lanes with the stems ahead until all lanes have ended."""
+def meet_stems(
+    stems: Stems, ahead: StemsAhead, pulse: Pulse, left: StemsLeft, until_m: np.float32
+) -> tuple[StemsLeft, bool]:
+    """Intersect the lanes with the stems that can be hit up to a range, until all lanes have ended.
+
+    Return the stems that are left, and True if any of the others is hit.
+    """
     row = pulse.lanes.row
     from_m = ahead.from_m
     count = ahead.total[0]
+    (begin, close) = left
+    met = False
     last_m = _farthest(row, pulse.n)
-    for begin in range(0, count, _BLOCK):
-        if from_m[begin] > last_m:
-            break
-        close = _near_stems(ahead.row, begin * _ROWS, pulse, last_m)
-        close &= (np.uint64(1) << np.uint64(min(count - begin, _BLOCK))) - np.uint64(1)
-        while close:
-            at = begin + int(lowest_bit(close))
+    while True:
+        if close:
+            at = begin - _BLOCK + int(lowest_bit(close))
+            if from_m[at] > min(last_m, until_m):
+                break
             close &= close - np.uint64(1)
-            if from_m[at] <= last_m and meet_stem(stems, pulse, ahead.stem[at]):
+            if meet_stem(stems, pulse, ahead.stem[at]):
+                met = True
                 last_m = _farthest(row, pulse.n)
+        else:
+            if begin >= count or from_m[begin] > min(last_m, until_m):
+                break
+            close = _near_stems(ahead.row, begin * _ROWS, pulse, last_m)
+            close &= (np.uint64(1) << np.uint64(min(count - begin, _BLOCK))) - np.uint64(1)
+            begin += _BLOCK
+    return StemsLeft(begin, close), met
 
 
 @inline_kernel

@@ -35,6 +35,13 @@ class _Scratch(NamedTuple):
     packet: RayPacket
     batch: Batch
     passage: tuple[object, ...]
+    first_round: list[U4]  # one array, of the latest cast, as in `cast_pulses`
+
+    def first_of(self, rays: int) -> U4:
+        """Return an array (3, rays) for first rounds; pages of a new one would have to be cleared."""
+        if not self.first_round or self.first_round[0].shape[1] != rays:
+            self.first_round[:] = [np.empty((3, rays), np.uint32)]
+        return self.first_round[0]
 
 
 class EmbreeGeometry:
@@ -107,26 +114,25 @@ class EmbreeGeometry:
         try:
             scratch = idle.pop()
         except IndexError:  # other threads have it
-            scratch = _Scratch(ray_packet(), batch_of(PACKET * shape[1], max_rays), self.passage())
-        hits = self._hits(Cast(near, pulses, scratch.packet, scratch.batch), scratch.passage, beam)
+            scratch = _Scratch(ray_packet(), batch_of(PACKET * shape[1], max_rays), self.passage(), [])
+        hits = self._hits(Cast(near, pulses, scratch.packet, scratch.batch), scratch, beam)
         idle.append(scratch)
         return hits
 
-    def _hits(self, cast: Cast, passage: tuple[object, ...], beam: Footprint) -> Hits:
+    def _hits(self, cast: Cast, scratch: _Scratch, beam: Footprint) -> Hits:
         """Cast pulses, and return their hits."""
         shape = cast.light.time.shape
         if beam.has_width:
             count = np.empty(shape, np.uint16)
-            # Numpy's arrays are in huge pages; arrays made in kernels have a page fault every 4 kB.
             budget = beam.budget
-            met_bits = first_round = np.empty((3, count.size * min(ROUND, budget.max_rays)), np.uint32)
-            further = self.pulses(cast, *passage, budget, count, first_round)
-            if further.size:
-                met_bits = np.empty((3, first_round.shape[1] + further.shape[1]), np.uint32)
-                join_rounds(count, first_round, further, met_bits)
+            first_round = scratch.first_of(count.size * min(ROUND, budget.max_rays))
+            further = self.pulses(cast, *scratch.passage, budget, count, first_round)
+            # Numpy's arrays are in huge pages; arrays made in kernels have a page fault every 4 kB.
+            met_bits = np.empty((3, first_round.shape[1] + further.shape[1]), np.uint32)
+            join_rounds(count, first_round, further, met_bits)
             return Hits(count, met_bits[0].view(np.float32), met_bits[1], met_bits[2].view(np.float32))
         met = np.empty(shape, np.float32), np.empty(shape, np.uint32), np.empty(shape, np.float32)
-        self.lines(cast, *passage, *met)
+        self.lines(cast, *scratch.passage, *met)
         if beam.section.model == "offset":
             DISPLACE.load()(met[0], beam, cast.light.first)
         return Hits.one_ray_each(*met)

@@ -1,12 +1,13 @@
 """The clocks of a sensor and of the host that captured its packets, held against each other."""
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.captures.capture import Datagram
+from vlp16emu.extras.verify.calm import CalmRun
 from vlp16emu.extras.verify.frames import (
     HOUR_US,
     JITTER_US,
@@ -47,7 +48,7 @@ class HostClock:
         self._before: tuple[int, int] | None = None  # capture stamp and time stamp of the last packet, us
         self._doubtful: tuple[PacketKind, Datagram, int, int] | None = None
         """Packet at which the host's clock may have been set, and the steps to it by both clocks, us."""
-        self._set_ns = 0
+        self.set_ns = 0  # by which the host's clock was set so far
         self.elapsed_us = 0  # since the first packet
 
     def follow(self, datagram: Datagram, kind: PacketKind) -> Iterator[tuple[PacketKind, Datagram]]:
@@ -68,6 +69,27 @@ class HostClock:
             self._add_step(datagram.number, sensor_us if abs(host_us - sensor_us) <= SILENCE_US else host_us)
         yield kind, self._corrected(datagram)
 
+    def follow_run(self, run: CalmRun) -> CalmRun | None:
+        """Return a run as `follow` would yield its packets; None if it is not calm, and nothing is changed.
+
+        In a calm run both clocks make the same steps, none of them a silence.
+        """
+        if self._before is None or self._doubtful is not None:
+            return None
+        host_us = run.host_ns // US_NS
+        host_steps_us = np.diff(host_us, prepend=self._before[0])
+        sensor_steps_us = wrap_hour(np.diff(run.stamp_us, prepend=self._before[1]), HOUR_US)
+        if (np.abs(host_steps_us - sensor_steps_us) > SILENCE_US).any() or (
+            sensor_steps_us > SILENCE_US
+        ).any():
+            return None
+        self._before = int(host_us[-1]), int(run.stamp_us[-1])
+        self.elapsed_us += int(sensor_steps_us.sum())
+        if not self.set_ns:
+            return run
+        datagrams = [self._corrected(each) for each in run.datagrams]
+        return run._replace(datagrams=datagrams, host_ns=run.host_ns - self.set_ns)
+
     def rest(self, *, is_set: bool = False) -> Iterator[tuple[PacketKind, Datagram]]:
         """Yield the packet that waits; `is_set` if the host's clock was set at it."""
         if self._doubtful is None:
@@ -77,7 +99,7 @@ class HostClock:
         step_us = max(sensor_us, 0) if is_set else max(host_us, 0)
         if is_set:
             set_us = host_us - step_us
-            self._set_ns += set_us * US_NS
+            self.set_ns += set_us * US_NS
             found = f"capture stamps set by {set_us / 1e6:+.3f} s, while time stamps go on"
             self._findings.add(Rule.HOST_CLOCK, datagram.number, found, "a clock that is not set", Level.NOTE)
         self._add_step(datagram.number, step_us)
@@ -104,9 +126,9 @@ class HostClock:
         self.elapsed_us += step_us
 
     def _corrected(self, datagram: Datagram) -> Datagram:
-        if not self._set_ns:
+        if not self.set_ns:
             return datagram
-        return datagram._replace(stamp_ns=datagram.stamp_ns - self._set_ns)
+        return datagram._replace(stamp_ns=datagram.stamp_ns - self.set_ns)
 
 
 class GpsGains:
@@ -123,6 +145,14 @@ class GpsGains:
         if is_leap or (self._state is not None and self._state < state <= PpsState.LOCKED):
             self._stamps_ns.append(datagram.stamp_ns)
         self._state = state
+
+    def has_new(self, datagrams: Sequence[Datagram]) -> bool:
+        """Return True if position packets show another state, or a leap second."""
+        states = {each.payload[_PPS_AT] for each in datagrams}
+        if states - {self._state}:
+            return True
+        leap_at = SENTENCE_OFFSET + len("$GPRMC,")
+        return any(each.payload.startswith(LEAP_SECOND, leap_at) for each in datagrams)
 
     def near(self, stamps_ns: I8) -> NDArray[np.bool_]:
         """Return a mask of the capture stamps (n,) near such a time."""

@@ -340,6 +340,37 @@ class InOrder:
             self._is_at_start = False
             yield self._held.pop(0)[1]
 
+    @property
+    def held(self) -> list[Datagram]:
+        """Packets that wait for earlier ones."""
+        return [datagram for _, datagram in self._held]
+
+    def count_until(self, yielded: int) -> int:
+        """Return after how many packets in order as many of them have been yielded."""
+        return yielded + _HELD - len(self._held)
+
+    def continues(self, stamps_us: I8, most_us: int) -> bool:
+        """Return True if time stamps (n,) grow from packet to packet, from the latest held one on.
+
+        By at most `most_us` each: such packets repeat and overtake none.
+        """
+        if not len(stamps_us):
+            return True
+        steps_us = np.diff(stamps_us, prepend=self._held[-1][0] if self._held else stamps_us[0])
+        return bool(((steps_us > 0) & (steps_us <= most_us)).all())
+
+    def extend(self, stamps_us: I8, datagrams: Sequence[Datagram]) -> list[Datagram]:
+        """Append packets for which `continues` is true; return those that `take` would yield."""
+        if not datagrams:
+            return []
+        self._repeats = 0
+        self._held += zip(stamps_us.tolist(), datagrams, strict=True)
+        count = max(len(self._held) - _HELD, 0)
+        passed = [datagram for _, datagram in self._held[:count]]
+        self._held = self._held[count:]
+        self._is_at_start &= count == 0
+        return passed
+
     def rest(self) -> Iterator[Datagram]:
         """Yield the packets that are still held."""
         held = self._held

@@ -5,10 +5,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from vlp16emu.captures.capture import Capture, CapturedUnit, Datagram, by_unit, table_of
 from vlp16emu.captures.survey import chosen_unit
 from vlp16emu.errors import CaptureError
-from vlp16emu.extras.verify.clocks import GpsGains, HostClock
+from vlp16emu.extras.verify.calm import LONGEST, CalmRun, calm_run
+from vlp16emu.extras.verify.clocks import SILENCE_US, GpsGains, HostClock
 from vlp16emu.extras.verify.data import DataChunk, DataRules, PositionRules
 from vlp16emu.extras.verify.frames import (
     PAYLOAD_BYTES,
@@ -96,9 +99,15 @@ def verify_units(
     chunk_packets = min(_CHUNK_PACKETS, max(_HELD_PACKETS // max(len(units), 1), _SMALLEST_CHUNK))
     checks = [_Check(Findings(limit_per_rule), chunk_packets) for _ in units]
     capture = Capture(path, repeats=True, progress=progress)
+    held: list[list[Datagram]] = [[] for _ in units]
     for unit, datagram in by_unit(capture, units):
         if unit is not None:
-            checks[unit].take(datagram)
+            held[unit].append(datagram)
+            if len(held[unit]) == LONGEST:
+                checks[unit].take(held[unit])
+                held[unit] = []
+    for check, left in zip(checks, held, strict=True):
+        check.take(left)
     return [check.finish(path, capture) for check in checks]
 
 
@@ -123,11 +132,65 @@ class _Check:
         self._ports = set[tuple[PacketKind, int]]()
         self._stamp_ns: int | None = None
 
-    def take(self, datagram: Datagram) -> None:
-        """Check one datagram, or keep it for its chunk."""
-        kind = kind_of(datagram)
-        if kind is not None:
-            self._take_all(self._clock.follow(datagram, kind))
+    def take(self, datagrams: Sequence[Datagram]) -> None:
+        """Check datagrams, or keep them for their chunks: all at once, or one by one."""
+        if datagrams and not self._take_run(datagrams):
+            for datagram in datagrams:
+                kind = kind_of(datagram)
+                if kind is not None:
+                    self._take_all(self._clock.follow(datagram, kind))
+
+    def _take_run(self, datagrams: Sequence[Datagram]) -> bool:
+        """Take datagrams at once, and return True; False if that is not possible, and nothing is changed."""
+        run = calm_run(datagrams)
+        if run is None or not self._is_calm(run) or (run := self._clock.follow_run(run)) is None:
+            return False
+        self._stamp_ns = int(run.host_ns[-1])
+        for kind in PORT:
+            own = run.of(kind).datagrams
+            if own:
+                self._packets[kind] += len(own)
+                self._first.setdefault(kind, own[0])
+                self._last[kind] = own[-1]
+        while len(run.datagrams):
+            stop = min(self._until_chunk(run, kind) for kind in PORT)
+            self._collect_run(run.part(0, stop))
+            run = run.part(stop, len(run.datagrams))
+        return True
+
+    def _is_calm(self, run: CalmRun) -> bool:
+        """Return True if a run changes neither mode nor state, and its packets are in order."""
+        data = run.of(PacketKind.DATA)
+        position = run.of(PacketKind.POSITION)
+        waiting = self._in_order[PacketKind.DATA].held + self._chunk[PacketKind.DATA][-1:]
+        if len({each.payload[_MODE_AT:] for each in (*waiting, *data.datagrams)}) != 1:
+            return False
+        host_ns = run.host_ns - self._clock.set_ns
+        is_ordered = np.diff(host_ns, prepend=self._stamp_ns or host_ns[0]) >= 0
+        return (
+            bool(is_ordered.all())
+            and not self._gains.has_new(position.datagrams)
+            and self._in_order[PacketKind.DATA].continues(data.stamp_us, SILENCE_US)
+            and self._in_order[PacketKind.POSITION].continues(position.stamp_us, SILENCE_US)
+        )
+
+    def _until_chunk(self, run: CalmRun, kind: PacketKind) -> int:
+        """Return the number of packets of a run up to that which completes a chunk of a kind, or all."""
+        missing = self._chunk_packets - len(self._chunk[kind])
+        places = np.flatnonzero(run.is_data == (kind is PacketKind.DATA))
+        needed = self._in_order[kind].count_until(missing)
+        return int(places[needed - 1]) + 1 if needed <= len(places) else len(run.datagrams)
+
+    def _collect_run(self, run: CalmRun) -> None:
+        """Collect the packets of a run as `_collect` does; only its last one may complete a chunk."""
+        for kind in PORT:
+            own = run.of(kind)
+            self._chunk[kind] += self._in_order[kind].extend(own.stamp_us, own.datagrams)
+        if len(self._chunk[PacketKind.DATA]) >= self._chunk_packets:
+            self._check_data(ends=False)
+            self._check_position()
+        elif len(self._chunk[PacketKind.POSITION]) >= self._chunk_packets:
+            self._check_position()
 
     def _take_all(self, datagrams: Iterable[tuple[PacketKind, Datagram]]) -> None:
         for kind, datagram in datagrams:
