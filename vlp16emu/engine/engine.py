@@ -94,9 +94,8 @@ class Engine:
 
     scenario: Scenario  # Determines every byte
     parts: Parts
-    batchings: dict[
-        int, Batching
-    ]  # By the length of firing sequences; windows have the segments of the first
+    batchings: dict[int, Batching]
+    """Blocks of sensors by the length of their firing sequences; windows have the segments of the first."""
     windows: Windows[Geometry]
     receiver: "Receiver | None"  # None if none is connected
     threads: int  # Workers; they change the speed only
