@@ -12,7 +12,7 @@ from vlp16emu.extras.bag.write import _check_stamps
 from vlp16emu.packets import Clock, PacketClock, pack_position, rmc, scan_starts
 from vlp16emu.packets.layout import DATA_PAYLOAD
 from vlp16emu.sinks import PcapSink
-from vlp16emu.types import GnssFix, Packet, PacketKind, PpsState
+from vlp16emu.types import GnssFix, Packet, PacketKind, PpsState, SensorModel
 from vlp16emu.units import HOUR_NS, S_NS
 
 NINE = 1_779_267_600 * S_NS  # 2026-05-20 09:00 UTC
@@ -72,6 +72,23 @@ def test_the_default_is_the_clock_that_follows_utc(tmp_path, pps, past_hour_s, c
     the host's is the best."""
     (found,) = unit_clocks(captured(tmp_path / "a.pcap", pps, past_hour_s=past_hour_s), [None])
     assert found.clock.clock == clock
+
+
+@pytest.mark.parametrize(
+    ("host_s", "clock"), [([0.0, 1e-3 * 1.327, 2e-3 * 1.327], Clock.FITTED), ([0.0, 0.0, 0.0], Clock.SENSOR)]
+)
+def test_the_clock_of_a_prototype_knows_its_model(tmp_path, host_s, clock):
+    """It is that of a VLP-16 also where the stamps of the host stand still and the sensor's clock is taken,
+    as packets of an HDL-32E, whose product byte it has, are younger."""
+    model = SensorModel("vlp-16")
+    data = np.zeros(3, DATA_PAYLOAD)
+    data["timestamp_us"], data["return_mode"] = 5_000_000 + 1327 * np.arange(3), 0x37
+    data["factory"] = 0x21
+    with PcapSink(tmp_path / "a.pcap") as sink:
+        for at_s, row in zip(host_s, data, strict=True):
+            sink.send(Packet(PacketKind.DATA, NINE + round(at_s * S_NS), row.tobytes()))
+    (found,) = unit_clocks(tmp_path / "a.pcap", [None], model=model)
+    assert (found.clock.clock, found.clock.model) == (clock, model)
 
 
 def test_sentences_name_date_and_hour_for_a_host_without_a_clock(tmp_path):

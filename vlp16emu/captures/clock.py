@@ -56,27 +56,26 @@ def unit_clocks(
     """
     if name not in (None, *Clock):
         raise InputError(where, f"found {name}", ", ".join(Clock))
-    seen = [_Seen() for _ in units]
+    seen = [_Seen(model) for _ in units]
     for unit, datagram in searched(Capture(path, is_quiet=True), units, stop):
         if unit is not None:
             seen[unit].take(datagram)
         if all(of.is_known(wants_sentence=name == Clock.GPS) for of in seen):
             break
-    chosen = [of.clock(path, name, where, model) for of in seen]
+    chosen = [of.clock(path, name, where) for of in seen]
     wanted = [each.clock.clock is Clock.HOST and name != Clock.HOST for each in chosen]
     if not any(wanted):
         return chosen
     survey = survey or Survey(path, stop)
     return [
-        _fitted(path, each, survey.arrivals(unit), name, where, model) if is_wanted else each
+        _fitted(path, each, survey.arrivals(unit), name, where) if is_wanted else each
         for each, unit, is_wanted in zip(chosen, units, wanted, strict=True)
     ]
 
 
-def _fitted(
-    path: Path, chosen: UnitClock, arrivals: Arrivals, name: str | None, where: str, model: SensorModel | None
-) -> UnitClock:
+def _fitted(path: Path, chosen: UnitClock, arrivals: Arrivals, name: str | None, where: str) -> UnitClock:
     """Return the host's clock fitted to the sensor's, or the sensor's if that cannot be."""
+    model = chosen.clock.model
     fit = arrivals.fit(model)
     if fit is not None:
         first = fit.parts[0]
@@ -87,7 +86,7 @@ def _fitted(
     stamps = arrivals.stamps()
     if name == Clock.FITTED and stamps.steps:
         raise InputError(where, f"found fitted, but in {path} {stamps.fault}", "sensor")
-    return chosen._replace(clock=PacketClock(), first_ns=chosen.sensor_ns)
+    return chosen._replace(clock=PacketClock(model=model), first_ns=chosen.sensor_ns)
 
 
 def packet_clock(
@@ -116,7 +115,8 @@ def packet_clock(
 class _Seen:
     """What the first packets of a unit say about its clock."""
 
-    def __init__(self) -> None:
+    def __init__(self, model: SensorModel | None) -> None:
+        self._model = model
         self.data: Datagram | None = None
         self.pps: PpsState | None = None
         self.behind_ns: int | None = None
@@ -144,20 +144,20 @@ class _Seen:
             self.behind_ns is not None if wants_sentence else self.pps is not None or self.count > _LOOKED_AT
         )
 
-    def clock(self, path: Path, name: str | None, where: str, model: SensorModel | None) -> UnitClock:
+    def clock(self, path: Path, name: str | None, where: str) -> UnitClock:
         """Return the clock of this name, or the one that follows UTC; errors as in `unit_clocks`."""
         behind_ns = self.behind_ns if name == Clock.GPS else 0
         if behind_ns is None:
             raise InputError(where, f"no valid sentence of a GPS receiver in {path}", "sensor or host")
         if self.data is None:
-            return UnitClock(PacketClock(_before_fit(name or Clock.SENSOR), behind_ns, model=model), 0)
-        first = table_of([self.data], PacketClock(Clock.HOST, behind_ns, model=model))[0]
+            return UnitClock(PacketClock(_before_fit(name or Clock.SENSOR), behind_ns, model=self._model), 0)
+        first = table_of([self.data], PacketClock(Clock.HOST, behind_ns, model=self._model))[0]
         follows_utc = self.pps is PpsState.LOCKED
         if self.pps is None:
             follows_utc = abs(first["utc_ns"] - first["sensor_ns"]) <= _CLOSE_NS
         clock = _before_fit(name) if name else Clock.SENSOR if follows_utc else Clock.HOST
         first_ns = first["utc_ns"] if clock is Clock.HOST else first["sensor_ns"]
-        found = PacketClock(clock, behind_ns, model=model)
+        found = PacketClock(clock, behind_ns, model=self._model)
         return UnitClock(found, int(first_ns), self.data.stamp_ns, int(first["sensor_ns"]))
 
 

@@ -84,6 +84,7 @@ class PacketClock:
         self._ages_ns = ages_ns(model)
         self.clock = clock
         self.fit = fit
+        self.model = model
         self._number = 0  # frame number of the latest data packet
         self._host_behind_ns = host_behind_ns
         self._before: tuple[int, int] | None = None

@@ -265,6 +265,7 @@ class Openers:
         self._elapsed_ns = elapsed_ns  # time since the first pulse
         self._threads = list[int]()  # by their numbers in the system
         self._is_flying = False
+        self.left_out = 0  # steps that were left out, also by the same windows in blocks of other sensors
         # Weak, as threads keep this object, and a window keeps the threads that built it.
         self._next: tuple[int, weakref.ref[Future[Geometry]]] | None = None
 
@@ -333,7 +334,11 @@ class LiveWindows(CubeWindows):
             parts, start_ns, batching, threads, motion, builders=builders, prepare_thread=prepare_thread
         )
         self._live = motion
-        self.left_out = 0  # blocks that were not cast because their time was over
+
+    @property
+    def left_out(self) -> int:
+        """Blocks of all sensors that were not cast because their time was over."""
+        return self.openers.left_out
 
     def course(self, t_ns: int) -> Course:
         """Return the course of the body; at the start that of its last pose, as it rests before its knots."""
@@ -359,7 +364,7 @@ class LiveWindows(CubeWindows):
         while block < blocks.stop:
             late = self._live.elapsed_ns // self._block_ns - block
             if late > _LATE_BLOCKS:
-                self.left_out += min(late, blocks.stop - block)
+                self.openers.left_out += min(late, blocks.stop - block)
                 block += late
                 continue
             size = min(max(late // threads, 1), self._parts - block % self._parts, blocks.stop - block)
