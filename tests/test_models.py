@@ -223,3 +223,20 @@ def test_each_product_byte_is_read_as_one_model():
         read_as = MODELS_BY_NAME[model.read_as]
         assert (read_as.product, read_as.read_as) == (model.product, model.read_as)
         assert PRODUCTS[model.product] is model.read_as
+
+
+@pytest.mark.parametrize(
+    ("model", "beat_m", "counts"), [("vlp-16", 0.006, True), ("hdl-32e", 0.0, False), ("vls-128", 0.0, True)]
+)
+def test_a_model_has_the_noise_of_its_units(model, beat_m, counts):
+    """A unit of a model without a beat or counts has none, whatever the VLP-16 has; what a scene sets and the
+    other presets stay."""
+    scenario = load("static_bench", [f"sensor.model={model}", "noise.preset=unit"])
+    noise = scenario.noise.of_model(scenario.sensor.unit_noise)
+    assert (noise.range_beat_m, noise.range_counts) == (beat_m, counts)
+    (unit,) = Emulator(scenario).engine.parts.units
+    assert unit.detector.range_beat_m.any() == (beat_m > 0)
+    own = load("static_bench", [f"sensor.model={model}", "noise.preset=unit", "noise.range_beat_m=0.004"])
+    assert own.noise.of_model(own.sensor.unit_noise).range_beat_m == 0.004
+    typical = load("static_bench", [f"sensor.model={model}", "noise.preset=typical"]).noise
+    assert typical.of_model(scenario.sensor.unit_noise) == typical

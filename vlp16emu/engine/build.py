@@ -289,7 +289,7 @@ def _unit(scenario: Scenario, number: int, mount: Mount, motion: Motion) -> Unit
     mode = ReturnMode(section.return_mode)
     detector = UnitDetector.of_unit(
         scenario.detector,
-        scenario.noise,
+        scenario.noise.of_model(section.unit_noise),
         scenario.weather,
         seed=seed,
         mode=mode,

@@ -3,7 +3,8 @@
 Also the constants for the kernels of this package, which are computed from them.
 """
 
-from typing import Annotated, Literal, NamedTuple
+from collections.abc import Mapping
+from typing import Annotated, Literal, NamedTuple, Self
 
 from pydantic import Field
 
@@ -137,6 +138,12 @@ class Noise(Preset):
     def in_spots(self) -> float:
         """Factor on the loss of records at places of a surface."""
         return self.records_lost if self.spots_lost is None else self.spots_lost
+
+    def of_model(self, values: Mapping[str, object]) -> Self:
+        """Return the noise of a model with other values in the preset `unit`; what a scene sets stays."""
+        unit = self.presets["unit"]
+        still = {key: value for key, value in values.items() if getattr(self, key) == unit[key]}
+        return self.model_copy(update=still) if self.is_real else self
 
     @property
     def _scatter(self) -> str:

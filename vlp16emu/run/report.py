@@ -35,9 +35,8 @@ class About:
     @classmethod
     def of(cls, name: str, scenario: Scenario) -> Self:
         """Describe a scenario."""
-        return cls(
-            name, scenario.seed, scenario.beam.summary, scenario.noise.summary, scenario.weather.summary
-        )
+        noise = scenario.noise.of_model(scenario.sensor.unit_noise)
+        return cls(name, scenario.seed, scenario.beam.summary, noise.summary, scenario.weather.summary)
 
 
 @dataclass(frozen=True, slots=True)

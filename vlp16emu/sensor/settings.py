@@ -1,5 +1,6 @@
 """The `[sensor]` table."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from ipaddress import IPv4Address
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self, get_args
@@ -146,6 +147,11 @@ class Lidar(Preset):
         """Return the directions and firing times of the lasers."""
         raise NotImplementedError
 
+    @property
+    def unit_noise(self) -> Mapping[str, object]:
+        """Values of `[noise]` in the preset `unit` that differ from a VLP-16's."""
+        return {}
+
 
 if TYPE_CHECKING:
     _ModelName = str
@@ -188,6 +194,12 @@ class Sensor(Lidar):
         from vlp16emu.types import SensorModel
 
         return BEAM_TABLES[SensorModel(self.model)]
+
+    @property
+    def unit_noise(self) -> Mapping[str, object]:
+        """Values of `[noise]` in the preset `unit` that differ from a VLP-16's."""
+        values: Mapping[str, object] = model_table(self.model).get("noise", {})
+        return {key: value for key, value in values.items() if key != "source"}
 
     @model_validator(mode="after")
     def _has_a_code(self) -> Self:
