@@ -212,7 +212,10 @@ def _look_from(server: viser.ViserServer, place_m: F8, ahead_m: F8, stand: Surve
     rooms_m = np.array([_room_m(camera_m, place_m, stand) for camera_m in cameras_m])
     filled = np.array([_filled(camera_m, look_at_m, stand) for camera_m in cameras_m])
     camera = server.initial_camera
-    camera.position = tuple(cameras_m[np.lexsort([filled, -np.minimum(rooms_m, _FREE_M)])[0]])
+    free_dm = np.round(
+        10 * np.minimum(rooms_m, _FREE_M)
+    )  # a low crown about the sensor is in all views alike
+    camera.position = tuple(cameras_m[np.lexsort([filled, -free_dm])[0]])
     camera.look_at = tuple(look_at_m)
 
 
