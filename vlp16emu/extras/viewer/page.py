@@ -197,7 +197,7 @@ def _draw_stand(server: viser.ViserServer, stand: Survey, *, is_first: bool = Fa
 
 
 def _look_from(server: viser.ViserServer, place_m: F8, ahead_m: F8, stand: Survey | None = None) -> None:
-    """Let the camera begin behind the sensor, where no tree hides it."""
+    """Let the camera begin behind the sensor, where no tree hides it and stems fill little of the view."""
     away_m = math.hypot(*ahead_m[:2])
     ahead = ahead_m[:2] / away_m if away_m > 0 else np.array([1.0, 0.0])
     aside = np.radians(_ASIDE_DEG)
@@ -208,10 +208,15 @@ def _look_from(server: viser.ViserServer, place_m: F8, ahead_m: F8, stand: Surve
         ]
     )
     cameras_m = place_m + np.column_stack([behind_m, np.full(len(aside), _ABOVE_M)])
+    look_at_m = place_m + _BEHIND_M * np.array([*ahead, 0.0])
     rooms_m = np.array([_room_m(camera_m, place_m, stand) for camera_m in cameras_m])
+    filled = np.array([_filled(camera_m, look_at_m, stand) for camera_m in cameras_m])
     camera = server.initial_camera
-    camera.position = tuple(cameras_m[np.minimum(rooms_m, _FREE_M).argmax()])
-    camera.look_at = (*(place_m[:2] + _BEHIND_M * ahead), place_m[2])
+    free_dm = np.round(
+        10 * np.minimum(rooms_m, _FREE_M)
+    )  # a low crown about the sensor is in all views alike
+    camera.position = tuple(cameras_m[np.lexsort([filled, -free_dm])[0]])
+    camera.look_at = tuple(look_at_m)
 
 
 def _room_m(camera_m: F8, place_m: F8, stand: Survey | None) -> float:
@@ -223,6 +228,19 @@ def _room_m(camera_m: F8, place_m: F8, stand: Survey | None) -> float:
     radius_m = np.where(is_low, trees["crown_width_m"], trees["dbh_m"]) / 2
     gap_m = distance_m(places_m(trees, "xy"), np.stack([camera_m[:2], place_m[:2]]))
     return float((gap_m - radius_m).min())
+
+
+def _filled(camera_m: F8, look_at_m: F8, stand: Survey | None) -> float:
+    """Return the width of the stems between a camera and the sensor over the width of the view, about."""
+    if stand is None:
+        return 0.0
+    ahead = (look_at_m - camera_m)[:2] / math.hypot(*(look_at_m - camera_m)[:2])
+    x_m, y_m = (places_m(stand.near, "xy") - camera_m[:2]).T
+    along_m = x_m * ahead[0] + y_m * ahead[1]
+    across_m = np.abs(y_m * ahead[0] - x_m * ahead[1])
+    radius_m = stand.near["dbh_m"] / 2
+    seen = (along_m > 0.0) & (along_m < _BEHIND_M) & (across_m - radius_m < along_m)
+    return float((radius_m / np.maximum(along_m, radius_m))[seen].sum())
 
 
 def draw_points(
