@@ -278,13 +278,13 @@ def test_stems_are_met_alike_in_the_grid_and_beside_it(stand):
     inside = medium._replace(brick=np.zeros_like(medium.brick))
     beside = medium._replace(brick=np.zeros((1, 1, 1, 2), "u8"), corner_m=(500.0, 500.0, 500.0))
     met = 0
-    for towards in ("x", "-y"):
-        origin_m, direction = some_rays(world, towards, 300)
+    for towards in ("x", "-x", "y", "-y"):
+        origin_m, direction = some_rays(world, towards, 450)
         for o, d in zip(origin_m, direction, strict=True):
             here, there = (marched(each, [o], [d]) for each in (inside, beside))
             assert all(a[0] == b[0] for a, b in zip(here, there, strict=True))
             met += here[1][0] != NO_SURFACE
-    assert met > 50
+    assert met > 20
 
 
 def pulses_of_eight(world, count, seed=4):

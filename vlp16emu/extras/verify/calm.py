@@ -1,7 +1,7 @@
-"""Runs of packets in which nothing needs a look at single ones: nearly all of a sound capture.
+"""Runs of packets that are checked together: nearly all of a sound capture.
 
-What a run tells of its packets is computed for all of them at once. Packets whose order, clocks, ports or
-lengths break a rule, or may break one, are judged one by one.
+Steps of clocks, order and lengths are computed for all packets of a run at once. Packets that break a rule of
+order, clocks, ports or lengths, or may break one, are checked one by one.
 """
 
 from collections.abc import Sequence
