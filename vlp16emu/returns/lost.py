@@ -228,7 +228,7 @@ def lose(
 
 @inline_kernel
 def _follow(before: F8, laser: int, code: float, range_m: float) -> tuple[float, float]:
-    """Update the averages of a laser, as in `lose`, and return its mean code before and the change of code."""
+    """Update the averages of a laser, as in `lose`; return its mean code before, and the change of code."""
     level = before[0, laser]
     change_m = min(abs(range_m - before[1, laser]), _MOST_ROUGH_M)
     before[2, laser] += _POWER_GAIN * (change_m - before[2, laser])
