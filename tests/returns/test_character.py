@@ -55,6 +55,7 @@ def test_ranges_are_counts_of_4_mm_and_a_correction():
     assert 0.65 < dark < 0.82
     assert 0.85 < middle < 0.96
     assert 0.45 < even_shares(noise, 0.3)[1] < 0.65
+    assert 0.55 < even_shares(noise, 1.0)[0] < 0.85  # codes are clipped, counts are not
     np.testing.assert_allclose(even_shares(noise | {"range_counts": False}, 0.3), 0.5, atol=0.02)
     parity = 1.0 - 2.0 * detector(COUNTS).strength.parity
     cosine = parity @ parity.T / parity.shape[1]
@@ -63,11 +64,11 @@ def test_ranges_are_counts_of_4_mm_and_a_correction():
 
 
 def test_counts_grow_with_codes_and_have_a_correction():
-    """Every code up to 100 has a count that the table of corrections holds, on the finest unit too."""
+    """Every code up to 255 has a count that the table of corrections holds, on the finest unit too."""
     tables = [detector({"preset": "unit"}, seed=seed).strength for seed in range(200)]
     for unit in tables:
         assert (np.diff(unit.counts) > 0.0).all()
-        assert count_of(unit.counts, 100.0) < unit.parity.shape[1]
+        assert count_of(unit.counts, 1e6) < unit.parity.shape[1]
     least, most = span("strength.counts_of_units")
     drawn = np.array([unit.counts[1] for unit in tables]) / span("strength.counts")[0]
     assert stats.kstest(drawn, stats.uniform(least, most - least).cdf).pvalue > 0.01

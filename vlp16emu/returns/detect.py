@@ -409,8 +409,8 @@ def _measure(
     gain = own_gain * at_range(by_range, range_m, GAIN_AT_RANGE)
     eighths = eighths_at(by_range, range_m)
     percent = 100.0 * reflectance
-    code = min(max(percent * gain + counts, 0.0), 100.0)
-    exact = strength(code, eighths)
+    code = max(percent * gain + counts, 0.0)
+    exact = strength(min(code, 100.0), eighths)
     if parity.shape[0] > 0 and measured_m > 0.0:
         measured_m = with_parity(parity, count_of(counts_of_code, code), measured_m, constants.max_range_m)
     scale = eighths, by_range[0, TOP]

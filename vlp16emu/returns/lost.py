@@ -170,8 +170,7 @@ def lose(
     Parameters
     ----------
     noise : normal numbers of the pulse, whose last digits decide on losses at steps
-    pulse : number of its nodes, of which one has no step of range, and its sub-rays as in
-        `second_surface_share`
+    pulse : number of its nodes, and its sub-rays as in `second_surface_share`; one node has no step
     place : seed of the unit, pulses and row of this one, its range before errors, and the share of near
         records that its laser loses
     before : (6, L) state of each laser: mean code, -1 for none, last range, mean change of range, mean change
@@ -183,17 +182,10 @@ def lose(
         before[0, laser] = -1.0
         return
     code = min(np.float64(reflectivity[0]), 100.0)
-    level = before[0, laser]
     range_m = np.float64(distance_m[0])
     rough_m = before[2, laser]
-    change_m = min(abs(range_m - before[1, laser]), _MOST_ROUGH_M)
-    before[2, laser] += _POWER_GAIN * (change_m - rough_m)
-    before[1, laser] = range_m
-    before[0, laser] = code if level < 0.0 else level + _POWER_GAIN * (code - level)
-    change = min(abs(code - level) / max(level, _BRIGHT_CODE), 1.0) if level >= 0.0 else 0.0
     is_uneven = before[3, laser] > _UNEVEN_FROM
-    before[3, laser] += _POWER_GAIN * (change - before[3, laser])
-    before[UNEVENNESS, laser] += _NOISE_GAIN * (min(change, _MOST_CHANGE) - before[UNEVENNESS, laser])
+    level, change = _follow(before, laser, code, range_m)
     lost = _fraction(noise[0] * _DIGITS)  # no further number is drawn
     follows = before[4, laser]
     before[4, laser] = 0.0
@@ -232,6 +224,20 @@ def lose(
         reflectivity[column] = np.uint8(shown_code if column < 2 else 0.0)
     if shown_code > 0.0 and dual and np.sqrt(_fraction(_ANEW * choice)) * _UNEQUAL_CODE < shown_code:
         reflectivity[1] = np.uint8(_multiple(_LAST_FACTOR * shown_code + no_return, no_return, _FULL))
+
+
+@inline_kernel
+def _follow(before: F8, laser: int, code: float, range_m: float) -> tuple[float, float]:
+    """Update the averages of a laser, as in `lose`; return its mean code before, and the change of code."""
+    level = before[0, laser]
+    change_m = min(abs(range_m - before[1, laser]), _MOST_ROUGH_M)
+    before[2, laser] += _POWER_GAIN * (change_m - before[2, laser])
+    before[1, laser] = range_m
+    before[0, laser] = code if level < 0.0 else level + _POWER_GAIN * (code - level)
+    change = min(abs(code - level) / max(level, _BRIGHT_CODE), 1.0) if level >= 0.0 else 0.0
+    before[3, laser] += _POWER_GAIN * (change - before[3, laser])
+    before[UNEVENNESS, laser] += _NOISE_GAIN * (min(change, _MOST_CHANGE) - before[UNEVENNESS, laser])
+    return level, change
 
 
 @inline_kernel

@@ -19,7 +19,7 @@ from vlp16emu.types import F8, U1
 
 _BINS_PER_M = 16
 _BINS = 1024  # up to 64 m, beyond which factors no longer change
-PARITIES = 256  # counts of the receiver with a correction of their own: those of most codes, and some more
+PARITIES = 320  # counts of the receiver with a correction of their own: those of most codes, and some more
 EIGHTHS = 0  # columns of `Strength.by_range`
 GAIN = 1
 TOP = 2
@@ -44,7 +44,7 @@ class Strength(NamedTuple):
     """(L, bins, 3) factor of a strength in eighths of a code before it is rounded, 0 for none, gain, and
     greatest code of a matt surface, every 1/16 m."""
     parity: U1  # (L, PARITIES) correction of the range by count of the receiver, modulo 2; empty for none
-    counts: F8  # (102,) count of the receiver of each code, before it is rounded
+    counts: F8  # (257,) count of the receiver of each code up to 255, before it is rounded
 
 
 def strength_of(
@@ -88,10 +88,10 @@ def _tops(seed: int, lasers: int) -> F8:
 
 
 def _counts(seed: int, unit_spread: float) -> F8:
-    """Draw the count of the receiver of each code, (102,), before it is rounded."""
+    """Draw the count of the receiver of each code, (257,), before it is rounded; codes end at 100."""
     least, most = span("strength.counts_of_units")
     drawn = float(uniform(seed, Purpose.STRENGTH, 0, 1)[0]) if unit_spread > 0.0 else 0.5
-    of_code = np.interp(np.arange(101.0) + 0.5, span("strength.counts_at"), span("strength.counts"))
+    of_code = np.interp(np.arange(_FULL + 1.0) + 0.5, span("strength.counts_at"), span("strength.counts"))
     return np.concatenate([[0.0], np.cumsum((least + (most - least) * drawn) * of_code)])
 
 
@@ -187,8 +187,8 @@ def in_steps(code: float, exact: float, eighths: float) -> float:
 
 @inline_kernel
 def count_of(counts: F8, code: float) -> float:
-    """Return the count of the receiver, before rounding, of a code of 0 to 100 before it is rounded."""
-    place = code + 0.5
+    """Return the count of the receiver, before rounding, of a code before it is rounded and clipped."""
+    place = min(code, _FULL) + 0.5
     below = np.uint64(place)
     return counts[below] + (place - below) * (counts[below + 1] - counts[below])
 

@@ -64,7 +64,7 @@ def test_a_users_plants_come_after_our_own(write):
                                                            "expected a finite number")),
         ("leaf_area_index = 4.5", 'leaf_area_index = "4"', ('holm_oak.leaf_area_index: found "4"; '
                                                            'expected a number')),
-        ("bark_reflectance = 0.4 ", "bark_reflectance = 40 ", ("holm_oak.bark_reflectance: found 40; "
+        ("bark_reflectance = 0.31 ", "bark_reflectance = 40 ", ("holm_oak.bark_reflectance: found 40; "
                                                               "expected a number from 0 to 1")),
         ('"uniform"', '"logistic"', ('holm_oak.height_curve.model: found "logistic"; expected "uniform" '
                                     'or "curtis_arney"')),
