@@ -53,17 +53,17 @@ def _ground(
     for (ix, iy), row in rows.items():
         i, j = (ix - low[0]) * _BRICKS, (iy - low[1]) * _BRICKS
         surface[i : i + _BRICKS, j : j + _BRICKS] = row
-        across, up = (slice(at * BRICK * FINER, (at + _BRICKS) * BRICK * FINER + 1) for at in (i, j))
-        ground_m[across, up] = tiles[ix, iy].ground_m[FINER:-FINER, FINER:-FINER] - window.origin_m[2]
-        across, up = (slice(at * BRICK * FINER, (at + _BRICKS) * BRICK * FINER) for at in (i, j))
-        sides[across, up] = tiles[ix, iy].sides
+        x, y = i * BRICK * FINER, j * BRICK * FINER
+        tile = tiles[ix, iy]
+        corners_m = tile.ground_m[FINER:-FINER, FINER:-FINER] - window.origin_m[2]
+        ground_m[x : x + len(corners_m), y : y + len(corners_m)] = corners_m
+        sides[x : x + len(tile.sides), y : y + len(tile.sides)] = tile.sides
     known = ground_m > _NO_GROUND_M / 2
     along_x = np.abs(np.diff(ground_m, axis=0))[known[1:] & known[:-1]]
     along_y = np.abs(np.diff(ground_m, axis=1))[known[:, 1:] & known[:, :-1]]
     steepest = float(hypot(along_x.max(initial=0.0), along_y.max(initial=0.0)) * FINER / VOXEL_M)
-    return Ground(
-        ground_m, surface, float(corner_m[0]), float(corner_m[1]), steepest, sides, tiles[ix, iy].facing
-    )
+    facing = next(iter(tiles.values())).facing  # the same for all tiles
+    return Ground(ground_m, surface, float(corner_m[0]), float(corner_m[1]), steepest, sides, facing)
 
 
 def _stems(window: TiledWindow, tiles: Mapping[Name, FarTile], rows: Mapping[Name, int]) -> Stems:
