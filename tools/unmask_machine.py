@@ -9,7 +9,7 @@ by length; each for all values and for classes of code and of range.
 from collections.abc import Iterator
 
 import numpy as np
-from unmask_windows import Array, Features, Window
+from unmask_windows import UPWARDS, Array, Features, Window
 
 CODES = np.array([0, 1, 2, 4, 8, 12, 20, 30, 45, 60, 80, 100, 101, 256])
 CODE_CLASSES = np.array([4, 12, 30, 60, 100])
@@ -21,7 +21,6 @@ NO_RETURN_STEPS = np.array([0, 1, 2, 3, 5, 9, 17, 33, 65])
 SURFACE_LSB = 20
 LEAST = 100
 """Least number of values of a histogram."""
-_UPWARDS = np.r_[0:16:2, 1:16:2]  # lasers by elevation (63-9243 Rev D, table 9-1)
 
 
 class Axis:
@@ -37,13 +36,13 @@ class Axis:
 
 def axes_of(window: Window) -> Iterator[Axis]:
     """Yield the axes of a window; the turn is left out where the capture ends within it."""
-    d, r = (v[:, _UPWARDS] for v in (window.sequences.distance_lsb, window.sequences.reflectivity))
+    d, r = (v[:, UPWARDS] for v in (window.sequences.distance_lsb, window.sequences.reflectivity))
     for lag in (1, 2):
         yield Axis(f"next_{lag}", (d[:-lag], r[:-lag]), (d[lag:], r[lag:]))
     yield Axis("up", (d[:, :-1], r[:, :-1]), (d[:, 1:], r[:, 1:]))
     inside = window.later < len(window.whole.number)
     later = window.later[inside]
-    after = (v[later][:, _UPWARDS] for v in (window.whole.distance_lsb, window.whole.reflectivity))
+    after = (v[later][:, UPWARDS] for v in (window.whole.distance_lsb, window.whole.reflectivity))
     yield Axis("turn", (d[inside], r[inside]), tuple(after))
 
 

@@ -9,10 +9,10 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
-from unmask_windows import Array, turn_later
+from unmask_windows import UPWARDS, Array, turn_later
 
 from vlp16emu.extras.compare import Sequences
-from vlp16emu.extras.compare.statistics import _UPWARDS, stretches_of
+from vlp16emu.extras.compare.statistics import stretches_of
 from vlp16emu.packets.layout import AZIMUTH_CODES
 
 M_LSB = 500
@@ -157,7 +157,7 @@ def ring_ratio(one: Capture) -> float:
     """Return the spread over sectors of 45 degrees of the logarithm of the ratio of neighbouring rings."""
     count = len(one.d) // PULSES
     shape = (count, PULSES, 16)
-    d, r = (v[: count * PULSES].reshape(shape)[:, :, _UPWARDS] for v in (one.d, one.r))
+    d, r = (v[: count * PULSES].reshape(shape)[:, :, UPWARDS] for v in (one.d, one.r))
     rest = np.einsum("ij,njl->nil", 2.0 * WITHOUT_CUBIC, d)
     smooth = ((rest**2).mean(axis=1) < SMOOTH_MM**2) & (d > 0).all(axis=1)
     smooth &= (r.min(axis=1) > 12) & (r.max(axis=1) < 100)

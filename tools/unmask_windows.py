@@ -26,6 +26,8 @@ CODES, CHANGES, RUNS = (
 MULTIPLES = (0, 0.01, 0.9, 1.1, 1.9, 2.9, 256)
 LEAST = 30
 """Least number of values of a feature."""
+UPWARDS = np.r_[0:16:2, 1:16:2]
+"""Lasers by elevation (63-9243 Rev D, table 9-1)."""
 Array = np.ndarray
 
 

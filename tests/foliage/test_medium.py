@@ -333,15 +333,16 @@ def same(one, other):
 
 
 def test_what_is_open_keeps_its_blocks_whatever_comes_and_goes():
-    """Blocks of the last two of many windows are as they were made, in the arrays that each window got;
-    room that is free is used again."""
+    """Blocks of the last two of many windows are as they were made, in the arrays that each window got, also
+    beside blocks without owners, as of tiles without plants; room that is free is used again."""
     rng, open_windows, shelf = np.random.default_rng(3), [], Shelf()
     for start in range(60):
         names = [(start + i, 0) for i in range(6)]
         shelf.clear(names)
         for name in names:
             if name not in shelf.blocks:
-                shelf.put(name, block(name[0], *rng.integers(2, 400, 2).tolist()), len(names))
+                records, owners = rng.integers(2, 400, 2).tolist()
+                shelf.put(name, block(name[0], records, owners * (start % 3 > 0)), len(names))
         laid = {name: found(shelf, name, shelf.arrays) for name in names}
         kept = {
             name: replace(each, **{n: getattr(each, n).copy() for n in Block.__slots__[1:]})
@@ -353,4 +354,5 @@ def test_what_is_open_keeps_its_blocks_whatever_comes_and_goes():
         for _, others, arrays, before in open_windows:
             assert all(same(found(shelf, name, arrays), before[name]) for name in others)
             assert all((before[name].record == name[0]).all() for name in others)
+            assert all((before[name].owner // np.uint64(1000) == name[0]).all() for name in others)
         assert len(shelf.arrays[0]) <= 3 * 7 * 400  # three times those of both windows

@@ -191,7 +191,7 @@ def _gap(occupied: Iterable[slice], size: int) -> slice:
     for part in sorted(occupied, key=lambda part: part.start):
         if part.start - begin >= size:
             break
-        begin = part.stop
+        begin = max(begin, part.stop)  # an empty one may stand at the begin of another
     return slice(begin, begin + size)
 
 
