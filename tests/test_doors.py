@@ -20,6 +20,11 @@ NUMBER = 7
 TEXT = "no such folder"
 class Bare: pass
 def unread(a: "no expression"): pass
+class Fault(BaseException): pass
+class Noisy:
+    def __call__(self): pass
+    def __repr__(self): raise Fault("of its own")
+noisy = Noisy()
 class Renamed(WorldSection):
     kind: Literal["other"] = "other"
 class Opaque(MotionSection):
@@ -50,6 +55,7 @@ bad place = not a module!!
 seven = damaged:NUMBER
 leave = leaves
 unread = damaged:unread
+noisy = damaged:noisy
 """
 _RUN = """
 import sys
@@ -80,6 +86,7 @@ _COMMANDS = (
     "seven",
     "leave",
     "unread",
+    "noisy",
     "points static_bench x.xyz",
 )
 
@@ -112,7 +119,7 @@ def test_verbs_work_beside_broken_entry_points(said):
     """`scenes` and `schema` print all that is ours, an unknown name of a scene is bad input, and so is what
     is broken where it is named."""
     out, lines = said
-    assert lines[-1] == "0 0 2 2 2 2 2"
+    assert lines[-1] == "0 0 2 2 2 2 2 2"
     decoder = json.JSONDecoder()
     scenes, end = decoder.raw_decode(out)
     schema, _ = decoder.raw_decode(out[end:].lstrip())
@@ -137,6 +144,7 @@ def test_a_broken_entry_point_is_left_out_with_a_line(said, group, name, reason)
         "seven of vlp16emu.verbs",
         "leave of vlp16emu.verbs",
         "unread of vlp16emu.verbs",
+        "noisy of vlp16emu.verbs",
         ".xyz of vlp16emu.clouds",
     ],
 )

@@ -15,7 +15,7 @@ from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, get_args, get_type_hints
 
 from vlp16emu.errors import InputError
 from vlp16emu.models import MODEL_NAMES
@@ -187,7 +187,9 @@ def _load(entry: "EntryPoint") -> Any:
         raise InputError(where, _summary(error), f"{entry.value}, which can be imported") from error
     try:
         expected = _CHECKS[group](found, entry.name)
-    except Exception as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
         raise InputError(where, _summary(error), f"an object that {entry.group} takes") from error
     if expected is not None:
         raise InputError(where, f"found {_shown(found)}", expected)
@@ -238,6 +240,7 @@ def _verb_check(found: object, _name: str) -> str | None:
     if not callable(found):
         return "a function"
     inspect.signature(found, eval_str=True)  # raises if it has none, or an annotation is no expression
+    get_type_hints(found)  # what builds the command needs them
     return None
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from vlp16emu.errors import InputError
 from vlp16emu.extras.slam.configure import Rig, configurations, programs
 from vlp16emu.extras.slam.fitness import ROWS
 from vlp16emu.types import SensorModel
@@ -335,3 +336,11 @@ def test_extrinsics_have_the_direction_that_each_program_wants():
     np.testing.assert_allclose(Rotation.from_quat(glim[3:]).apply(in_imu) + glim[:3], seen, atol=1e-7)
     assert yaml_of(made["point-lio"]["point-lio.yaml"])["mapping"]["imu_time_inte"] == 0.01
     assert yaml_of(made["point-lio"]["point-lio.yaml"])["mapping"]["lidar_time_inte"] == 0.2
+
+
+@pytest.mark.parametrize("model", ["vlp-17", "\ud800", 16])
+def test_a_model_in_the_truth_that_is_not_known_is_bad_input(model):
+    """A damaged `scenario.json` is named, with the models that it may have."""
+    rig = {"units": [{"body_T_sensor": {"matrix": np.eye(4).tolist()}}]}
+    with pytest.raises(InputError, match=r"scenario\.json: sensor\.model: found .*; expected hdl-32e or"):
+        Rig.from_truth(rig, {"sensor": {"model": model, "rpm": 600}}, "velodyne")

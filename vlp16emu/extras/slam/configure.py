@@ -18,6 +18,7 @@ from vlp16emu.elementary import inverse, matmul
 from vlp16emu.errors import InputError, OutputError
 from vlp16emu.extras.truth.truth import given_mount
 from vlp16emu.inputs import read_text
+from vlp16emu.models import MODEL_NAMES
 from vlp16emu.output import OutputFile, final_name
 from vlp16emu.sensor.beams import MODELS, SEQUENCE_NS
 from vlp16emu.trees import Table
@@ -70,12 +71,17 @@ class Rig:
 
     @classmethod
     def from_truth(cls, rig: Table, scenario: Table, frame: str) -> Self:
-        """Return the rig of the first unit, with lidar frame `frame`, from `rig.json` and `scenario.json`."""
+        """Return the rig of the first unit, with lidar frame `frame`, from `rig.json` and `scenario.json`.
+
+        Raises InputError if the model is not known.
+        """
         imu = given_mount(rig["imu"], "body_T_imu") if "imu" in rig else None
         lidar = given_mount(rig["units"][0], "body_T_sensor")
         sensor = scenario["sensor"]
-        model = SensorModel(sensor.get("model", SensorModel.VLP_16))
-        return cls(float(sensor["rpm"]), lidar, imu, scenario.get("imu"), frame, model)
+        name = sensor.get("model", SensorModel.VLP_16)
+        if name not in MODEL_NAMES:
+            raise InputError("scenario.json: sensor.model", f"found {name}", " or ".join(MODEL_NAMES))
+        return cls(float(sensor["rpm"]), lidar, imu, scenario.get("imu"), frame, SensorModel(name))
 
     def names(self) -> dict[str, str]:
         """Return the texts for the names in the templates; a name is missing if the rig has no such value."""
