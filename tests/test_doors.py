@@ -25,6 +25,7 @@ class Noisy:
     def __call__(self): pass
     def __repr__(self): raise Fault("of its own")
 noisy = Noisy()
+def gives_a_text(): return "done"
 class Renamed(WorldSection):
     kind: Literal["other"] = "other"
 class Opaque(MotionSection):
@@ -56,6 +57,7 @@ seven = damaged:NUMBER
 leave = leaves
 unread = damaged:unread
 noisy = damaged:noisy
+gives = damaged:gives_a_text
 """
 _RUN = """
 import sys
@@ -87,6 +89,7 @@ _COMMANDS = (
     "leave",
     "unread",
     "noisy",
+    "gives",
     "points static_bench x.xyz",
 )
 
@@ -119,7 +122,7 @@ def test_verbs_work_beside_broken_entry_points(said):
     """`scenes` and `schema` print all that is ours, an unknown name of a scene is bad input, and so is what
     is broken where it is named."""
     out, lines = said
-    assert lines[-1] == "0 0 2 2 2 2 2 2"
+    assert lines[-1] == "0 0 2 2 2 2 2 0 2"
     decoder = json.JSONDecoder()
     scenes, end = decoder.raw_decode(out)
     schema, _ = decoder.raw_decode(out[end:].lstrip())

@@ -93,7 +93,8 @@ def run(arguments: Sequence[str]) -> int:
         verb = next((word for word in arguments if not word.startswith("-")), None)
         is_verb = verb is not None and has_door(verb, "verbs")
         app = program([verb] if verb and is_verb else DOORS["verbs"])  # the others need not be loaded
-        return app(arguments, prog_name="vlp16emu", standalone_mode=False) or 0
+        code = app(arguments, prog_name="vlp16emu", standalone_mode=False)
+        return code if isinstance(code, int) else 0  # a verb of another package may return anything
     except Vlp16emuError as error:
         if _was_interrupted.is_set():  # a library has made another error of the interrupt
             return INTERRUPTED
