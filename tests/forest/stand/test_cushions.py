@@ -1,4 +1,4 @@
-"""Cushions of moss from afar hide as much ground, and face light, as their faces do."""
+"""Cushions of moss in the far medium hide as much ground, and face light, as their faces do."""
 
 from types import SimpleNamespace
 

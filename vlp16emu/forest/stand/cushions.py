@@ -1,4 +1,4 @@
-"""Cushions of moss as seen from afar: their sides on squares of the ground."""
+"""Cushions of moss in the far medium: their sides on squares of the ground."""
 
 from functools import cache
 
