@@ -1,4 +1,4 @@
-"""Where more cores stop to help a run: a simulation of its workers and its writer, from measured parts."""
+"""Simulation of a run on more cores, from the measured times of its workers and of the thread that writes."""
 
 import os
 import subprocess

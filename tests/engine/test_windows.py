@@ -116,7 +116,7 @@ def test_a_wire_sensor_is_cut_as_ever():
 
 
 def unit_of(lasers, sequence_ns):
-    """What `Batching.of` reads of a unit without packets."""
+    """Return a unit without packets, with the beams that `Batching.of` reads."""
     beams = SimpleNamespace(elevation_deg=np.zeros(lasers), sequence_ns=sequence_ns)
     return SimpleNamespace(head=SimpleNamespace(beams=beams), section=None)
 

@@ -148,8 +148,8 @@ def test_a_cloud_is_where_its_faces_are(monkeypatch):
 
 
 def test_branches_begin_at_the_bark():
-    """Of a rod of 1 m that begins on the axis of a stem 0.2 m wide, nine tenths count, to 2 %; of one inside
-    the stem, or above its top, none and all."""
+    """A rod of 1 m that begins on the axis of a stem 0.2 m wide counts by nine tenths, to 2 %; one inside the
+    stem not at all, one above its top as a whole."""
     angle = np.arange(6) * np.pi / 3
     rim = 0.01 * np.column_stack([0 * angle, np.cos(angle), np.sin(angle)])
     vertices_m = np.concatenate([rim, rim + [1.0, 0.0, 0.0]])

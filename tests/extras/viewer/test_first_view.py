@@ -55,8 +55,8 @@ def test_a_stem_close_to_the_camera_does_not_fill_the_view():
 
 
 def test_a_sapling_about_the_sensor_leaves_the_choice_to_the_stems():
-    """Where a low crown surrounds the sensor, the camera has no room anywhere, and takes a place from
-    which the stem is not in sight."""
+    """The camera takes a place from which the stem is not in sight, if a low crown around the sensor leaves
+    it no room."""
     sapling, stem = stand_of((3.0, 4.1, 0.02), base_m=0.2).near, stand_of((-1.5, 5.0, 0.5)).near
     stand = SimpleNamespace(near=np.concatenate([sapling, stem]))
     camera_m = first_view(stand)
