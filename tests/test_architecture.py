@@ -138,6 +138,15 @@ OPENS = {
     "models.py": "its own tables",
     "store.py": "the cache",
 }
+JSON = {
+    # module that parses JSON without `inputs.py`: what it parses
+    "child.py": "answers of its own process",
+    "extras/bench/device.py": "its own table",
+    "extras/slam/configure.py": "its own templates",
+    "extras/viewer/live_settings.py": "answers of the sensor's web interface",
+    "inputs.py": "all texts of users",
+    "kernels/compiler.py": "its own table",
+}
 OPENERS = {"open", "read_bytes", "read_text", "memmap", "fromfile", "open_memmap", "loadtxt", "genfromtxt"}
 
 
@@ -174,6 +183,12 @@ def imports(tree: ast.AST) -> tuple[str, ...]:
             assert node.level == 0, f"line {node.lineno}: relative import"
             found += [f"{node.module}.{alias.name}" for alias in node.names]
     return tuple(found)
+
+
+def called(tree: ast.AST) -> set[str]:
+    """Names of the functions that a file calls, with their modules, as `sys.exit`."""
+    funcs = [node.func for node in ast.walk(tree) if isinstance(node, ast.Call)]
+    return {ast.unparse(func) for func in funcs if isinstance(func, ast.Name | ast.Attribute)}
 
 
 def functions(tree: ast.AST) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
@@ -337,6 +352,11 @@ def test_files_of_users_come_in_through_one_door():
     assert not opens(ast.parse("files(__package__).joinpath(name).read_text()"))
 
 
+def test_json_of_users_is_parsed_in_one_place():
+    """Only `inputs.py` parses JSON of users; other modules parse what the table says, and no others do."""
+    assert {name for name, tree in trees().items() if "json.loads" in called(tree)} == JSON.keys()
+
+
 def test_names_of_hosts_are_looked_up_in_one_place():
     """Only `hosts.py` asks for the address of a name, or binds a socket: a name server may not answer."""
     asking = {"getaddrinfo", "gethostbyname", "create_connection", "create_server", "TCPServer"}
@@ -352,9 +372,7 @@ def test_names_of_hosts_are_looked_up_in_one_place():
 def test_only_the_command_line_prints():
     """No `print`, no `sys.exit`, no writing to the standard streams outside `cli/`."""
     for name, tree in trees().items():
-        funcs = [node.func for node in ast.walk(tree) if isinstance(node, ast.Call)]
-        calls = {ast.unparse(func) for func in funcs if isinstance(func, ast.Name | ast.Attribute)}
-        printing = calls & {"print", "exit", "sys.exit", "sys.stdout.write", "sys.stderr.write"}
+        printing = called(tree) & {"print", "exit", "sys.exit", "sys.stdout.write", "sys.stderr.write"}
         assert not printing or name.startswith("cli/"), f"{name} calls {printing}"
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vlp16emu.errors import InputError, TrajectoryError
-from vlp16emu.inputs import open_input, parsing, read_bytes, read_text, readable
+from vlp16emu.inputs import open_input, parse_json, parsing, read_bytes, read_text, readable
 
 
 def test_a_pipe_is_read_to_its_end(tmp_path):
@@ -103,3 +103,24 @@ def test_a_link_to_itself_is_refused(tmp_path):
     path.symlink_to(path)
     with pytest.raises(InputError, match="too many levels of symbolic links; expected text"):
         read_text(path, "text", InputError)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('{"a": "\\uD800"}', r"'\\ud800' is half a character"),
+        ('["\\udc00b"]', r"'\\udc00' is half a character"),
+        ("[" * 100_000, "maximum recursion depth"),
+        ("{", "Expecting property name"),
+        ("1" * 5000, "Exceeds the limit"),
+    ],
+)
+def test_json_of_users_has_one_error(text, said):
+    """What is no JSON, or has what no other text can have, raises ValueError and nothing else."""
+    with pytest.raises(ValueError, match=said):
+        parse_json(text)
+
+
+def test_escapes_of_whole_characters_are_json():
+    """A pair of escapes is one character (RFC 8259, section 7), and an escaped backslash begins none."""
+    assert parse_json(r'["\ud834\udd1e", "\\ud800"]') == ["\U0001d11e", r"\ud800"]

@@ -4,6 +4,7 @@ A file that cannot be read, a special file, and whatever a library raises while 
 error of the caller's class, in one line.
 """
 
+import json
 import os
 import select
 import stat
@@ -13,7 +14,7 @@ from contextlib import contextmanager
 from io import BufferedReader, FileIO, RawIOBase
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from vlp16emu.errors import InputError, Vlp16emuError
 
@@ -65,6 +66,23 @@ def read_text(
     with parsing(path, expected, error):
         text = content.decode("utf-8-sig")
     return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def parse_json(text: str) -> Any:
+    r"""Return the tree of JSON types in a text.
+
+    Raises ValueError for text that is no JSON, that has lists or objects too deep in one another, or that
+    escapes half a character, as `\ud800`: no file has such a name, and no output takes it.
+    """
+    try:
+        tree = json.loads(text)
+        if "\\ud" in text.lower():
+            json.dumps(tree, ensure_ascii=False).encode()
+    except RecursionError as error:
+        raise ValueError(str(error)) from None
+    except UnicodeEncodeError as error:
+        raise ValueError(f"{error.object[error.start]!a} is half a character") from None
+    return tree
 
 
 @contextmanager

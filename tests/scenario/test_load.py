@@ -224,7 +224,7 @@ def test_half_a_character_in_json_is_refused(tmp_path):
     path.write_text('{"schema": 1, "title": "secret \\ud800"}')
     with pytest.raises(ScenarioError) as caught:
         load(str(path))
-    assert str(caught.value) == f"{path}: found '\\ud800'; expected text in Unicode"
+    assert str(caught.value) == f"{path}: no valid JSON: '\\ud800' is half a character; expected a JSON file"
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from pydantic import ValidationError
 from vlp16emu.doors import Part, plug_ins
 from vlp16emu.errors import ScenarioError
 from vlp16emu.explain import explain
-from vlp16emu.inputs import read_text
+from vlp16emu.inputs import parse_json, read_text
 from vlp16emu.scenario.model import Scenario, schema
 from vlp16emu.sensor.settings import Lidar
 from vlp16emu.settings import DEEPEST, LazySection, OneOf, Preset, SceneFile, Section, toml
@@ -159,7 +159,7 @@ def _validate(source: _Source) -> Scenario:
 
 
 def _read(path: Path) -> Tree:
-    kind, parse = ("JSON", json.loads) if path.suffix == ".json" else ("TOML", toml)
+    kind, parse = ("JSON", parse_json) if path.suffix == ".json" else ("TOML", toml)
     text = read_text(path, "a scene file", ScenarioError)
     try:
         tree = parse(text)

@@ -172,7 +172,10 @@ def test_a_note_beside_a_walk_s_files_stays(tmp_path):
     assert (folder / "poses.txt").exists()
 
 
-@pytest.mark.parametrize("form", ["relative", "absolute", "link", "number", "list", "twice_written"])
+@pytest.mark.parametrize(
+    "form",
+    ["relative", "absolute", "link", "number", "list", "twice_written", "half_a_character", "too_long"],
+)
 def test_a_list_names_no_file_outside_its_walk(tmp_path, form):
     """A `walk.json` that names a file elsewhere, with its true size and sha256, does not make it a file of
     the dataset."""
@@ -192,6 +195,8 @@ def test_a_list_names_no_file_outside_its_walk(tmp_path, form):
         "number": 7,
         "list": ["poses.txt"],
         "twice_written": "./link/poses.txt",
+        "half_a_character": "\ud800",
+        "too_long": "x" * 5000,
     }[form]
     listed["scenario_sha256"] = "of another scene"  # so that it would be made again
     (folder / "walk.json").write_text(json.dumps(listed))

@@ -21,7 +21,7 @@ from pydantic.dataclasses import dataclass as checked_dataclass
 
 from vlp16emu.errors import InputError, OutputError, Vlp16emuError
 from vlp16emu.explain import explain
-from vlp16emu.inputs import read_text
+from vlp16emu.inputs import parse_json, read_text
 from vlp16emu.output import OutputFile
 from vlp16emu.sensor.beams import MODELS
 from vlp16emu.sensor.settings import Address, Port, SensorSettings
@@ -202,14 +202,14 @@ def _read(path: Path, factory: DeviceSettings) -> DeviceSettings:
     expected = "settings that a sensor has saved"
     text = read_text(path, expected, InputError, most_bytes=_MOST_BYTES)
     try:
-        tree = json.loads(text)
+        tree = parse_json(text)
         if isinstance(tree, dict):
             tree = _SETTINGS.dump_python(factory, mode="json") | tree
         return _SETTINGS.validate_json(json.dumps(tree))
     except ValidationError as error:
         key, found, field_expected = explain_error(error)
         raise InputError(f"{path}: {key}", found, field_expected) from None
-    except (ValueError, RecursionError):
+    except ValueError:
         raise InputError(str(path), "no JSON", expected) from None
 
 

@@ -6,7 +6,6 @@ process puts into the folder of the dataset writes there; files of other workers
 """
 
 import hashlib
-import json
 import os
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -26,7 +25,7 @@ from vlp16emu.extras.dataset.parts import is_marked
 from vlp16emu.extras.dataset.processes import MOST_DEATHS, died_too_often
 from vlp16emu.extras.dataset.spec import DatasetWalk
 from vlp16emu.extras.dataset.walk import Made, forget_worlds, make_walk
-from vlp16emu.inputs import read_text
+from vlp16emu.inputs import parse_json, read_text
 from vlp16emu.libraries import of_extra
 from vlp16emu.trees import Table
 
@@ -226,8 +225,8 @@ def _address(scheduler: str) -> str:
     else:
         text = read_text(path, "a scheduler file", InputError)
         try:
-            address = str(json.loads(text)["address"])
-        except (ValueError, KeyError, TypeError, RecursionError):
+            address = str(parse_json(text)["address"])
+        except (ValueError, KeyError, TypeError):
             raise InputError(scheduler, "is no scheduler file", _EXPECTED) from None
     try:
         host, _ = parse_host_port(address.partition("://")[2] or address)

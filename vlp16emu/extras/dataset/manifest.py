@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 
 from vlp16emu.errors import InputError, OutputError, RunError
 from vlp16emu.extras.dataset.spec import DatasetWalk
-from vlp16emu.inputs import open_input, read_text
+from vlp16emu.inputs import open_input, parse_json, read_text
 from vlp16emu.output import OutputFile
 from vlp16emu.trees import Tree
 
@@ -144,8 +144,12 @@ def _intact_files(folder: Path) -> set[Path]:
 def _agrees(folder: Path, file: Entry) -> bool:
     """Return True if a file of a folder has the size and sha256 of its entry, and is reached by no link."""
     path = folder / file["path"]
+    try:
+        is_file = path.is_file()
+    except OSError:  # a name that is too long for a file
+        return False
     # What is reached through a link may be anybody's.
-    if _real(path) != _real(folder) / file["path"] or not path.is_file():
+    if not is_file or _real(path) != _real(folder) / file["path"]:
         return False
     return path.stat().st_size == file["bytes"] and _description(path, folder) == file
 
@@ -170,8 +174,8 @@ def _real(path: Path) -> Path:
 def _parse(text: str) -> Entry:
     """Return a JSON table that a dataset has written; empty for other text."""
     try:
-        tree = json.loads(text)
-    except (ValueError, RecursionError):
+        tree = parse_json(text)
+    except ValueError:
         return {}
     return tree if isinstance(tree, dict) and str(tree.get("written_by")).startswith("vlp16emu ") else {}
 

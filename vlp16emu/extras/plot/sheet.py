@@ -1,7 +1,6 @@
 """Files of plots: the picture of a report as PNG, SVG or PDF, with the same bytes for the same report."""
 
 import io
-import json
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -11,7 +10,7 @@ from types import MappingProxyType
 from typing import IO, TYPE_CHECKING, Any
 
 from vlp16emu.errors import InputError, OutputError
-from vlp16emu.inputs import read_text
+from vlp16emu.inputs import parse_json, read_text
 from vlp16emu.libraries import check_extra
 from vlp16emu.output import OutputFile
 from vlp16emu.trees import Table
@@ -184,8 +183,8 @@ def read_report(path: Path) -> Report:
     """Read a report that `--json` has printed into a file; InputError if it is no JSON object."""
     text = read_text(path, "a report in JSON", InputError)
     try:
-        report = json.loads(text)
-    except (ValueError, RecursionError) as error:
+        report = parse_json(text)
+    except ValueError as error:
         raise InputError(str(path), f"no JSON ({error})", "a report that --json has printed") from None
     if not isinstance(report, dict):
         raise InputError(str(path), "found no JSON object", "a report that --json has printed")

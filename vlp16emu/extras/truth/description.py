@@ -1,6 +1,5 @@
 """Descriptions of the sensors of a run, `rig.json` and `scenario.json`, as they are read from a folder."""
 
-import json
 from pathlib import Path
 from typing import Annotated, Any, NotRequired, TypeVar
 
@@ -10,7 +9,7 @@ from typing_extensions import TypedDict
 
 from vlp16emu.errors import InputError
 from vlp16emu.explain import explain
-from vlp16emu.inputs import read_text
+from vlp16emu.inputs import parse_json, read_text
 from vlp16emu.settings import ExpectationError
 from vlp16emu.trees import Table
 
@@ -145,8 +144,8 @@ def read_json(path: Path, expected: str) -> Any:
     """Read a JSON file of a folder that a run has written; InputError if it cannot be read or is no JSON."""
     text = read_text(path, expected, InputError)
     try:
-        return json.loads(text)
-    except (ValueError, RecursionError):
+        return parse_json(text)
+    except ValueError:
         raise InputError(str(path), "no JSON", expected) from None
 
 

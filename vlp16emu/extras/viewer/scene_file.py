@@ -1,6 +1,5 @@
 """Writing of a scene file with changed keys, which keeps the user's comments."""
 
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from functools import reduce
 from operator import getitem
@@ -8,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from vlp16emu.errors import OutputError, ScenarioError
-from vlp16emu.inputs import read_text
+from vlp16emu.inputs import parse_json, read_text
 from vlp16emu.libraries import of_extra
 from vlp16emu.output import OutputFile, spare
 from vlp16emu.scenario import load, rewrite
@@ -56,7 +55,7 @@ def write_scene(
     text = read_text(scene, "a scene file", ScenarioError)
     document = tomlkit.document()
     if scene.suffix == ".json":
-        document.update({key: value for key, value in json.loads(text).items() if key != "written_by"})
+        document.update({key: value for key, value in parse_json(text).items() if key != "written_by"})
     else:
         document = tomlkit.parse(text)
     rewrite(document, settings, folder=scene.parent, to=to.parent)
