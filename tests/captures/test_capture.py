@@ -480,6 +480,9 @@ def numbers(datagrams):
         (24 + 4 * _RECORD - 10, 20, b"", {3, 4}),  # over the border of two records
         (24 + 3 * _RECORD, 2 * _RECORD + 100, b"", {3, 4, 5}),  # two records and more
         (24 + 3 * _RECORD, 16, bytes(16), {3}),  # a header of zeros
+        (24 + 3 * _RECORD, 4 * _RECORD, bytes(4 * _RECORD), {3, 4, 5, 6}),  # blocks that were never written
+        (24 + 3 * _RECORD - 100, 4096, bytes(4096), {2, 3, 4, 5, 6}),
+        (24 + 12 * _RECORD, 0, bytes(4096), set()),
         (24 + 3 * _RECORD, 0, b"\xa5" * 4096, set()),  # something put between two records
         (24 + 2 * _RECORD, 0, bytes(range(256)) * 5000, set()),  # more than is searched at once
         (24, 16, b"\xff" * 16, {0}),  # the first header

@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from vlp16emu.captures.capture import Capture
-from vlp16emu.captures.runs import DAY_S, LONGEST_FRAME_BYTES, RecordForm, Run, plain_datagrams, run_of
+from vlp16emu.captures.runs import (
+    DAY_S,
+    LONGEST_FRAME_BYTES,
+    RecordForm,
+    Run,
+    plain_datagrams,
+    run_of,
+    sound_heads,
+)
 from vlp16emu.packets.frames import FACTORY_LINK, data_header, position_frame
 from vlp16emu.packets.layout import DATA_BYTES, POSITION_BYTES
 
@@ -85,6 +93,30 @@ def test_runs_are_those_of_plain_python(is_big_endian, header_bytes, unit_ns, ch
         assert (end, last_s) == (slow_end, slow_s)
         longest = max(longest, len(rows))
     assert longest > (AGAIN_AT - 2 if faults else 57)
+
+
+@pytest.mark.parametrize("is_big_endian", [False, True])
+@pytest.mark.parametrize("unit_ns", [1000, 1])
+@pytest.mark.parametrize("near_s", [None, 0, BEGIN_S])
+def test_heads_in_damaged_bytes_are_those_of_plain_python(is_big_endian, unit_ns, near_s):
+    """The search for the next record stops at each place with a possible stamp and length, at no other."""
+    random = np.random.default_rng(8)
+    form = RecordForm(16, is_big_endian, unit_ns, 1, 0)
+    order = ">" if is_big_endian else "<"
+    found = 0
+    for _ in range(20):
+        held = records(random, form, ("day", "fraction", "length"))[int(random.integers(0, 40)) :]
+        begin = int(random.integers(0, 40))
+        expected = []
+        for at in range(begin, len(held) - 11):
+            seconds, fraction, captured = struct.unpack_from(f"{order}3I", held, at)
+            is_near = near_s is None or abs(seconds - near_s) <= DAY_S
+            fits = fraction < 10**9 // unit_ns and captured <= LONGEST_FRAME_BYTES
+            if is_near and fits and any((seconds, fraction, captured)):
+                expected.append(at)
+        assert list(sound_heads(held, begin, is_big_endian, unit_ns, near_s)) == expected
+        found += len(expected)
+    assert found > 100
 
 
 def random_frame(random):

@@ -11,7 +11,7 @@ from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from vlp16emu.captures.runs import DAY_S, LONGEST_FRAME_BYTES, Frame, RecordForm, Run, run_of
+from vlp16emu.captures.runs import DAY_S, LONGEST_FRAME_BYTES, Frame, RecordForm, Run, run_of, sound_heads
 from vlp16emu.errors import CaptureError
 from vlp16emu.units import S_NS, US_NS
 
@@ -59,12 +59,17 @@ class Window:
 
     def peek(self, size: int, ahead: int = 0) -> bytes:
         """Return `size` bytes that begin `ahead` bytes after the window, or fewer at the end of the file."""
-        missing = self._begin + ahead + size - len(self._held)
+        self.load(ahead + size)
+        begin = self._begin + ahead
+        return self._held[begin : begin + size]
+
+    def load(self, size: int) -> int:
+        """Read on until `size` bytes are in memory, fewer at the end of the file; return how many are."""
+        missing = self._begin + size - len(self._held)
         if missing > 0:
             self._held = b"".join([self._held[self._begin :], *self._parts(missing)])
             self._begin = 0
-        begin = self._begin + ahead
-        return self._held[begin : begin + size]
+        return len(self._held) - self._begin
 
     def _parts(self, size: int) -> Iterator[bytes]:
         """Read at least `size` bytes, or to the end of the file."""
@@ -95,12 +100,12 @@ class Window:
 
     def skip_to(self, pattern: re.Pattern[bytes], margin: int) -> bool:
         """Move the window to the next match of a pattern of at most `margin` bytes; False at the end."""
-        while piece := self.peek(_SEARCHED_BYTES):
-            found = pattern.search(piece)
+        while left := self.load(_SEARCHED_BYTES):
+            found = pattern.search(self._held, self._begin)
             if found:
-                self.skip(found.start())
+                self.skip(found.start() - self._begin)
                 return True
-            self.skip(len(piece) if len(piece) < _SEARCHED_BYTES else len(piece) - margin)
+            self.skip(left if left < _SEARCHED_BYTES else left - margin)
         return False
 
 
@@ -129,9 +134,12 @@ class _Records:
         return _Head(*self._struct.unpack(content)) if len(content) == self.size else None
 
     def is_sound(self, head: _Head, near_s: int | None, unit_ns: int | None = None) -> bool:
-        """Return whether a header is that of a record captured within a day of `near_s`."""
+        """Return whether a header is that of a record captured within a day of `near_s`.
+
+        Zeros alone are none: blocks of a disk that were never written hold them.
+        """
         fits = head.captured <= LONGEST_FRAME_BYTES and head.fraction * (unit_ns or self.unit_ns) < S_NS
-        return fits and (near_s is None or abs(head.seconds - near_s) <= DAY_S)
+        return fits and any(head[:3]) and (near_s is None or abs(head.seconds - near_s) <= DAY_S)
 
     def is_chain(self, ahead: int = 0, near_s: int | None = None, unit_ns: int | None = None) -> bool:
         """Return whether records follow one another from a place on, some or to the end of the file."""
@@ -188,16 +196,14 @@ class _Records:
 
     def find(self, near_s: int | None) -> bool:
         """Move the window to the next records captured within a day of `near_s`; False at the end."""
-        highs = () if near_s is None else range(max(near_s - DAY_S, 0) >> 16, (near_s + DAY_S >> 16) + 1)
-        words = [re.escape(high.to_bytes(2, "little" if self.order == "<" else "big")) for high in highs]
-        before = rb"[\s\S]{2}" if self.order == "<" and words else b""
-        pattern = re.compile(before + b"(?:" + b"|".join(words) + b")")
-        while self._window.skip_to(pattern, self.size):
-            if self.is_chain(near_s=near_s):
-                return True
-            self._window.skip(1)
-            if not self._window.peek(1):
-                break
+        window = self._window
+        while left := window.load(_SEARCHED_BYTES):
+            held, begin = window.held()
+            for at in sound_heads(held, begin, self.order == ">", self.unit_ns, near_s):
+                if self.is_chain(at - begin, near_s):
+                    window.skip(at - begin)
+                    return True
+            window.skip(left if left < _SEARCHED_BYTES else left - self.size + 1)
         return False
 
 

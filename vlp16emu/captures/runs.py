@@ -12,6 +12,7 @@ from vlp16emu.units import S_NS
 
 DAY_S = 86_400  # stamps of records that follow one another differ by less
 LONGEST_FRAME_BYTES = 262_144  # a longer record means damage (MAXIMUM_SNAPLEN of libpcap)
+_HEAD_BYTES = 12  # of a header that are judged: stamp and captured length
 _MOST_RECORDS = 4096  # in a run
 _FLAG_LOW = BLOCK_FLAG & 0xFF
 _FLAG_HIGH = BLOCK_FLAG >> 8
@@ -96,6 +97,17 @@ def run_of(held: bytes, begin: int, again: bytes, form: RecordForm, near_s: int)
     return Run(form.link_type, held, *columns[:, :count]), end, last_s
 
 
+def sound_heads(
+    held: bytes, begin: int, is_big_endian: bool, unit_ns: int, near_s: int | None
+) -> Iterator[int]:
+    """Yield the places of headers of records, captured within a day of `near_s` unless it is None."""
+    content = np.frombuffer(held, np.uint8)
+    since_s = -1 if near_s is None else near_s
+    at = begin - 1
+    while (at := _next_sound(content, at + 1, is_big_endian, S_NS // unit_ns, since_s)) >= 0:
+        yield at
+
+
 @inline_kernel
 def _u4(content: U1, at: int | np.int64, is_big_endian: bool) -> np.int64:
     """Read an unsigned integer of 4 bytes."""
@@ -121,6 +133,31 @@ def _begins(content: U1, at: int | np.int64, first_bytes: U1) -> bool:
     return True
 
 
+@inline_kernel
+def _is_sound(
+    content: U1, at: int | np.int64, is_big_endian: bool, most_units: int, near_s: int | np.int64
+) -> bool:
+    """Return whether a header is that of a record captured within a day of `near_s`, at any time if < 0.
+
+    Zeros alone are none: blocks of a disk that were never written hold them.
+    """
+    seconds = _u4(content, at, is_big_endian)
+    fraction = _u4(content, at + 4, is_big_endian)
+    captured = _u4(content, at + 8, is_big_endian)
+    if captured > LONGEST_FRAME_BYTES or fraction >= most_units or (seconds | fraction | captured) == 0:
+        return False
+    return bool(near_s < 0 or abs(seconds - near_s) <= DAY_S)
+
+
+@kernel
+def _next_sound(content: U1, begin: int, is_big_endian: bool, most_units: int, near_s: int) -> int:
+    """Return the first place of a sound header from `begin` on; -1 if there is none."""
+    for at in range(begin, len(content) - _HEAD_BYTES + 1):
+        if _is_sound(content, at, is_big_endian, most_units, near_s):
+            return at
+    return -1
+
+
 @kernel
 def _sound_records(
     content: U1,
@@ -144,14 +181,9 @@ def _sound_records(
         fraction = _u4(content, at + 4, is_big_endian)
         captured = _u4(content, at + 8, is_big_endian)
         following = at + header_bytes + captured
-        if captured > LONGEST_FRAME_BYTES or following > last:
+        if following > last or not _is_sound(content, at, is_big_endian, most_units, before_s):
             break
-        next_s = _u4(content, following, is_big_endian)
-        if fraction >= most_units or abs(seconds - before_s) > DAY_S or abs(next_s - seconds) > DAY_S:
-            break
-        if _u4(content, following + 4, is_big_endian) >= most_units:
-            break
-        if _u4(content, following + 8, is_big_endian) > LONGEST_FRAME_BYTES:
+        if not _is_sound(content, following, is_big_endian, most_units, seconds):
             break
         wire_bytes = _u4(content, at + 12, is_big_endian) - check_bytes
         if wire_bytes < 0:
