@@ -11,27 +11,14 @@ from rich.box import MARKDOWN
 from rich.table import Table
 from toolbox import VLP16EMU
 
+REPEAT = Path(__file__).with_name("repeat_capture.py")
+
 PROGRAMS = {  # with the longest captures in passes of the short one
     "verify {}": True,
     "decode {}": True,
     "decode {} --out {out}.npz": False,
     "bag {} {out}.mcap": False,
 }
-
-_REPEAT = """
-import sys
-from pathlib import Path
-from vlp16emu.extras.replay import Replay
-from vlp16emu.sinks import PcapSink
-capture, out, passes = sys.argv[1:]
-replay = Replay(Path(capture), loop=True)
-with PcapSink(Path(out), replay.links) as sink:
-    for packet in replay:
-        if replay.passes > int(passes):
-            break
-        sink.send(packet)
-"""
-"""Program that writes a capture several times in a row, each time with later stamps and sentences."""
 
 
 def reading_table(scene: str, seconds: float, passes: int) -> Table:
@@ -49,7 +36,7 @@ def reading_table(scene: str, seconds: float, passes: int) -> Table:
         short, long = Path(folder) / "short.pcap", Path(folder) / "long.pcap"
         words = ["record", scene, str(short), "--duration", str(seconds), "--no-audit"]
         subprocess.run([*VLP16EMU, *words], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        subprocess.run([sys.executable, "-c", _REPEAT, str(short), str(long), str(passes)], check=True)
+        subprocess.run([sys.executable, REPEAT, short, long, str(passes), str(seconds)], check=True)
         for words_of, is_long in PROGRAMS.items():
             for capture, length_s in ((short, seconds), (long, seconds * passes))[: 1 + is_long]:
                 out = Path(folder) / "out"
