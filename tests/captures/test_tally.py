@@ -1,5 +1,6 @@
 """Running figures of a capture are those of all its packets at once."""
 
+import pickle
 from itertools import pairwise
 
 import numpy as np
@@ -82,3 +83,25 @@ def test_the_speed_of_a_rotor_is_that_of_its_readings(model, mode, gap_cdeg):
     if not gap_cdeg:
         rpm = turns.turned_cdeg / 36_000 / (turns.turning_ns / S_NS) * 60
         assert rpm == pytest.approx(600, rel=1e-2)
+
+
+def test_running_figures_do_not_grow():
+    """Ten times as many packets have figures of the same size, within a tenth."""
+
+    def bytes_of(packets):
+        figures = scans, duration, turns = (
+            Scans(),
+            Duration(),
+            ModeTurns(layout_of(SensorModel.VLP_16, ReturnMode.STRONGEST)),
+        )
+        rng = np.random.default_rng(4)
+        for begin in range(0, packets, 1000):
+            block = 12 * begin + np.arange(12_000)
+            azimuth_deg = (block * 0.4 + rng.normal(0, 0.005, len(block))) % 360
+            scans.take(azimuth_deg, block * BLOCK_NS)
+            t_ns = block[::12] * BLOCK_NS
+            step_ns = duration.take(t_ns, t_ns)
+            turns.take((100 * azimuth_deg).astype(np.uint16).reshape(-1, 12), step_ns)
+        return len(pickle.dumps(figures))
+
+    assert bytes_of(100_000) == pytest.approx(bytes_of(10_000), rel=0.1)
