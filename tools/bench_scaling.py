@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from collections import deque
+from pathlib import Path
 from typing import NamedTuple
 
 from rich.box import MARKDOWN
@@ -133,7 +134,14 @@ def _recorded_s(prefix: str, scene: str, settings: list[str], seconds: float) ->
     words = ["record", scene, "-", "--duration", str(seconds), *set_words(settings), "--no-audit"]
     before = os.times()
     program = [f"{prefix}/bin/python", "-m", "vlp16emu", *words]
-    done = subprocess.run(program, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, check=False)
+    done = subprocess.run(
+        program,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        check=False,
+        cwd=Path(prefix).parent,  # `-m` takes the package in the current folder before the installed one
+    )
     after = os.times()
     if done.returncode:
         raise SystemExit(f"{' '.join(program)}: {(done.stderr.strip().splitlines() or ['no message'])[-1]}")

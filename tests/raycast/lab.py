@@ -8,6 +8,7 @@ import numpy as np
 import trimesh
 
 from vlp16emu.foliage.lanes import Ground, Medium, Pulse
+from vlp16emu.foliage.leaves import draw_owners, room_for_leaves, take_leaves
 from vlp16emu.foliage.march import march
 from vlp16emu.foliage.stems import find_stems_ahead, room_for_stems, stems_of
 from vlp16emu.foliage.tiles import STEM, FarTile, TiledWindow
@@ -399,6 +400,9 @@ def march_through(medium, lanes, count, line, far_m, aside_m=0.0, spread=0.0, ah
     ahead = ahead or sight_of(medium, line[None], far_m, aside_m, spread)
     pulse = Pulse(lanes, count, np.float32(medium.near_m), line, np.float32(aside_m), np.float32(spread))
     march(medium, medium.brick.reshape(-1), ahead, pulse)
+    leaves = room_for_leaves(1)
+    found = take_leaves(lanes, 0, count, leaves, 0)
+    draw_owners(medium, leaves, found, lanes.row[None], lanes.surface[None])
 
 
 def rays(origin_m, direction, first=0):

@@ -86,6 +86,69 @@ def test_echoes_are_summed_within_the_resolution():
     assert finest_m(one) < finest_m(none)
 
 
+def strongest_of(range_m, energy, span_m):
+    """Energy, first and last of the strongest interval within a span, among sorted echoes; 0 without any."""
+    found = [
+        (energy[first : last + 1].sum(), -last, first)
+        for first in range(len(range_m))
+        for last in range(first, len(range_m))
+        if range_m[last] - range_m[first] <= span_m
+    ]
+    total, last, first = max(found, default=(0.0, 1, 0))
+    return total, first, -last
+
+
+def asked_by_sorting(range_m, energy, of):
+    """`enough` by the formulas of its module, with all echoes sorted; None if rounding decides."""
+    n = len(range_m)
+    order = np.argsort(range_m, kind="stable")
+    range_m, energy = range_m[order].astype(float), energy[order].astype(float)
+    range_m, energy = range_m[energy > 0], energy[energy > 0]
+    if not len(range_m):
+        return True
+    strongest, first, last = strongest_of(range_m, energy, of.resolution_m / 2)
+    variance = 0.27 * np.square(energy[first : last + 1]).sum() / n**2
+    total = variance + of.amplitude_noise**2
+    doubt = np.sqrt(variance / total) * np.exp(-((strongest / n - of.threshold) ** 2) / (2 * total))
+    strongest, first, last = strongest_of(range_m, energy, of.resolution_m)
+    own_m, own = range_m[first : last + 1], energy[first : last + 1]
+    before = strongest_of(range_m[:first], energy[:first], of.resolution_m)[0]
+    second = max(before, strongest_of(range_m[last + 1 :], energy[last + 1 :], of.resolution_m)[0])
+    squares = np.square(own).sum()
+    spread = (own / strongest * np.square(own_m - (own * own_m).sum() / strongest)).sum()
+    lead = (strongest - second) ** 2 / (0.27 * (strongest + second) * squares / strongest)
+    error_m = 0.5 * np.exp(-lead / 2) * of.resolution_m + np.sqrt(0.27 * spread * squares) / strongest
+    worth_m = n * of.worth_m
+    if abs(error_m / worth_m - 1) < 1e-5 or abs(doubt / 0.75 - 1) < 1e-5:
+        return None
+    return bool((of.threshold == 0 or doubt <= 0.75) and (error_m <= worth_m or worth_m >= 0.65))
+
+
+@pytest.mark.parametrize("threshold", [0.0, 2e-4])
+@pytest.mark.parametrize("rays", [8, 16])
+def test_bounds_decide_as_sorted_echoes_do(threshold, rays):
+    """One group or two, of any depth and of rays of any brightness, near the threshold and far from it, are
+    enough where the formulas say so: bounds, which save the sorting, change no decision."""
+    rng = np.random.default_rng(rays)
+    found = []
+    for _ in range(1500):
+        depth_m = 10 ** rng.uniform(-3, 0.5)
+        range_m = (
+            40 + depth_m * rng.uniform(-0.5, 0.5, rays) + rng.choice([0.0, 2.0]) * (rng.random(rays) < 0.3)
+        )
+        range_m = np.where(rng.random(rays) < rng.choice([0.0, 0.4]), np.inf, range_m).astype(np.float32)
+        surface = np.where(np.isfinite(range_m), 0, NO_SURFACE).astype(np.uint32)
+        cosine = (rng.uniform(0, 1, rays) ** rng.choice([0.1, 1, 6])).astype(np.float32)
+        of = budget(rng.choice([0.01, 0.02, 0.03, 0.05]), threshold)
+        energy = np.where(surface == 0, cosine / np.square(range_m), np.float32(0.0))
+        right = asked_by_sorting(range_m, energy, of)
+        if right is not None:
+            assert enough(range_m, surface, cosine, WHITE, of, np.empty((2, rays))) == right
+            found.append(right)
+    assert len(found) > 1490
+    assert 0.1 < np.mean(found) < 0.9
+
+
 @pytest.fixture(scope="module")
 def walls(workers):
     """A wall at 10 m to the left of y = 0, another at 13 m behind all of it."""

@@ -5,9 +5,10 @@ from pathlib import Path
 from threading import Event
 from typing import NamedTuple
 
+from vlp16emu.captures.arrivals import arrivals_of
 from vlp16emu.captures.capture import Capture, CapturedUnit, Datagram, searched, table_of
-from vlp16emu.captures.survey import Arrivals, Survey
 from vlp16emu.errors import InputError, PacketError
+from vlp16emu.packets.arrival import ArrivalRecord
 from vlp16emu.packets.decode import decode_position
 from vlp16emu.packets.layout import DATA_BYTES, POSITION_BYTES
 from vlp16emu.packets.nmea import rmc_time
@@ -36,7 +37,6 @@ def unit_clocks(
     *,
     where: str = "clock",
     stop: Event | None = None,
-    survey: Survey | None = None,
     model: SensorModel | None = None,
 ) -> list[UnitClock]:
     """Choose the clock of each unit of a capture.
@@ -48,7 +48,6 @@ def unit_clocks(
         if it has no position packets and is within a second of the host; else the host's clock, which stamps
         everything else of a recording, fitted to the sensor's; the sensor's if the host's stamps do not go on
     where : name of the option in error lines
-    survey : survey of the capture; made here if it is needed and None
     model : sensor model of prototype units, whose product byte names another sensor
 
     Raises CaptureError if the file is not a capture; InputError if there is no such clock, or no valid
@@ -66,24 +65,26 @@ def unit_clocks(
     wanted = [each.clock.clock is Clock.HOST and name != Clock.HOST for each in chosen]
     if not any(wanted):
         return chosen
-    survey = survey or Survey(path, stop)
+    arrivals = arrivals_of(path, units, stop, model)
     return [
-        _fitted(path, each, survey.arrivals(unit), name, where) if is_wanted else each
-        for each, unit, is_wanted in zip(chosen, units, wanted, strict=True)
+        _fitted(path, each, record, name, where) if is_wanted else each
+        for each, record, is_wanted in zip(chosen, arrivals, wanted, strict=True)
     ]
 
 
-def _fitted(path: Path, chosen: UnitClock, arrivals: Arrivals, name: str | None, where: str) -> UnitClock:
+def _fitted(
+    path: Path, chosen: UnitClock, arrivals: ArrivalRecord, name: str | None, where: str
+) -> UnitClock:
     """Return the host's clock fitted to the sensor's, or the sensor's if that cannot be."""
     model = chosen.clock.model
-    fit = arrivals.fit(model)
+    stamps = arrivals.stamps
+    fit = arrivals.fit() if stamps.runs else None
     if fit is not None:
         first = fit.parts[0]
         begin_ns = chosen.first_ns + first.host_ns - chosen.arrived_ns
         return UnitClock(
             PacketClock(Clock.FITTED, fit=fit, model=model), begin_ns, chosen.arrived_ns, chosen.sensor_ns
         )
-    stamps = arrivals.stamps()
     if name == Clock.FITTED and stamps.steps:
         raise InputError(where, f"found fitted, but in {path} {stamps.fault}", "sensor")
     return chosen._replace(clock=PacketClock(model=model), first_ns=chosen.sensor_ns)
@@ -96,7 +97,6 @@ def packet_clock(
     *,
     where: str = "clock",
     stop: Event | None = None,
-    survey: Survey | None = None,
     model: SensorModel | None = None,
 ) -> PacketClock:
     """Return the clock for the packets of one unit, as `unit_clocks`.
@@ -108,7 +108,7 @@ def packet_clock(
         if name in (Clock.GPS, Clock.FITTED):
             raise InputError(where, f"found {name} for the pipe {path}", "sensor or host, or a file")
         return PacketClock(Clock(name or Clock.SENSOR), model=model)
-    clocks = unit_clocks(path, [unit], name, where=where, stop=stop, survey=survey, model=model)
+    clocks = unit_clocks(path, [unit], name, where=where, stop=stop, model=model)
     return clocks[0].clock
 
 

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.captures.capture import Capture, CapturedUnit, Datagram, by_unit, table_of
+from vlp16emu.captures.tally import Duration, ModeTurns, Scans
 from vlp16emu.errors import CaptureError, PacketError
 from vlp16emu.packets import layout
 from vlp16emu.packets.decode import (
-    JUMP_NS,
     PointFrame,
     Points,
     PositionFields,
@@ -24,11 +24,10 @@ from vlp16emu.packets.decode import (
     points_in,
     readings_in,
     repeats_in,
-    scan_starts,
 )
 from vlp16emu.packets.table import Clock, PacketClock, PacketTable, utc_ns_of
 from vlp16emu.sensor.beams import BLOCK_RECORDS
-from vlp16emu.types import I8, U1, U2, ReturnMode, SensorModel
+from vlp16emu.types import ReturnMode, SensorModel
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
 _CHUNK = 500  # packets read at once: 0.2 million records, which are written as text in half a second
@@ -101,10 +100,10 @@ class CaptureReader:
         self._capture = Capture(path, stop=stop, is_quiet=is_quiet, progress=progress)
         self._codes = np.zeros(2**16, np.int64)
         self._records = 0
-        self._azimuth_cdeg = list[U2]()
-        self._block_ns = list[I8]()
-        self._packet_ns = list[I8]()
-        self._modes = list[U1]()
+        self._packets = 0
+        self._scans = Scans()
+        self._duration = Duration()
+        self._turns = dict[int, ModeTurns]()  # by the byte of the return mode
         self._factory: int | None = None
         self._positions = 0
         self._others = 0
@@ -131,10 +130,10 @@ class CaptureReader:
                 yield taken
             # If all packets are faulty the capture is not from this sensor: skipping them would give an empty
             # result.
-            if faults and not (self._passes_over and self._azimuth_cdeg):
+            if faults and not (self._passes_over and self._packets):
                 where = f"{self._path}: frame {held[faults[0].packet].number}: {faults[0].what}"
                 raise PacketError(where, *faults[0][2:])
-        if not self._azimuth_cdeg:
+        if not self._packets:
             raise self._capture.no_data()
 
     def columns(
@@ -154,16 +153,7 @@ class CaptureReader:
     @property
     def summary(self) -> Summary:
         """Summary of what has been read; complete once all points have been yielded."""
-        azimuth_cdeg = np.concatenate(self._azimuth_cdeg)
-        modes = np.concatenate(self._modes)
-        packet_ns, host_ns = np.concatenate(self._packet_ns, axis=1)
-        step_ns = np.diff(packet_ns)
-        host_step_ns = np.diff(host_ns)
-        is_jump = (step_ns < 0) | (np.abs(host_step_ns) < np.abs(step_ns))  # the host's clock may be set too
-        is_jump &= np.abs(step_ns - host_step_ns) > JUMP_NS
-        block_ns = packet_ns[:, None] + np.concatenate(self._block_ns)
-        starts = scan_starts(azimuth_cdeg.ravel() / 100, block_ns.ravel())
-        whole = np.diff(starts)[1:] * (self._records / azimuth_cdeg.size)
+        whole = self._scans.lengths * (self._records / (self._packets * layout.BLOCKS_PER_PACKET))
         names = {code: mode for mode, code in layout.RETURN_MODE_BYTE.items()}
         points = int(self._codes[1:].sum())
         no_returns = int(self._codes[0])
@@ -171,19 +161,19 @@ class CaptureReader:
         gps = self._gps
         return Summary(
             model=self._single.model.name,
-            return_mode=", ".join(names[code] for code in dict.fromkeys(modes.tolist())),
-            rpm=round(self._rpm(azimuth_cdeg, modes, step_ns // US_NS), 2),
-            packets=len(azimuth_cdeg),
+            return_mode=", ".join(names[code] for code in self._turns),
+            rpm=round(self._rpm(), 2),
+            packets=self._packets,
             position_packets=self._positions,
             other_datagrams=self._others,
             points=points,
             no_returns=no_returns,
             repeated_records=self._records - points - no_returns,
-            scans=len(starts),
+            scans=self._scans.count,
             records_per_scan=int(np.median(whole)) if len(whole) else None,
             range_m=self._ranges_m() if points else None,
             start_utc=start.isoformat().replace("+00:00", "Z"),
-            duration_s=int(np.where(is_jump, host_step_ns, step_ns).sum()) / S_NS,
+            duration_s=self._duration.total_ns / S_NS,
             clock=self.clock.clock,
             host_ahead_s=round((self.clock.host_ahead_ns or 0) / S_NS, 6),
             fit=self.clock.fit.summary if self.clock.fit else None,
@@ -219,18 +209,24 @@ class CaptureReader:
 
     def _count(self, table: PacketTable) -> None:
         """Note what the summary needs."""
-        if not self._azimuth_cdeg:
+        if not self._packets:
             self._hour_ns = int(table["sensor_ns"][0]) // HOUR_NS * HOUR_NS
             self._single, self._dual = layouts_of(table, self._model)
-        self._packet_ns.append(np.stack([table["sensor_ns"], table["arrival_ns"]]))
         distance_lsb = table["blocks"]["records"]["distance_lsb"]
         is_used = readings_in(table, self._model) >= 0
         is_own = ~repeats_in(table) & is_used[..., None]
         self._codes += np.bincount(distance_lsb[is_own], minlength=2**16)
         self._records += int(is_used.sum()) * BLOCK_RECORDS
-        self._block_ns.append(block_since_ns(table, self._model))
-        self._azimuth_cdeg.append(table["blocks"]["azimuth_cdeg"].copy())
-        self._modes.append(table["return_mode"].copy())
+        block_ns = table["sensor_ns"][:, None] + block_since_ns(table, self._model)
+        azimuth_cdeg = table["blocks"]["azimuth_cdeg"]
+        self._scans.take(azimuth_cdeg.ravel() / 100, block_ns.ravel())
+        step_ns = self._duration.take(table["sensor_ns"], table["arrival_ns"])
+        modes = table["return_mode"]
+        for mode in dict.fromkeys(modes.tolist()):
+            is_dual = mode == layout.RETURN_MODE_BYTE[ReturnMode.DUAL]
+            turns = self._turns.setdefault(mode, ModeTurns(self._dual if is_dual else self._single))
+            turns.take(azimuth_cdeg[modes == mode], step_ns[modes[len(modes) - len(step_ns) :] == mode])
+        self._packets += len(table)
         self._factory = int(table["factory"][0])
 
     def _note_other(self, datagram: Datagram) -> None:
@@ -254,23 +250,8 @@ class CaptureReader:
             for name, n in zip(("min", "median", "max"), codes, strict=True)
         }
 
-    def _rpm(self, azimuth_cdeg: U2, modes: U1, step_us: I8) -> float:
-        """Return the mean rotor speed over packets.
-
-        It follows from the azimuths (n, 12) of their blocks and the return modes (n,), and where units of a
-        model differ from the steps (n - 1,) of their stamps.
-        """
-        turned_cdeg = turning_ns = 0
-        for mode in np.unique(modes):
-            is_dual = mode == layout.RETURN_MODE_BYTE[ReturnMode.DUAL]
-            of_mode = self._dual if is_dual else self._single
-            own_cdeg: I8 = of_mode.by_reading(azimuth_cdeg[modes == mode])[:, :, 0, 0].astype(np.int64)
-            if of_mode.readings == 1:
-                own_cdeg = own_cdeg.T
-            step_cdeg: I8 = np.diff(own_cdeg) % layout.AZIMUTH_CODES
-            # A step far wider than its neighbours is the edge of the field of view.
-            even = step_cdeg <= 2 * np.median(step_cdeg, axis=1, keepdims=True)
-            turned_cdeg += int(step_cdeg[even].sum())
-            period_ns = of_mode.measured_period_ns(step_us[modes[1:] == mode])
-            turning_ns += int(even.sum()) * period_ns // of_mode.readings
+    def _rpm(self) -> float:
+        """Return the mean rotor speed over packets."""
+        turned_cdeg = sum(turns.turned_cdeg for turns in self._turns.values())
+        turning_ns = sum(turns.turning_ns for turns in self._turns.values())
         return turned_cdeg / layout.AZIMUTH_CODES / max(turning_ns / S_NS, 1e-9) * 60

@@ -1,65 +1,21 @@
-"""One pass over a capture before it is read: its sensors, and the arrivals of their data packets."""
+"""One pass over a capture before it is read: its sensors."""
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from threading import Event
-from typing import NamedTuple
 
 import numpy as np
 
 from vlp16emu.captures.capture import Capture, CapturedUnit, Datagram, searched
 from vlp16emu.errors import InputError
-from vlp16emu.packets.arrival import ArrivalFit, HostStamps, fit_arrivals
 from vlp16emu.packets.layout import BLOCK_FLAG, DATA_BYTES, DATA_PAYLOAD, POSITION_BYTES, SPLIT_PRODUCTS
-from vlp16emu.packets.table import PacketClock, ages_ns
-from vlp16emu.types import I8, U1, U4, SensorModel
 
 _STRAY = 0.02
 """Smallest share of the data packets of the busiest unit that counts as a unit; fewer are an accident."""
 _NAMED = 16  # units listed in an error line; as many as a rig may have
 _TOGETHER = 1000  # datagrams of a sender that are noted at once
 _MOST_HEADERS = 1024  # whose senders are remembered
-
-
-class Arrivals(NamedTuple):
-    """Arrivals of the data packets of a unit, and their own time stamps."""
-
-    number: I8  # (n,) frame numbers
-    host_ns: I8  # (n,) stamps of the capture
-    timestamp_us: U4  # (n,)
-    factory: U1  # (n, 2) factory bytes: return mode and product
-
-    def sensor_ns(self) -> I8:
-        """Return UTC of the first pulses (n,) by the sensor's clock."""
-        if not len(self.number):
-            return np.zeros(0, np.int64)
-        return PacketClock().sensors_ns(self.host_ns, self.timestamp_us)
-
-    def stamps(self) -> HostStamps:
-        """Judge the stamps of the capture."""
-        return HostStamps.of(self.host_ns, self.sensor_ns())
-
-    def fit(self, model: SensorModel | None = None) -> ArrivalFit | None:
-        """Fit the host's clock; None without packets, or if its stamps do not go on with the sensor's.
-
-        `model` is that of a prototype unit, whose product byte names another sensor.
-        """
-        if not len(self.number) or not self.stamps().runs:
-            return None
-        mode, product = self.factory.T
-        return fit_arrivals(self.number, self.sensor_ns() + ages_ns(model)[product, mode], self.host_ns)
-
-
-_NO_ARRIVALS = Arrivals(
-    np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.uint32), np.zeros((0, 2), np.uint8)
-)
-
-
-def _joined(parts: Iterable[Arrivals]) -> Arrivals:
-    """Return arrivals one after the other."""
-    number, host_ns, timestamp_us, factory = zip(_NO_ARRIVALS, *parts, strict=True)
-    return Arrivals(*map(np.concatenate, (number, host_ns, timestamp_us, factory)))
 
 
 class _Sender:
@@ -70,7 +26,6 @@ class _Sender:
         self.last = datagram.number
         self.packets = 0  # datagrams that begin as Velodyne data packets do
         self._held = list[Datagram]()
-        self._arrivals = list[Arrivals]()
 
     def take(self, datagram: Datagram) -> None:
         """Take one more."""
@@ -84,23 +39,15 @@ class _Sender:
         if not held:
             return
         fields = np.frombuffer(b"".join([each.payload for each in held]), DATA_PAYLOAD)
-        number, host_ns = np.array([(each.number, each.stamp_ns) for each in held], np.int64).T
-        factory = np.stack([fields["return_mode"], fields["factory"]], axis=1)
-        self._arrivals.append(Arrivals(number, host_ns, fields["timestamp_us"].copy(), factory))
         is_first = fields["blocks"]["flag"][:, :2] == BLOCK_FLAG
         is_first[:, 1] |= np.isin(fields["factory"], SPLIT_PRODUCTS)
         self.packets += int(is_first.all(axis=1).sum())
         self.last = held[-1].number
         self._held = []
 
-    @property
-    def arrivals(self) -> Arrivals:
-        """Arrivals of all."""
-        return _joined(self._arrivals)
-
 
 class Survey:
-    """The sensors of a capture, in order of address, port and MAC address, and their arrivals.
+    """The sensors of a capture, in order of address, port and MAC address.
 
     It reads the whole file. A pipe can be read only once, so it is not read here and has no units. If two
     sensors share an address, as behind a router, the one with the lower data port has the lower position
@@ -182,15 +129,6 @@ class Survey:
         names = [f"{number} ({known})" for number, known in enumerate(units[:_NAMED], start=1)]
         names += [f"... {len(units)}"] if len(units) > _NAMED else []
         raise InputError(where, found, f"one of {', '.join(names)}")
-
-    def arrivals(self, unit: CapturedUnit | None) -> Arrivals:
-        """Return the arrivals of the data packets of a unit, of all units if it is None."""
-        senders = self._senders.values()
-        found = _joined([each.arrivals for each in senders if unit is None or unit.owns(each.first)])
-        order = np.argsort(found.number, kind="stable")
-        return Arrivals(
-            found.number[order], found.host_ns[order], found.timestamp_us[order], found.factory[order]
-        )
 
 
 def units_in(path: Path, *, required: bool = False, stop: Event | None = None) -> list[CapturedUnit]:

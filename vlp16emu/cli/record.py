@@ -110,11 +110,11 @@ def decode(
 
     axes = PointFrame(frame)
     with Progress(100.0, "reading", unit="%") as bar:
-        survey = Survey(file, progress=partial(bar.show_share, "finding sensors"))
-        sensor = survey.chosen(unit, where="--unit")
+        sensor = Survey(file, progress=partial(bar.show_share, "finding sensors")).chosen(
+            unit, where="--unit"
+        )
         product = SensorModel(model) if model else None
-        unit_clock = packet_clock(file, sensor, clock, where="--clock", survey=survey, model=product)
-        del survey
+        unit_clock = packet_clock(file, sensor, clock, where="--clock", model=product)
         progress = partial(bar.show_share, "decoding")
         with stop_on_ctrl_c() as stop:
             reader = CaptureReader(file, sensor, product, unit_clock, stop=stop, progress=progress)

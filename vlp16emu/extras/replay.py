@@ -11,7 +11,7 @@ from pathlib import Path
 from threading import Event
 from typing import Unpack
 
-from vlp16emu.captures import Capture, Survey, by_unit, chosen_unit
+from vlp16emu.captures import Capture, Survey, arrivals_of, by_unit, chosen_unit
 from vlp16emu.errors import CaptureError, InputError, OutputError
 from vlp16emu.extras.bench.retime import age_ns, shift_packet, stamp_ns
 from vlp16emu.extras.free_ports import free_ports
@@ -63,8 +63,7 @@ class Replay:
         self.path = path
         self._loop = loop
         self._keeps_gaps = keep_gaps
-        survey = Survey(path, stop)
-        self.units = survey.required()  # sorted by address, then by port
+        self.units = Survey(path, stop).required()  # sorted by address, then by port
         self.links = [
             replace(
                 FACTORY_LINK,
@@ -77,7 +76,7 @@ class Replay:
         self.passes = 0  # passes begun so far
         self.left_out = 0  # datagrams of the first pass that are no complete packets of a unit
         self.gaps_s = list[float]()  # gaps of the first pass that were shortened
-        faults = [survey.arrivals(unit).stamps().fault for unit in self.units]
+        faults = [record.stamps.fault for record in arrivals_of(path, self.units, stop)]
         self.paced_by = {number: fault for number, fault in enumerate(faults) if fault}
         """Why units, by their numbers from 0, are paced by their own clocks, not by the host's stamps."""
 

@@ -17,6 +17,7 @@ from vlp16emu.elementary import hypot, norm
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.cloud import Cloud, Library, cloud_of
 from vlp16emu.foliage.lanes import Ground, Medium, Stems, empty_lanes
+from vlp16emu.foliage.leaves import room_for_leaves
 from vlp16emu.foliage.march import Passage, march_lines, march_pulses
 from vlp16emu.foliage.medium import Block, Name, Shelf, block_of, pack_block, stretch_of, unpack_block
 from vlp16emu.foliage.polyline import distance_m
@@ -136,9 +137,10 @@ class FarGeometry(EmbreeGeometry):
         reach_m = min(far_m, self.medium.near_m)
         return (self._target_for(rise) if reach_m > 0.0 else self._beyond), reach_m
 
-    def passage(self) -> tuple[object, ...]:
+    def passage(self, pulses: int) -> tuple[object, ...]:
         """Return the medium, the faces at any range, and scratch."""
-        return (Passage(self.medium, self._beyond, empty_lanes(), room_for_stems(self.medium.stems)),)
+        stems = room_for_stems(self.medium.stems)
+        return (Passage(self.medium, self._beyond, empty_lanes(), stems, room_for_leaves(pulses)),)
 
     def _target_for(self, rise: float) -> Target:
         """Return the near faces; pieces that only steep rays can meet are built for the first steep ray."""

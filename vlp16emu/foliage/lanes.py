@@ -81,7 +81,11 @@ class Lanes(NamedTuple):
     range_m: F4
     """(8,) likewise; in: range of the hit so far, or the farthest range; out: range of the first hit."""
     cosine: F4  # (8,) likewise
-    surface: U4  # (8,) likewise
+    surface: U4
+    """(8,) likewise; of a lane that meets a leaf `leaves.UNOWNED`, until its owner is drawn."""
+    leaf: U4
+    """(24,) rows of eight of the leaves that lanes meet: number of the voxel's record, draws, and tile; as in
+    `leaves.LeavesMet`."""
     line: F4
     """(48,) scratch, rows of eight: position across at the grid's corner and its change per metre, in 16ths
     of voxels, on both axes; then position along and its inverse change per metre of range."""
@@ -113,6 +117,7 @@ def empty_lanes() -> Lanes:
         row[RANGE:COSINE],
         row[COSINE:AT],
         np.zeros(LANES, np.uint32),
+        np.zeros(3 * LANES, np.uint32),
         np.zeros(6 * LANES, np.float32),
         np.zeros(AHEAD, np.uint32),
         np.zeros(AHEAD, np.uint32),

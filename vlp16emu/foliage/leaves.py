@@ -32,9 +32,9 @@ from vlp16emu.foliage.voxel import (
     TILE_BIT,
     VOXEL_M,
 )
-from vlp16emu.kernels.compiler import NumbaObject, inline_kernel, numba
-from vlp16emu.raycast.kernel import LANES
-from vlp16emu.types import F4, U1
+from vlp16emu.kernels.compiler import NumbaObject, inline_kernel, kernel, numba
+from vlp16emu.raycast.kernel import COSINE, LANES
+from vlp16emu.types import F4, U1, U4, U8
 
 _VARIANTS = 16  # of a kind
 _COVER_STEPS = 64
@@ -46,8 +46,11 @@ _LOW, _CROWN, _LEVEL = range(3)  # kinds of foliage
 _CLUMPS = (1.0, 0.7, 0.5, 0.7), (0.65, 1.0, 0.72, 0.32), (0.15, 0.6, 1.0, 0.15)
 """Weights of cubes of 250, 125, 62 and 31 mm in the order of leaves, by kind."""
 _Three = tuple[int, int, int]
-_Whose = tuple[np.uint32, tuple[int, int], int]
+UNOWNED = u4(0xFFFFFFFE)  # surface of a lane that meets a leaf whose owner is not drawn yet
+_Whose = tuple[np.uint32, np.uint32, int]
 """Number of the record of a voxel, its tile, and the knot of the light's elevation."""
+_QUANTILE_BIT = u4(8)  # first bits of the parts of `LeavesMet.drawn`; the draw of an owner begins at bit 0
+_KNOT_BIT = u4(16)
 
 
 def _leaves(weights: tuple[float, ...], seed: int) -> tuple[U1, U1]:
@@ -88,6 +91,10 @@ _KINDS = [_leaves(weights, kind) for kind, weights in enumerate(_CLUMPS)]
 _LEAF_OF = np.concatenate([leaf_of for leaf_of, _ in _KINDS], axis=1)
 _PLACE = np.concatenate([place for _, place in _KINDS])
 _LEAF_OF_COLUMN = _LEAF_OF.reshape(-1)
+_PLACE_OF_COLUMN = np.concatenate(
+    [np.take_along_axis(_PLACE[:, :, axis], _LEAF_OF[axis].astype(np.int64), axis=1) for axis in range(3)]
+).reshape(-1)
+"""Positions along the axis of the leaves of `_LEAF_OF_COLUMN`."""
 _COVER = (1.0 - exp(-np.arange(_COVER_STEPS * _COVER_MOST + 2) / _COVER_STEPS)).astype(np.float32)
 
 
@@ -213,7 +220,7 @@ def meet_leaves(
     (k, i1, i2) = cell
     x = k if main == 0 else i1
     y = k if main == 1 else (i1 if main == 0 else i2)
-    whose = number, (x // COLUMNS, y // COLUMNS), knot
+    whose = number, u4((x // COLUMNS) * M.surface.shape[1] + y // COLUMNS), knot
     L = pulse.lanes
     near_m = pulse.near_m
     variant = variant_of(h, code)
@@ -222,17 +229,19 @@ def meet_leaves(
     middle_m = (f4(k) + f4(0.5)) * f4(VOXEL_M)
     (r1, r2) = _mirrors(h, second, third)
     mirror = int((h >> u4(5 + 4 * main)) & u4(15)) << 4
+    first = u4((main * len(_CLUMPS) * _VARIANTS + variant) * LEAVES * LEAVES)
     met = False
     while lit:
         lane = int(lowest_bit(lit))
         lit &= lit - np.uint64(1)
-        leaf = int(_LEAF_OF[main, variant, _column(line, lane, middle_m, r1, r2)])
-        place = int(_PLACE[variant, leaf, main]) ^ mirror
+        column = first + _column(line, lane, middle_m, r1, r2)
+        place = int(_PLACE_OF_COLUMN[column]) ^ mirror
         along_m = (f4(k) + (f4(place) + f4(0.5)) * f4(1.0 / 256.0)) * f4(VOXEL_M)
         at_m = (along_m - line[4 * LANES + lane]) * line[5 * LANES + lane]
         if near_m <= at_m < range_m[lane]:
             range_m[lane] = at_m
-            _take_leaf(M, L, lane, h, leaf, _facet(line, lane, middle_m), whose)
+            leaf = int(_LEAF_OF_COLUMN[column])
+            _note_leaf(L, lane, h, leaf, _facet(line, lane, middle_m), whose)
             met = True
     return met
 
@@ -317,24 +326,84 @@ def _in_columns(
 
 
 @inline_kernel
-def _take_leaf(
-    M: Medium, L: Lanes, lane: int, h: np.uint32, leaf: int, facet: np.uint32, whose: _Whose
-) -> None:
-    """Draw the owner of the facet of a leaf that a lane meets, and the angle of incidence of its quarter.
-
-    Owners divide the facets of a leaf in proportion, so that a beam meets twigs as thin as they are.
-    """
+def _note_leaf(L: Lanes, lane: int, h: np.uint32, leaf: int, facet: np.uint32, whose: _Whose) -> None:
+    """Note the leaf that a lane meets: what draws the owner of its facet, and the quarter's incidence."""
     number, tile, knot = whose
     mixed = u4(u4(h + u4(leaf) * u4(0x9E3779B1)) * u4(0x85EBCA77))
     mixed = u4(mixed ^ u4(mixed >> u4(15)))
     mixed = u4(mixed * u4(0xC2B2AE3D))
     mixed = u4(mixed ^ u4(mixed >> u4(16)))
-    at = M.first_owner[number]
     drawn = u4((mixed + _SPREAD * facet) & u4(0xFF))
-    owner = M.owner[at]
-    while owner >> SHARE_BIT < drawn:
-        at += u4(1)
-        owner = M.owner[at]
-    L.surface[lane] = M.surface[tile[0], tile[1], (owner >> TILE_BIT) & np.uint64(15)] + u4(owner)
-    law = (owner >> LAW_BIT) & LAW_MASK
-    L.cosine[lane] = M.cosine[law, knot, int(mixed >> u4(8)) % QUANTILES]
+    quantile = u4(int(mixed >> u4(8)) % QUANTILES)
+    row = L.leaf
+    row[lane] = number
+    row[LANES + lane] = drawn | u4(quantile << _QUANTILE_BIT) | u4(u4(knot) << _KNOT_BIT)
+    row[2 * LANES + lane] = tile
+    L.surface[lane] = UNOWNED
+
+
+class LeavesMet(NamedTuple):
+    """Leaves that the pulses of a round meet, (8 n + 1,) each for n pulses, and scratch.
+
+    Their owners are drawn together, so that the memory of one is read while that of others is awaited.
+    """
+
+    place: U4  # eight times the number of the pulse, plus the lane
+    number: U4  # of the voxel's record
+    drawn: U4
+    """Bit fields: draw of the owner; from `_QUANTILE_BIT` the quantile of the cosine of incidence; from
+    `_KNOT_BIT` the knot of the light's elevation."""
+    tile: U4  # in the order of `Medium.surface`
+    at: U4  # scratch: place of the first owner; `owner` likewise
+    owner: U8
+
+
+def room_for_leaves(pulses: int) -> LeavesMet:
+    """Make an empty `LeavesMet` for a number of pulses."""
+    room = LANES * pulses + 1
+    place, number, drawn, tile, at = (np.zeros(room, np.uint32) for _ in range(5))
+    return LeavesMet(place, number, drawn, tile, at, np.zeros(room, np.uint64))
+
+
+@inline_kernel
+def take_leaves(L: Lanes, q: int, count: int, met: LeavesMet, found: int) -> int:
+    """Add the leaves that pulse q meets to `found` others; return their number."""
+    for lane in range(count):
+        met.place[found] = LANES * q + lane
+        met.number[found] = L.leaf[lane]
+        met.drawn[found] = L.leaf[LANES + lane]
+        met.tile[found] = L.leaf[2 * LANES + lane]
+        found += L.surface[lane] == UNOWNED
+    return found
+
+
+@kernel
+def draw_owners(M: Medium, met: LeavesMet, found: int, row: F4, surface: U4) -> None:
+    """Find the owners of `found` leaves, and fill surfaces (n, 8) and cosines in rows as in `Batch.row`.
+
+    Owners divide the facets of a leaf in proportion, so that a beam meets twigs as thin as they are.
+    """
+    place = met.place
+    at = met.at
+    owners = met.owner
+    for i in range(found):
+        at[i] = M.first_owner[met.number[i]]
+    for i in range(found):
+        owners[i] = M.owner[at[i]]
+    for i in range(found):
+        q = place[i] // LANES
+        lane = place[i] % LANES
+        drawn = met.drawn[i] & u4(0xFF)
+        owner = owners[i]
+        next_at = at[i]
+        while owner >> SHARE_BIT < drawn:
+            next_at += u4(1)
+            owner = M.owner[next_at]
+        tile = met.tile[i]
+        first = M.surface[
+            tile // M.surface.shape[1], tile % M.surface.shape[1], (owner >> TILE_BIT) & np.uint64(15)
+        ]
+        surface[q, lane] = first + u4(owner)
+        law = (owner >> LAW_BIT) & LAW_MASK
+        quantile = (met.drawn[i] >> _QUANTILE_BIT) & u4(0xFF)
+        row[q, COSINE + lane] = M.cosine[law, met.drawn[i] >> _KNOT_BIT, quantile]

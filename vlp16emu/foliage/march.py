@@ -12,7 +12,15 @@ import numpy as np
 
 from vlp16emu.foliage.ground import meet_ground
 from vlp16emu.foliage.lanes import AHEAD, Lanes, Medium, Pulse, count_bits, lowest_bit
-from vlp16emu.foliage.leaves import Weights, lit_lanes, meet_leaves, weights_of
+from vlp16emu.foliage.leaves import (
+    LeavesMet,
+    Weights,
+    draw_owners,
+    lit_lanes,
+    meet_leaves,
+    take_leaves,
+    weights_of,
+)
 from vlp16emu.foliage.stems import StemsAhead, StemsLeft, find_stems_ahead, meet_stems
 from vlp16emu.foliage.voxel import BRICK, GROUND, LEAVES, VOXEL_M
 from vlp16emu.kernels.compiler import array_kernel, inline_kernel, kernel
@@ -50,6 +58,7 @@ class Passage(NamedTuple):
     beyond: Target  # faces that are cast at any range
     lanes: Lanes  # scratch of this cast; `ahead` likewise
     ahead: StemsAhead
+    leaves: LeavesMet
 
 
 class _CentreRay(NamedTuple):
@@ -110,7 +119,7 @@ def march_pulses(cast: Cast, passage: Passage, budget: RayBudget, count: U2, fir
 
 @inline_kernel
 def march(M: Medium, bricks: U8, ahead: StemsAhead, pulse: Pulse) -> None:
-    """Follow the lanes of a pulse through the medium.
+    """Follow the lanes of a pulse through the medium; `draw_owners` finds the owners of the leaves they meet.
 
     Parameters
     ----------
@@ -299,7 +308,8 @@ def _lit_voxels(
     records = M.record
     axes = (centre.main, centre.second, centre.third)
     asked = np.uint64(0)
-    for _ in range(_FEW):
+    few = voxels
+    for _ in range(_FEW):  # in a loop of its own, so that the records of all are read at once
         if not voxels:
             break
         at = int(lowest_bit(voxels))
@@ -308,11 +318,15 @@ def _lit_voxels(
         bit = np.uint64(L.place[at] & u4(63))
         before_it = bricks[pair] & ((np.uint64(1) << bit) - np.uint64(1))
         number = bricks[pair + np.uint64(1)] + count_bits(before_it)
-        code = records[number]
+        L.place[at] = u4(number)
+        L.code[at] = records[number]
+    few ^= voxels
+    while few:
+        at = int(lowest_bit(few))
+        few &= few - np.uint64(1)
+        code = L.code[at]
         h, lit = lit_lanes(M, pulse, axes, grid.corner, _voxel(centre, slab + at), code, weights)
         lit &= alive
-        L.place[at] = u4(number)
-        L.code[at] = code
         L.hash[at] = h
         L.lit[at] = lit
         asked |= np.uint64((lit | np.uint64(code & GROUND)) != 0) << np.uint64(at)
@@ -389,7 +403,7 @@ def _fill_lines(
 @kernel
 def _march_misses(passage: Passage, cast: Cast, todo: int, count: int, reach: np.float32) -> None:
     """Continue rays without a near hit through the medium, `reach` sigmas from the centre at most."""
-    (medium, _, L, ahead) = passage
+    (medium, _, L, ahead, leaves) = passage
     light = cast.light
     if light.reach_m >= light.far_m:
         return
@@ -408,6 +422,7 @@ def _march_misses(passage: Passage, cast: Cast, todo: int, count: int, reach: np
         find_stems_ahead(
             medium.stems, ahead, batch.axes_row, medium.near_m, light.far_m, FARTHEST * aside, FARTHEST * wide
         )
+    found = ZERO
     for t in range(todo):
         q = batch.todo[t]
         if not batch.missed[q]:
@@ -421,3 +436,5 @@ def _march_misses(passage: Passage, cast: Cast, todo: int, count: int, reach: np
             row[q, a] = own_row[a]
         for lane in range(LANES):
             surface[q, lane] = own_surface[lane]
+        found = take_leaves(L, q, count, leaves, found)
+    draw_owners(medium, leaves, found, row, surface)

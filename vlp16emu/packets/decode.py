@@ -246,25 +246,34 @@ def scan_starts(azimuth_deg: F8, t_ns: I8 | None = None) -> I8:
     A scan starts at the first one, at each wrap, and after a jump of time. With times (n,) a decrease of the
     azimuth is a wrap only if the rotor can complete the revolution in the time between.
     """
+    turns, jumps = scan_steps(azimuth_deg, t_ns)
+    scan = np.maximum.accumulate(np.cumsum(turns)) + np.cumsum(jumps)
+    return np.flatnonzero(
+        np.diff(np.concatenate([np.zeros(min(1, len(azimuth_deg)), np.int64), scan]), prepend=-1)
+    )
+
+
+def scan_steps(azimuth_deg: F8, t_ns: I8 | None = None) -> tuple[I8, I8]:
+    """Return the revolutions (n - 1,) that are completed from each azimuth (n,) to the next, and the jumps.
+
+    A revolution is -1 where the rotor steps back across the wrap; a jump of time is 1.
+    """
     step_deg = np.diff(azimuth_deg)
     if t_ns is None:
-        jump = np.zeros(len(step_deg), np.int64)
+        jumps = np.zeros(len(step_deg), np.int64)
         can_turn_deg = np.full(len(step_deg), 359.0)
         in_packet = np.zeros(len(step_deg), np.bool_)
     else:
         step_ns = np.diff(t_ns)
-        jump = (np.abs(step_ns) > JUMP_NS).astype(np.int64)
+        jumps = (np.abs(step_ns) > JUMP_NS).astype(np.int64)
         can_turn_deg = 1.0 + _FASTEST_DEG_PER_NS * np.clip(step_ns, 0, JUMP_NS)
         in_packet = (step_ns > 0) & (step_ns <= BLOCK_PERIOD_NS)
     # The rotor only turns forward: a decrease is a wrap, except for encoder noise (0.01 deg) and late
     # packets, and an increase that the rotor cannot make is a step back across the wrap. Two blocks of a
     # packet may have a gap of azimuths that are not sent between them, which their times do not show.
     wrap = (step_deg < -1.0) & ((step_deg + 360.0 <= can_turn_deg) | in_packet)
-    turn = np.cumsum(wrap.astype(np.int64) - ((step_deg > 180.0) & (step_deg > can_turn_deg)))
-    scan = np.maximum.accumulate(turn) + np.cumsum(jump)
-    return np.flatnonzero(
-        np.diff(np.concatenate([np.zeros(min(1, len(azimuth_deg)), np.int64), scan]), prepend=-1)
-    )
+    turns: I8 = wrap.astype(np.int64) - ((step_deg > 180.0) & (step_deg > can_turn_deg))
+    return turns, jumps
 
 
 def decode_position(payload: bytes) -> PositionFields:

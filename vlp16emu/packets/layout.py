@@ -124,11 +124,19 @@ class Layout:
 
         `step_us` (n,) are steps of stamps; only regular ones count.
         """
+        regular_us = self.regular_us(step_us)
+        return self.mean_period_ns(int(regular_us.sum()), len(regular_us))
+
+    def regular_us(self, step_us: I8) -> I8:
+        """Return those steps (n,) of stamps that are regular."""
         least_us, most_us = self.steps_us
-        regular_us = step_us[(step_us >= least_us) & (step_us <= most_us)]
-        if self.model.period_us is None or not len(regular_us):
+        return step_us[(step_us >= least_us) & (step_us <= most_us)]
+
+    def mean_period_ns(self, total_us: int, steps: int) -> int:
+        """Return the time from packet to packet as `measured_period_ns`, from the sum of regular steps."""
+        if self.model.period_us is None or not steps:
             return self.period_ns
-        return round(float(regular_us.mean()) * US_NS)
+        return round(total_us / steps * US_NS)
 
     def by_reading(self, blocks: AnyArray) -> AnyArray:
         """View arrays (n, 12, ...) of blocks as (n, readings, banks, copies, ...), without unused blocks."""

@@ -34,6 +34,15 @@ _PLAIN = 0.4, 2.0
 """Amplitudes over the threshold, of all hits and of one ray's share, below and above which there is no
 doubt."""
 
+_EVEN = np.float32(0.2)
+"""Limit of the sum of squared energies over the square of their sum for `_is_one_echo`: that of five equal
+rays."""
+_LEAD = 0.5 * float(exp(-0.5 / (_EVENNESS * 1.01 * float(_EVEN))))
+_SPREAD = 0.5 * math.sqrt(_EVENNESS * 1.01 * float(_EVEN))
+_ROUNDED = 1.01
+"""Limits of both parts of `_error_m` then, over the resolution and over the span of the ranges; all with more
+than the rounding of float32."""
+
 
 class RayBudget(NamedTuple):
     """Number of sub-rays that the pulses of a beam need."""
@@ -69,6 +78,8 @@ def enough(
     is_precise = worth_m >= _MOST * resolution_m
     if is_precise and _is_plain(range_m, surface, cos_incidence, reflectance, n * budget.threshold):
         return True
+    if not is_precise and _is_one_echo(range_m, surface, cos_incidence, reflectance, budget):
+        return True
     met = _sort_echoes(range_m, surface, cos_incidence, reflectance, order)
     if met == 0:
         return True
@@ -90,6 +101,33 @@ def _is_plain(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, thre
                 return True
             total += energy
     return bool(total <= _PLAIN[0] * threshold)
+
+
+@inline_kernel
+def _is_one_echo(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, budget: RayBudget) -> bool:
+    """Return True if bounds show that the rays suffice: half of all pulses then need no sorting.
+
+    Within the resolution there is one echo. The variance of its ranges is at most a quarter of the square of
+    their span, and with its squares below `_EVEN` of its squared energy `_error_m` has the limits below.
+    """
+    n = range_m.shape[0]
+    low_m = np.float32(np.inf)
+    high_m = total = squares = brightest = np.float32(0.0)
+    for i in range(n):
+        if surface[i] != _NONE:
+            own_m = range_m[i]
+            energy = reflectance[surface[i]] * cos_incidence[i] / max(own_m * own_m, _LEAST_SQUARED)
+            low_m = min(low_m, own_m)
+            high_m = max(high_m, own_m)
+            total += energy
+            squares += energy * energy
+            brightest = max(brightest, energy)
+    threshold = n * budget.threshold
+    is_plain = threshold == 0.0 or brightest >= _PLAIN[1] * threshold or total <= _PLAIN[0] * threshold
+    is_even = squares < _EVEN * total * total
+    span_m = _ROUNDED * (high_m - low_m)
+    error_m = _LEAD * budget.resolution_m + _SPREAD * span_m
+    return bool(is_plain and is_even and span_m <= budget.resolution_m and error_m <= n * budget.worth_m)
 
 
 @kernel

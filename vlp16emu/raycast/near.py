@@ -72,8 +72,11 @@ class EmbreeGeometry:
         """Return the near faces for rays with a slope of up to `rise`, and the range at which they end."""
         return self._near, far_m
 
-    def passage(self) -> tuple[object, ...]:
-        """Return further arguments of the kernels, for geometry behind the near faces: none."""
+    def passage(self, pulses: int) -> tuple[object, ...]:  # noqa: ARG002 - none without a medium
+        """Return further arguments of the kernels that cast so many pulses together: none.
+
+        They are for geometry behind the near faces.
+        """
         return ()
 
     def cast(self, firings: Firings, near_m: F8, far_m: float, beam: Footprint = LINE) -> Hits:
@@ -114,7 +117,8 @@ class EmbreeGeometry:
         try:
             scratch = idle.pop()
         except IndexError:  # other threads have it
-            scratch = _Scratch(ray_packet(), batch_of(PACKET * shape[1], max_rays), self.passage(), [])
+            together = PACKET * shape[1]
+            scratch = _Scratch(ray_packet(), batch_of(together, max_rays), self.passage(together), [])
         hits = self._hits(Cast(near, pulses, scratch.packet, scratch.batch), scratch, beam)
         idle.append(scratch)
         return hits

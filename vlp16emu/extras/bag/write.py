@@ -275,7 +275,7 @@ def write_bag(
     every = survey.required()
     named = None if unit is None else survey.chosen(unit, where="--unit")
     units = every if unit is None else [named or every[0]]
-    clocks = unit_clocks(capture, units, clock, where="--clock", stop=stop, survey=survey)
+    clocks = unit_clocks(capture, units, clock, where="--clock", stop=stop)
     _check_stamps(capture, clocks)
     frames = _frames(len(units))
     true = None
@@ -284,7 +284,6 @@ def write_bag(
         true = _truth_of_folder(truth, [every.index(one) for one in units], len(every), first_ns)
         if images is not None:
             true = _with_images(true, images, first_ns)
-    del survey
     datagrams = Capture(capture, progress=progress)
 
     with (

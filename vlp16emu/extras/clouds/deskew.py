@@ -176,9 +176,8 @@ def write_deskewed(
     Raises InputError, TrajectoryError if the ground truth belongs to another run, or no pulse has a pose;
     CaptureError, PacketError if the capture cannot be read, or is damaged; the file has the points before.
     """
-    survey = Survey(capture, stop)
-    sensor = survey.chosen(trajectory.sensor or str(trajectory.unit), where="--unit")
-    unit_clock = packet_clock(capture, sensor, clock, where="--clock", stop=stop, survey=survey)
+    sensor = Survey(capture, stop).chosen(trajectory.sensor or str(trajectory.unit), where="--unit")
+    unit_clock = packet_clock(capture, sensor, clock, where="--clock", stop=stop)
     if trajectory.needs_clock and capture.is_fifo():
         found = f"found auto for the pipe {capture}"
         raise InputError("--time-offset", found, "a number, or a file, which can be read twice")

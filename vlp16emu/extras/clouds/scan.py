@@ -162,9 +162,8 @@ def decode(
     if frame not in tuple(PointFrame):
         raise InputError("frame", f"found {frame}", " or ".join(PointFrame))
     path = Path(capture)
-    survey = Survey(path)
-    sensor = survey.chosen(None if unit is None else str(unit))
-    reader = CaptureReader(path, sensor, clock=packet_clock(path, sensor, clock, survey=survey))
+    sensor = Survey(path).chosen(None if unit is None else str(unit))
+    reader = CaptureReader(path, sensor, clock=packet_clock(path, sensor, clock))
     return cut_scans(
         chunk_of(table, points_in(table, frame=PointFrame(frame)), {}) for table in reader.tables()
     )
