@@ -242,7 +242,7 @@ def _lose_pulse(
     # Where ranges jump, as in trees, steps and spots lose fewer records.
     calm = _ROUGH_M / (_ROUGH_M + rough_m)
     is_up = code > level
-    jump = calm * _loss_at_step(rates, level, code) if change > _STEP_FROM else 0.0
+    jump = calm * loss_at_step(rates, level, code)
     sure = jump + calm * follows * rates.again
     gloss = calm * rates.gloss if is_uneven else 0.0
     if lost >= sure and not _is_in_spot(_spot_rate(rates, code, range_m, gloss, place[4]), place, laser):
@@ -279,15 +279,23 @@ def _follow(before: F8, code: float, range_m: float) -> tuple[float, float]:
     before[2] += _POWER_GAIN * (change_m - before[2])
     before[1] = range_m
     before[0] = code if level < 0.0 else level + _POWER_GAIN * (code - level)
-    change = min(abs(code - level) / max(level, _BRIGHT_CODE), 1.0) if level >= 0.0 else 0.0
+    change = _change_of(level, code)
     before[3] += _POWER_GAIN * (change - before[3])
     before[UNEVENNESS] += _NOISE_GAIN * (min(change, _MOST_CHANGE) - before[UNEVENNESS])
     return level, change
 
 
 @inline_kernel
-def _loss_at_step(rates: LossRates, level: float, code: float) -> float:
+def _change_of(level: float, code: float) -> float:
+    """Return the change of code over the level of a laser, at most 1; 0 without a level."""
+    return min(abs(code - level) / max(level, _BRIGHT_CODE), 1.0) if level >= 0.0 else 0.0
+
+
+@inline_kernel
+def loss_at_step(rates: LossRates, level: float, code: float) -> float:
     """Return the share of records that a step of brightness costs, from the level of a laser to a code."""
+    if _change_of(level, code) <= _STEP_FROM:
+        return 0.0
     if code > level:
         y = max(0.5 * (code + _FLOOR_CODE) / (level + _FLOOR_CODE) - 1.0, 0.0)
         y *= y
