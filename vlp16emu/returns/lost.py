@@ -61,7 +61,7 @@ _TWICE_CODE = law("raised.twice_code")
 _UNEQUAL_CODE = law("raised.unequal_code")
 _LAST_FACTOR = law("raised.last_factor")
 _GLARE = law("raised.glare")
-_GLARE_BESIDE = law("raised.glare_beside")
+_GLARE_DARK, _GLARE_PER_CODE, _GLARE_BRIGHT = span("raised.glare_beside")
 
 _DIFFUSE = 100.0  # largest code of a matt surface
 _FULL = 255.0
@@ -262,8 +262,7 @@ def _lose_pulse(
         return
     shown_code = 0.0
     if lost < jump and is_up:  # too bright: the height of the peak is measured, its range is not
-        limit = _FULL if reflectivity[0] > _DIFFUSE and lost < _GLARE * jump else _DIFFUSE
-        shown_code = _multiple(np.float64(reflectivity[0]) * (0.7 + 1.6 * choice), no_return, limit)
+        shown_code = _too_bright(np.float64(reflectivity[0]), lost / jump, choice, no_return)
     for column in range(3):
         distance_m[column] = 0.0
         reflectivity[column] = np.uint8(shown_code if column < 2 else 0.0)
@@ -356,6 +355,25 @@ def _draw_cell(seed: int, u: np.int64, v: np.int64, w: np.int64, laser: int) -> 
 
 
 @inline_kernel
+def _glare_beside(code: float) -> float:
+    """Return the share of records without a range whose code is above 100, beside a return of some code."""
+    x = 0.01 * min(code, _DIFFUSE)
+    cube = x * x * x
+    return _GLARE_DARK + _GLARE_PER_CODE * x + _GLARE_BRIGHT * cube * cube
+
+
+@inline_kernel
+def _too_bright(code: float, draw: float, choice: float, no_return: float) -> float:
+    """Return what a record sends that is lost because a return of some code is too bright, from two draws."""
+    glare = _GLARE if code > _DIFFUSE else _glare_beside(code)
+    if draw >= glare:
+        return _multiple(code * (0.7 + 1.6 * choice), no_return, _DIFFUSE)
+    if code > _DIFFUSE:
+        return _multiple(code * (0.7 + 1.6 * choice), no_return, _FULL)
+    return _multiple(_DIFFUSE + (_FULL - _DIFFUSE) * draw / glare, no_return, _FULL)
+
+
+@inline_kernel
 def _multiple(code: float, no_return: float, limit: float) -> float:
     """Return the multiple of the laser's no-return code nearest to `code`, at most `limit`."""
     return min(np.floor(np.rint(code / no_return) * no_return) if no_return > 0.0 else code, limit)
@@ -381,7 +399,7 @@ def raised_code(
     (seed, first, laser) = key
     (row, begin, stop) = rows
     highest = -1.0
-    sides = 0
+    beside = -1.0
     glare = 0.0
     for side in range(2):
         share = 1.0
@@ -404,10 +422,11 @@ def raised_code(
                         ratio = 0.0
                     highest = max(highest, code * ratio, 2.0 * no_return)
                 if away == 1:
-                    sides = sides + 1
+                    beside = max(beside, code)
                     glare = _fraction(_ANEW * choice)
                 break
             share *= _CONTINUES  # a farther record is raised only if the nearer one is
-    if sides == 1 and glare < _GLARE_BESIDE:
-        return _multiple(_DIFFUSE + (_FULL - _DIFFUSE) * glare / _GLARE_BESIDE, no_return, _FULL)
+    limit = _glare_beside(beside)
+    if beside >= 0.0 and glare < limit:
+        return _multiple(_DIFFUSE + (_FULL - _DIFFUSE) * glare / limit, no_return, _FULL)
     return _multiple(highest, no_return, _DIFFUSE) if highest > 0.0 else highest
