@@ -1,7 +1,8 @@
 """Random rooms for `tools/unmask`, like the offices and halls of real captures.
 
 A room has painted walls whose brightness varies smoothly, panes with frames, an opening into a second room,
-furniture, posters, cables, black and white things, plates that reflect back, and a cabinet under the sensor.
+furniture, shelves of books, posters, cables, black and white things, plates that reflect back, and a cabinet
+under the sensor.
 """
 
 import json
@@ -17,9 +18,13 @@ PANE = {"reflectance": 1e-5, "roughness": 0.05}
 MOST_PAINT = (0.15, 0.35)
 """Limits of the roughness of paint and varnish."""
 
-MOST_TEXTURE = 0.3
-"""Greatest contrast of a thing: of 15 pulses on smooth surfaces of real units a fifth scatters by 0.1 and
-more."""
+MOST_TEXTURE = 0.1
+"""Greatest contrast of a small thing."""
+MOST_OF_WALL = 0.03
+"""The same of walls, whose brightness varies smoothly on real captures."""
+BOOK_M = (0.02, 0.1)
+"""Widths of books and folders on shelves. A fifth of the smooth stretches of 15 pulses of real units scatters
+by 0.1 and more, through all rings: narrow things side by side have different brightness."""
 
 
 class Room:
@@ -37,6 +42,7 @@ class Room:
             self._windows(int(wall))
         self._hang(14)
         self._furnish(22)
+        self._shelve(12)
         self._stand_up(10)
         self._partition()
         self._box("cabinet", (0.0, 0.0, 0.55), (0.9, 0.6, 1.1), self._finish(0.1))
@@ -50,7 +56,7 @@ class Room:
             f"world.wall_reflectance={self.paint}",
             f"world.wall_roughness={self.drawn.uniform(*MOST_PAINT):.3f}",
             f"world.shading={self.drawn.uniform(0.03, 0.12):.3f}",
-            f"world.texture={self.drawn.uniform(0.04, 0.12):.3f}",
+            f"world.texture={self.drawn.uniform(0.0, MOST_OF_WALL):.3f}",
             "world.relief_m=0.003",
             f"motion.height_m={SENSOR_M}",
             "world.spheres=[]",
@@ -68,7 +74,7 @@ class Room:
         }
         if self.drawn.random() < 0.5:
             out["roughness"] = round(float(self.drawn.uniform(*MOST_PAINT)), 3)
-        texture = float(min(0.1 * np.exp(0.9 * self.drawn.standard_normal()), MOST_TEXTURE))
+        texture = float(min(0.05 * np.exp(0.9 * self.drawn.standard_normal()), MOST_TEXTURE))
         out["texture"] = round(texture, 3)
         out["shading"] = round(float(self.drawn.uniform(0.0, 0.3)), 3)
         # What is rough casts shadows on itself: cloth, cartons, plants.
@@ -142,6 +148,22 @@ class Room:
             size = (0.4, 0.12, 0.02) if i == 0 else (float(wide), float(tall), 0.02)
             self._box("board", *self._on_wall(wall, along, up, size), plate if i == 0 else self._finish())
 
+    def _shelve(self, count: int) -> None:
+        """Add shelves on walls: rows of books and folders side by side, each of one brightness."""
+        for _ in range(count):
+            wall = int(self.drawn.integers(4))
+            reach = float(self.half[1 - wall // 2])
+            start, stop = np.sort(self.drawn.uniform(-reach, reach, 2))
+            low, tall = self.drawn.uniform(0.3, 1.6), self.drawn.uniform(0.25, 0.6)
+            deep = self.drawn.uniform(0.15, 0.3)
+            stop = min(stop, start + 2.0)
+            while start < stop:
+                wide = self.drawn.uniform(*BOOK_M)
+                book = {"reflectance": round(float(0.08 * 11.0 ** self.drawn.random()), 3)}
+                size = (float(wide), float(tall), float(deep - 0.01 * self.drawn.random()))
+                self._box("book", *self._on_wall(wall, start + wide / 2, low + tall / 2, size), book)
+                start += wide
+
     def _furnish(self, count: int) -> None:
         """Add tables, shelves, crates and cupboards, each at least 0.6 m away from the sensor."""
         while count:
@@ -180,7 +202,7 @@ class Room:
         """Add a wall with an opening, and extend the hall behind it by up to 20 m."""
         at, (_, wide, tall) = float(self.half[0]), self.half
         self.half[0] += self.drawn.uniform(1.0, 10.0)
-        finish = {**self._finish(), "reflectance": self.paint, "relief_m": 0.003}
+        finish = {**self._finish(), "reflectance": self.paint, "relief_m": 0.003, "texture": MOST_OF_WALL}
         left, right = sorted(self.drawn.uniform(-0.8, 0.8, 2) * wide)
         for side, other in ((-wide, left), (right, wide)):
             self._box("partition", (at, (side + other) / 2, tall), (0.1, other - side, 2 * tall), finish)

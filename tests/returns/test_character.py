@@ -10,7 +10,7 @@ from scipy import stats
 from vlp16emu.returns import Noise
 from vlp16emu.returns.detect import detect
 from vlp16emu.returns.noise import gain, no_return_reflectivity, sent_codes
-from vlp16emu.returns.strength import EIGHTHS, GAIN, count_of, eighths_at, in_steps, strength
+from vlp16emu.returns.strength import EIGHTHS, GAIN, at_range, count_of, in_steps, strength
 from vlp16emu.sensor.laws import span
 
 
@@ -122,7 +122,7 @@ def test_a_code_is_an_integer_times_eighths():
     for range_m in (0.55, 5.0, 12.0):
         codes = wall(noise, 2000, range_m=range_m, reflectance=0.3).reflectivity[..., 0]
         for laser in range(16):
-            eighths = int(eighths_at(unit.strength.by_range[laser], range_m))
+            eighths = int(at_range(unit.strength.by_range[laser], range_m)[0])
             assert set(codes[:, laser].tolist()) <= set((np.arange(101) * eighths // 8).tolist())
     even = np.linspace(20.0, 60.0, 20_001)
     for eighths in range(8, 33):

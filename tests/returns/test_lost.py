@@ -78,8 +78,8 @@ def test_a_step_of_brightness_costs_a_record():
     """Units lose 10 to 95 % of the records at a sharp step up by a factor of 9, fewer down, 1 to 4 % at one
     of 1.5 by its height alone.
 
-    Lost records up have high codes, at most 100 on matt surfaces; in dual return some are higher in the last
-    return, as on nebula.
+    Lost records up have high codes, few above 100; in dual return some are higher in the last return, as on
+    nebula.
     """
     surface = (np.arange(8000) // 10 % 2)[:, None, None] + np.zeros((1, LASERS, 1), int)
     many, few = (
@@ -94,7 +94,8 @@ def test_a_step_of_brightness_costs_a_record():
     codes, last = (
         np.concatenate([out.reflectivity[10::20, :, i][lost(out)[10::20]] for out in many]) for i in (0, 1)
     )
-    assert 40 < np.median(codes) <= codes.max() <= 100
+    assert 40 < np.median(codes) <= 100
+    assert 0.01 < (codes > 100).mean() < 0.06
     assert (last >= codes).all()
     assert 0.05 < (last > codes).mean() < 0.36
 
@@ -163,7 +164,7 @@ def test_no_returns_beside_returns_are_raised():
     """More often the brighter the return is (mrpt, nebula, 2014: 0.01 to 0.1 at 10, 0.33 to 0.82 at 70), by
     about its code, mostly alone.
 
-    With a return on one side only, 0.42 to 1.33 % are above 100 on four units, whatever its code.
+    Few are above 100: on four units 0.5 % beside codes of 5 to 14, 2.2 to 4.6 % beside 40 to 79.
     """
     range_m = np.full((16_000, LASERS, 1), np.inf)
     range_m[::16] = 3.0
@@ -175,7 +176,8 @@ def test_no_returns_beside_returns_are_raised():
         raised = codes > 1.5 * np.maximum(base, 1)
         share.append(raised.mean())
         ratio.append(np.quantile(codes[raised] / (100 * reflectance), [0.25, 0.5, 0.75]))
-        assert 0.0042 < (codes > 100).mean() < 0.0133
+        few = (0.004, 0.009) if reflectance < 0.5 else (0.022, 0.08)
+        assert few[0] < (codes > 100).mean() < few[1]
     assert 0.01 < share[0] < 0.15
     assert 0.3 < share[1] < 0.85
     np.testing.assert_allclose(ratio[1], [0.52, 0.78, 1.3], rtol=0.2)

@@ -34,8 +34,7 @@ from vlp16emu.returns.noise import (
     with_heavy_tails,
 )
 from vlp16emu.returns.settings import DetectorConstants
-from vlp16emu.returns.strength import GAIN as GAIN_AT_RANGE
-from vlp16emu.returns.strength import TOP, at_range, count_of, eighths_at, strength, with_parity
+from vlp16emu.returns.strength import at_range, count_of, strength, with_parity
 from vlp16emu.sensor.laws import law
 from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, I8, U1, U4, Firings, Hits, PlantPart, Returns, Semantic
@@ -52,9 +51,10 @@ _UNSTEADY = law("range.unsteady")
 _EVEN_CHANGE = law("range.even_change")
 _UNSHIFTED_CODE = 40.0  # code at which reflectivity does not change the range
 _Pair = tuple[float, float]
-_Laser = tuple[float, float, float, U1, F8, U1, F8, float]
+_Laser = tuple[float, float, float, U1, F8, float, U1, F8, float]
 """Range error of a laser in metres, its factor on the white range noise, its gain, codes as in `sent_codes`,
-its tables and the unit's counts as in `Strength`, and the mean change of code of its last pulses."""
+its tables, its greatest code and the unit's counts as in `Strength`, and the mean change of code of its last
+pulses."""
 _LANE_BITS = 16  # lane of a random number: the laser in the lower bits, rank or column of the echo above them
 
 
@@ -97,8 +97,8 @@ def detect(
     exact_m = np.zeros(shape if truth else (0, 0, 3), np.float32)
     most_nodes = int(hits.count.max(initial=1)) + 1  # the air's own echo is one more
     peaks = np.empty((COLUMNS, _PEAKS_PER_NODE * most_nodes))
-    noise = np.zeros((8, lasers))
-    room = np.empty((COLUMNS, most_nodes)), peaks, np.empty(3, np.int64), noise
+    noise = np.zeros((4, lasers))
+    room = np.empty((COLUMNS, most_nodes)), peaks, np.empty(3, np.int64), noise, np.zeros((lasers, 6))
     reflectance, sheet = _columns_of(surfaces)
     rays = SubRays(hits.count, hits.range_m, hits.surface, hits.cos_incidence, reflectance)
     errors = _Errors(
@@ -157,6 +157,7 @@ class _Errors(NamedTuple):
     sheet: U4
     near_lost: F8
     by_range: F8
+    top: F8
     parity: U1
     counts: F8
 
@@ -168,7 +169,7 @@ def _detect(
     block: int,
     errors: _Errors,
     pulses: tuple[SubRays, Sight],
-    room: tuple[F8, F8, I8, F8],
+    room: tuple[F8, F8, I8, F8, F8],
     distance_m: F4,
     reflectivity: U1,
     exact_m: F4,
@@ -178,25 +179,24 @@ def _detect(
     Parameters
     ----------
     block : as in `detect`; the first block begins with row 0
-    room : scratch arrays for nodes, peaks, chosen peaks, and for normal numbers and the codes of previous
-        pulses
+    room : scratch arrays for nodes, peaks, chosen peaks, what `lose` takes of each pulse, and its state
     exact_m : output, ranges before errors; may be empty
     """
-    nodes, peaks, chosen, noise = room
-    rays, sight = pulses
+    nodes, peaks, chosen, noise, before = room
+    rays, _ = pulses
     stop = ZERO
     keeps_exact = exact_m.shape[0] > 0
     lasers = rays.counts.shape[1]
     columns = _LAST if constants.strongest_only else _SECOND  # columns that a single echo fills
-    before = noise[2:]
     for i in range(rays.counts.shape[0]):
         n = first + i
         slot = 24 * n % 5
         if i % block == 0:
-            before[0] = -1.0
-            before[1:] = 0.0
+            before[:, 0] = -1.0
+            before[:, 1:] = 0.0
         if _draws_noise(constants):
             normal_pairs(constants.seed, _RANGE_NOISE, n, noise[0], noise[1])
+        first_ray = stop
         for j in range(lasers):
             start, stop = stop, stop + int(rays.counts[i, j])
             error_m = errors.bias_m[j] + errors.drift_m[i] + errors.beat_m[(slot + j) % 5]
@@ -206,9 +206,10 @@ def _detect(
                 errors.gain[j],
                 errors.codes[j],
                 errors.by_range[j],
+                errors.top[j],
                 errors.parity[j],
                 errors.counts,
-                before[UNEVENNESS, j],
+                before[j, UNEVENNESS],
             )
             lit = _gather_with_air(constants, n, j, rays, start, stop, nodes)
             at_m, light = _only_echo(constants, n, j, nodes, lit, peaks)
@@ -226,10 +227,12 @@ def _detect(
                 for column in range(3 if keeps_exact else 0):
                     if chosen[column] >= 0:
                         exact_m[i, j, column] = peaks[RANGE, chosen[column]]
-            if constants.lost.step + constants.lost.dark > 0.0:
-                place = (constants.seed, sight, i, at_m, errors.near_lost[j])
-                pulse = (lit, rays, errors.sheet, start, stop)
-                _lose(constants, errors.no_return[j], pulse, place, noise, j, distance_m, reflectivity)
+            noise[2, j] = at_m
+            noise[3, j] = lit
+        if constants.lost.step + constants.lost.dark > 0.0:
+            dual = not constants.strongest_only
+            unit = constants.seed, dual, errors.sheet, errors.near_lost, errors.no_return
+            lose(constants.lost, unit, pulses, i, first_ray, noise, before, distance_m[i], reflectivity[i])
 
 
 @inline_kernel
@@ -245,25 +248,6 @@ def _gather_with_air(
             nodes[AMPLITUDE, lit] = air
             lit += 1
     return lit
-
-
-@inline_kernel
-def _lose(
-    constants: DetectorConstants,
-    no_return: float,
-    pulse: tuple[int, SubRays, U4, int, int],
-    place: tuple[int, Sight, int, float, float],
-    noise: F8,
-    j: int,
-    distance_m: F4,
-    reflectivity: U1,
-) -> None:
-    """Remove the returns of laser j if its pulse is lost; all other arguments as in `lose`."""
-    i = place[2]
-    drawn = (noise[0, j], noise[1, j])
-    dual = not constants.strongest_only
-    distances_m = distance_m[i, j]
-    lose(constants.lost, drawn, pulse, place, noise[2:], j, no_return, dual, distances_m, reflectivity[i, j])
 
 
 @kernel
@@ -288,6 +272,8 @@ def _fill_no_returns(
         knot = min(int(place[i]), NO_RETURN_KNOTS - 1)
         fraction = place[i] % 1.0
         for j in range(distance_m.shape[1]):
+            if distance_m[i, j, 0] > 0.0:  # nearly all
+                continue
             silent = True
             for column in range(3):
                 silent &= distance_m[i, j, column] == 0.0 and reflectivity[i, j, column] == 0
@@ -379,7 +365,7 @@ def _none_is_seen(constants: DetectorConstants, n: int, laser: int, brightest: f
 @inline_kernel
 def _white_m(constants: DetectorConstants, laser: _Laser, reflectance: float, amplitude: float) -> float:
     """Return the white range noise of an echo, one sigma; larger on surfaces of uneven brightness."""
-    uneven = _UNSTEADY * max(laser[7] - _EVEN_CHANGE, 0.0)
+    uneven = _UNSTEADY * max(laser[8] - _EVEN_CHANGE, 0.0)
     return laser[1] * range_sigma_m(constants, reflectance, amplitude, uneven)
 
 
@@ -392,7 +378,7 @@ def _measure(
     The distance is 0 below the least range, and both are 0 beyond the greatest.
     """
     (range_noise, other_noise) = noise
-    (error_m, _, own_gain, codes, by_range, parity, counts_of_code, _) = laser_errors
+    (error_m, _, own_gain, codes, by_range, top, parity, counts_of_code, _) = laser_errors
     reflectance = amplitude * range_m * range_m
     shown = min(100.0 * reflectance, 100.0)
     measured_m = range_m + error_m + constants.range_walk_m * (shown - _UNSHIFTED_CODE)
@@ -406,14 +392,14 @@ def _measure(
         return np.float32(0.0), np.uint8(0)
     if not measured_m >= constants.min_range_m:
         measured_m = 0.0
-    gain = own_gain * at_range(by_range, range_m, GAIN_AT_RANGE)
-    eighths = eighths_at(by_range, range_m)
+    eighths, gain_at_range = at_range(by_range, range_m)
+    gain = own_gain * gain_at_range
     percent = 100.0 * reflectance
     code = max(percent * gain + counts, 0.0)
     exact = strength(min(code, 100.0), eighths)
     if parity.shape[0] > 0 and measured_m > 0.0:
         measured_m = with_parity(parity, count_of(counts_of_code, code), measured_m, constants.max_range_m)
-    scale = eighths, by_range[0, TOP]
+    scale = eighths, top
     return np.float32(measured_m), reflectivity_byte(percent, gain, counts, exact, scale, codes)
 
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vlp16emu.elementary import exp, power
-from vlp16emu.kernels.compiler import inline_kernel
+from vlp16emu.kernels.compiler import inline_kernel, kernel
 from vlp16emu.random import Purpose, normal, uniform, uniform_pair
 from vlp16emu.returns.echoes import SubRays
 from vlp16emu.returns.settings import LossRates, Noise
@@ -23,7 +23,7 @@ from vlp16emu.sensor.laws import law, span
 from vlp16emu.trig import ZERO, fold
 from vlp16emu.types import F4, F8, U1, U4
 
-UNEVENNESS = 5  # row of the state of lasers with the mean change of code that range noise follows
+UNEVENNESS = 5  # column of the state of lasers with the mean change of code that range noise follows
 _EDGE = ZERO + Purpose.NO_RETURN
 _SPOT = ZERO + Purpose.LOSS_SPOT
 # Steps of brightness, and of range.
@@ -61,7 +61,7 @@ _TWICE_CODE = law("raised.twice_code")
 _UNEQUAL_CODE = law("raised.unequal_code")
 _LAST_FACTOR = law("raised.last_factor")
 _GLARE = law("raised.glare")
-_GLARE_BESIDE = law("raised.glare_beside")
+_GLARE_DARK, _GLARE_PER_CODE, _GLARE_BRIGHT = span("raised.glare_beside")
 
 _DIFFUSE = 100.0  # largest code of a matt surface
 _FULL = 255.0
@@ -152,11 +152,60 @@ def _fraction(x: float) -> float:
     return x - np.floor(x)
 
 
-@inline_kernel
+@kernel
 def lose(
     rates: LossRates,
+    unit: tuple[int, bool, U4, F8, F8],
+    pulses: tuple[SubRays, Sight],
+    row: int,
+    first_ray: int,
+    met: F8,
+    before: F8,
+    distance_m: F4,
+    reflectivity: U1,
+) -> None:
+    """Remove the returns (L, 3) of lost pulses of a firing sequence, and update the averages of lasers.
+
+    It is compiled apart from its caller: both loops together need more registers than a processor has.
+
+    Parameters
+    ----------
+    unit : seed of the unit, whether it sends two returns, sheets as in `second_surface_share`, share of near
+        records that each laser loses, and its code of a record without range
+    row, first_ray : number of the sequence among the pulses, and of its first sub-ray
+    met : (4, L) normal numbers of each pulse, whose last digits decide on losses at steps, its range before
+        errors, and the number of its nodes; one node has no step
+    before : (L, 6) state of each laser: mean code, -1 for none, last range, mean change of range, mean change
+        of code over the mean code, at most 1, 1 if its last pulse was lost, and that change over more pulses,
+        at most `range.most_change`
+    """
+    (seed, dual, sheet, near_lost, no_return) = unit
+    rays, sight = pulses
+    stop = first_ray
+    for laser in range(distance_m.shape[0]):
+        start, stop = stop, stop + int(rays.counts[row, laser])
+        noise = met[0, laser], met[1, laser]
+        pulse = met[3, laser] < 2.0, rays, sheet, start, stop
+        place = seed, sight, row, met[2, laser], near_lost[laser]
+        _lose_pulse(
+            rates,
+            noise,
+            pulse,
+            place,
+            before[laser],
+            laser,
+            no_return[laser],
+            dual,
+            distance_m[laser],
+            reflectivity[laser],
+        )
+
+
+@inline_kernel
+def _lose_pulse(
+    rates: LossRates,
     noise: tuple[float, float],
-    pulse: tuple[int, SubRays, U4, int, int],
+    pulse: tuple[bool, SubRays, U4, int, int],
     place: tuple[int, Sight, int, float, float],
     before: F8,
     laser: int,
@@ -165,39 +214,35 @@ def lose(
     distance_m: F4,
     reflectivity: U1,
 ) -> None:
-    """Remove the returns (3,) of a pulse if it is lost, and update the averages of its laser.
+    """Remove the returns (3,) of a pulse if it is lost.
 
     Parameters
     ----------
-    noise : normal numbers of the pulse, whose last digits decide on losses at steps
-    pulse : number of its nodes, and its sub-rays as in `second_surface_share`; one node has no step
+    pulse : True for a single node, and its sub-rays as in `second_surface_share`
     place : seed of the unit, pulses and row of this one, its range before errors, and the share of near
         records that its laser loses
-    before : (6, L) state of each laser: mean code, -1 for none, last range, mean change of range, mean change
-        of code over the mean code, at most 1, 1 if its last pulse was lost, and that change over more pulses,
-        at most `range.most_change`
-    no_return : code of a record without range
+    before : (6,) state of the laser
     """
     if distance_m[0] <= 0.0:
-        before[0, laser] = -1.0
+        before[0] = -1.0
         return
     code = min(np.float64(reflectivity[0]), 100.0)
     range_m = np.float64(distance_m[0])
-    rough_m = before[2, laser]
-    is_uneven = before[3, laser] > _UNEVEN_FROM
-    level, change = _follow(before, laser, code, range_m)
+    rough_m = before[2]
+    is_uneven = before[3] > _UNEVEN_FROM
+    follows = before[4]
+    level, change = _follow(before, code, range_m)
     lost = _fraction(noise[0] * _DIGITS)  # no further number is drawn
-    follows = before[4, laser]
-    before[4, laser] = 0.0
     is_calm = change <= _STEP_FROM and follows == 0.0 and not is_uneven
     has_spots = code < _BLACK_CODE or range_m < _CALM_FROM_M
-    is_single = pulse[0] < 2
+    is_single = pulse[0]
     if is_calm and not has_spots and (is_single or lost >= rates.step):  # nearly every pulse
         return
+    before[4] = 0.0
     # Where ranges jump, as in trees, steps and spots lose fewer records.
     calm = _ROUGH_M / (_ROUGH_M + rough_m)
     is_up = code > level
-    jump = calm * _loss_at_step(rates, level, code) if change > _STEP_FROM else 0.0
+    jump = calm * loss_at_step(rates, level, code)
     sure = jump + calm * follows * rates.again
     gloss = calm * rates.gloss if is_uneven else 0.0
     if lost >= sure and not _is_in_spot(_spot_rate(rates, code, range_m, gloss, place[4]), place, laser):
@@ -206,7 +251,7 @@ def lose(
         share = second_surface_share(*pulse[1:])
         if lost >= sure + calm * rates.step * 4.0 * share * (1.0 - share):
             return
-    before[4, laser] = 1.0
+    before[4] = 1.0
     choice = _fraction(noise[1] * _DIGITS)
     if dual and choice < _EITHER_ALONE and lost >= jump:
         column = (
@@ -217,8 +262,7 @@ def lose(
         return
     shown_code = 0.0
     if lost < jump and is_up:  # too bright: the height of the peak is measured, its range is not
-        limit = _FULL if reflectivity[0] > _DIFFUSE and lost < _GLARE * jump else _DIFFUSE
-        shown_code = _multiple(np.float64(reflectivity[0]) * (0.7 + 1.6 * choice), no_return, limit)
+        shown_code = _too_bright(np.float64(reflectivity[0]), lost / jump, choice, no_return)
     for column in range(3):
         distance_m[column] = 0.0
         reflectivity[column] = np.uint8(shown_code if column < 2 else 0.0)
@@ -227,22 +271,30 @@ def lose(
 
 
 @inline_kernel
-def _follow(before: F8, laser: int, code: float, range_m: float) -> tuple[float, float]:
+def _follow(before: F8, code: float, range_m: float) -> tuple[float, float]:
     """Update the averages of a laser, as in `lose`; return its mean code before, and the change of code."""
-    level = before[0, laser]
-    change_m = min(abs(range_m - before[1, laser]), _MOST_ROUGH_M)
-    before[2, laser] += _POWER_GAIN * (change_m - before[2, laser])
-    before[1, laser] = range_m
-    before[0, laser] = code if level < 0.0 else level + _POWER_GAIN * (code - level)
-    change = min(abs(code - level) / max(level, _BRIGHT_CODE), 1.0) if level >= 0.0 else 0.0
-    before[3, laser] += _POWER_GAIN * (change - before[3, laser])
-    before[UNEVENNESS, laser] += _NOISE_GAIN * (min(change, _MOST_CHANGE) - before[UNEVENNESS, laser])
+    level = before[0]
+    change_m = min(abs(range_m - before[1]), _MOST_ROUGH_M)
+    before[2] += _POWER_GAIN * (change_m - before[2])
+    before[1] = range_m
+    before[0] = code if level < 0.0 else level + _POWER_GAIN * (code - level)
+    change = _change_of(level, code)
+    before[3] += _POWER_GAIN * (change - before[3])
+    before[UNEVENNESS] += _NOISE_GAIN * (min(change, _MOST_CHANGE) - before[UNEVENNESS])
     return level, change
 
 
 @inline_kernel
-def _loss_at_step(rates: LossRates, level: float, code: float) -> float:
+def _change_of(level: float, code: float) -> float:
+    """Return the change of code over the level of a laser, at most 1; 0 without a level."""
+    return min(abs(code - level) / max(level, _BRIGHT_CODE), 1.0) if level >= 0.0 else 0.0
+
+
+@inline_kernel
+def loss_at_step(rates: LossRates, level: float, code: float) -> float:
     """Return the share of records that a step of brightness costs, from the level of a laser to a code."""
+    if _change_of(level, code) <= _STEP_FROM:
+        return 0.0
     if code > level:
         y = max(0.5 * (code + _FLOOR_CODE) / (level + _FLOOR_CODE) - 1.0, 0.0)
         y *= y
@@ -303,6 +355,25 @@ def _draw_cell(seed: int, u: np.int64, v: np.int64, w: np.int64, laser: int) -> 
 
 
 @inline_kernel
+def _glare_beside(code: float) -> float:
+    """Return the share of records without a range whose code is above 100, beside a return of some code."""
+    x = 0.01 * min(code, _DIFFUSE)
+    cube = x * x * x
+    return _GLARE_DARK + _GLARE_PER_CODE * x + _GLARE_BRIGHT * cube * cube
+
+
+@inline_kernel
+def _too_bright(code: float, draw: float, choice: float, no_return: float) -> float:
+    """Return what a record sends that is lost because a return of some code is too bright, from two draws."""
+    glare = _GLARE if code > _DIFFUSE else _glare_beside(code)
+    if draw >= glare:
+        return _multiple(code * (0.7 + 1.6 * choice), no_return, _DIFFUSE)
+    if code > _DIFFUSE:
+        return _multiple(code * (0.7 + 1.6 * choice), no_return, _FULL)
+    return _multiple(_DIFFUSE + (_FULL - _DIFFUSE) * draw / glare, no_return, _FULL)
+
+
+@inline_kernel
 def _multiple(code: float, no_return: float, limit: float) -> float:
     """Return the multiple of the laser's no-return code nearest to `code`, at most `limit`."""
     return min(np.floor(np.rint(code / no_return) * no_return) if no_return > 0.0 else code, limit)
@@ -328,7 +399,7 @@ def raised_code(
     (seed, first, laser) = key
     (row, begin, stop) = rows
     highest = -1.0
-    sides = 0
+    beside = -1.0
     glare = 0.0
     for side in range(2):
         share = 1.0
@@ -351,10 +422,11 @@ def raised_code(
                         ratio = 0.0
                     highest = max(highest, code * ratio, 2.0 * no_return)
                 if away == 1:
-                    sides = sides + 1
+                    beside = max(beside, code)
                     glare = _fraction(_ANEW * choice)
                 break
             share *= _CONTINUES  # a farther record is raised only if the nearer one is
-    if sides == 1 and glare < _GLARE_BESIDE:
-        return _multiple(_DIFFUSE + (_FULL - _DIFFUSE) * glare / _GLARE_BESIDE, no_return, _FULL)
+    limit = _glare_beside(beside)
+    if beside >= 0.0 and glare < limit:
+        return _multiple(_DIFFUSE + (_FULL - _DIFFUSE) * glare / limit, no_return, _FULL)
     return _multiple(highest, no_return, _DIFFUSE) if highest > 0.0 else highest

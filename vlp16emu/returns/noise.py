@@ -11,7 +11,7 @@ from vlp16emu.elementary import cos, exp, log, power
 from vlp16emu.kernels.compiler import inline_kernel
 from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.returns.settings import DetectorConstants
-from vlp16emu.returns.strength import in_steps
+from vlp16emu.returns.strength import NEXT, in_steps
 from vlp16emu.sensor.laws import law, span
 from vlp16emu.types import F8, U1
 
@@ -150,8 +150,8 @@ def range_beat_m(seed: int, amplitude_m: float, phase_deg: float | None) -> F8:
 def by_code(table: F8, reflectance: float) -> float:
     """Return the value of a table of codes 0 to 100 at a reflectance, interpolated; that of code 1 below."""
     percent = 100.0 * min(max(reflectance, _FAINTEST_REFLECTANCE), 1.0)
-    below = min(np.int64(percent), np.int64(99))
-    return table[below] + (percent - below) * (table[below + 1] - table[below])
+    below = np.uint32(min(percent, 99.5))
+    return table[below] + (percent - below) * (table[below + NEXT] - table[below])
 
 
 @inline_kernel
@@ -212,14 +212,14 @@ def reflectivity_byte(
     gain : gain of the laser
     noise : noise in counts
     exact : strength of a diffuse target with this gain and noise, before it is rounded
-    scale : factor as from `eighths_at`, and greatest code of a matt surface
+    scale : factor as from `at_range`, and greatest code of a matt surface
     codes : (101,) codes that the laser sends, from `sent_codes`
     """
     if percent <= RETROREFLECTIVE:
         (eighths, top) = scale
         exact_code = min(max(gain * percent + noise, 0.0), top)
         code = in_steps(exact_code, exact, eighths)
-        sent = codes[np.int64(min(code, 100.0) + 0.5)]
+        sent = codes[np.uint32(min(code, 100.0) + 0.5)]
         if top > 100.0 and sent == 100:  # such a laser sends no 100
             return np.uint8(min(np.floor(max(code, 100.0)) + 1.0, top))
         return sent

@@ -19,10 +19,8 @@ from vlp16emu.types import F8, U1
 
 _BINS_PER_M = 16
 _BINS = 1024  # up to 64 m, beyond which factors no longer change
-PARITIES = 320  # counts of the receiver with a correction of their own: those of most codes, and some more
 EIGHTHS = 0  # columns of `Strength.by_range`
 GAIN = 1
-TOP = 2
 _KNOTS = 32  # of a laser's gain
 _OF_UNIT = 1 << 16  # number of a draw of the unit that no laser has
 _PER_CODE = 8.0  # parts of a code in which its factor is an integer
@@ -31,8 +29,15 @@ _FACTORS = np.maximum(np.arange(_MOST_EIGHTHS + 2), int(_PER_CODE))  # eighths; 
 _STRENGTH_PER_CODE = _PER_CODE / _FACTORS
 _TRUNCATED = (0.5 - 0.5 * np.gcd(_FACTORS, int(_PER_CODE)) / _PER_CODE) * _STRENGTH_PER_CODE
 """Strengths of a code by the factor in eighths, and those that truncation takes on average."""
+NEXT = np.uint64(1)  # on an unsigned index; signed ones might count from the end
 _DIFFUSE = 100.0
 _FULL = 255.0
+_COUNTS_OF_CODE = np.interp(
+    np.arange(_FULL + 1.0) + 0.5, span("strength.counts_at"), span("strength.counts")
+)  # of a unit with factor 1; codes end at 100
+_BLOCK = int(law("strength.balanced_over"))
+PARITIES = _BLOCK * (1 + int(max(span("strength.counts_of_units")) * _COUNTS_OF_CODE.sum()) // _BLOCK)
+"""Counts of the receiver with a correction of their own, in whole blocks: those of all codes on all units."""
 _RANGE_LSB_PER_M = 500.0  # of a packet: 2 mm
 _M_PER_RANGE_LSB = 0.002
 
@@ -41,8 +46,9 @@ class Strength(NamedTuple):
     """Properties of a unit; L lasers."""
 
     by_range: F8
-    """(L, bins, 3) factor of a strength in eighths of a code before it is rounded, 0 for none, gain, and
-    greatest code of a matt surface, every 1/16 m."""
+    """(L, bins, 2) factor of a strength in eighths of a code before it is rounded, 0 for none, and gain,
+    every 1/16 m; no bins if a unit has neither."""
+    top: F8  # (L,) greatest code of a matt surface
     parity: U1  # (L, PARITIES) correction of the range by count of the receiver, modulo 2; empty for none
     counts: F8  # (257,) count of the receiver of each code up to 255, before it is rounded
 
@@ -67,16 +73,17 @@ def strength_of(
     has_counts : True if ranges are counts of 4 mm and a correction
     is_real : True if lasers of some units do not clip at code 100
     """
-    by_range = np.zeros((lasers, _BINS, 3))
-    by_range[..., TOP] = _tops(seed, lasers)[:, None] if is_real else _DIFFUSE
-    at = np.maximum(np.arange(_BINS), 1) / _BINS_PER_M
+    has_ranges = far_step > 0.0 or gain_spread > 0.0
+    by_range = np.zeros((lasers, _BINS if has_ranges else 0, 2))
+    at = np.maximum(np.arange(by_range.shape[1]), 1) / _BINS_PER_M
     by_range[..., GAIN] = exp(np.stack([_wave(seed, laser, gain_spread, at) for laser in range(lasers)]))
     if far_step > 0.0:
         factors = np.stack([_factors(seed, laser, far_step, unit_spread, at) for laser in range(lasers)])
         by_range[..., EIGHTHS] = _PER_CODE * factors
         by_range[..., GAIN] *= _gains(seed, factors, unit_spread)
     parity = _parities(seed, lasers) if has_counts else np.zeros((lasers, 0), np.uint8)
-    return Strength(by_range, parity, _counts(seed, unit_spread))
+    top = _tops(seed, lasers) if is_real else np.full(lasers, _DIFFUSE)
+    return Strength(by_range, top, parity, _counts(seed, unit_spread))
 
 
 def _tops(seed: int, lasers: int) -> F8:
@@ -88,11 +95,10 @@ def _tops(seed: int, lasers: int) -> F8:
 
 
 def _counts(seed: int, unit_spread: float) -> F8:
-    """Draw the count of the receiver of each code, (257,), before it is rounded; codes end at 100."""
+    """Draw the count of the receiver of each code, (257,), before it is rounded."""
     least, most = span("strength.counts_of_units")
     drawn = float(uniform(seed, Purpose.STRENGTH, 0, 1)[0]) if unit_spread > 0.0 else 0.5
-    of_code = np.interp(np.arange(_FULL + 1.0) + 0.5, span("strength.counts_at"), span("strength.counts"))
-    return np.concatenate([[0.0], np.cumsum((least + (most - least) * drawn) * of_code)])
+    return np.concatenate([[0.0], np.cumsum((least + (most - least) * drawn) * _COUNTS_OF_CODE)])
 
 
 def _wave(seed: int, laser: int, spread: float, at_m: F8) -> F8:
@@ -141,39 +147,40 @@ def _parities(seed: int, lasers: int) -> U1:
     half is exchanged.
     """
     changes = 0.5 - 0.5 * law("strength.parity_correlation")
-    block = int(law("strength.balanced_over"))
     out = np.zeros((lasers, PARITIES), np.uint8)
-    total = np.zeros(PARITIES // block)
+    total = np.zeros(PARITIES // _BLOCK)
     for laser in range(lasers):
         drawn = uniform(seed, Purpose.DISTANCE_PARITY, 0, PARITIES, laser)
         drawn[0] = np.where(drawn[0] < 0.5, 0.0, 1.0)
         odd = np.cumsum(drawn < changes) % 2
-        sums = 2.0 * odd.reshape(-1, block).sum(axis=1) - block
+        sums = 2.0 * odd.reshape(-1, _BLOCK).sum(axis=1) - _BLOCK
         exchanged = total * sums > 0.0
         total += np.where(exchanged, -sums, sums)
-        out[laser] = odd ^ np.repeat(exchanged, block)
+        out[laser] = odd ^ np.repeat(exchanged, _BLOCK)
     return out
 
 
 @inline_kernel
-def at_range(table: F8, range_m: float, column: int) -> float:
-    """Return a column of a laser's table (bins, 3) at a range, interpolated."""
+def at_range(table: F8, range_m: float) -> tuple[float, float]:
+    """Return factor and gain of a laser from its table (bins, 2) at a range, interpolated.
+
+    The factor is an integer of eighths of a code; 0 for none.
+    """
+    if table.shape[0] == 0:
+        return 0.0, 1.0
     place = min(range_m * _BINS_PER_M, _BINS - 1.001)
-    knot = np.uint64(place)  # signed indices might count from the end
+    knot = np.uint32(place)
+    above = knot + NEXT
     fraction = place - knot
-    return table[knot, column] + fraction * (table[knot + 1, column] - table[knot, column])
-
-
-@inline_kernel
-def eighths_at(table: F8, range_m: float) -> float:
-    """Return the factor of a laser's strengths at a range, an integer of eighths of a code; 0 for none."""
-    return np.floor(at_range(table, range_m, EIGHTHS) + 0.5)
+    eighths = table[knot, EIGHTHS] + fraction * (table[above, EIGHTHS] - table[knot, EIGHTHS])
+    gain = table[knot, GAIN] + fraction * (table[above, GAIN] - table[knot, GAIN])
+    return np.floor(eighths + 0.5), gain
 
 
 @inline_kernel
 def strength(code: float, eighths: float) -> float:
     """Return the strength, before rounding, whose code has the mean `code`; that of 8 eighths for none."""
-    which = np.uint64(eighths)
+    which = np.uint32(eighths)
     return code * _STRENGTH_PER_CODE[which] + _TRUNCATED[which]
 
 
@@ -189,14 +196,14 @@ def in_steps(code: float, exact: float, eighths: float) -> float:
 def count_of(counts: F8, code: float) -> float:
     """Return the count of the receiver, before rounding, of a code before it is rounded and clipped."""
     place = min(code, _FULL) + 0.5
-    below = np.uint64(place)
-    return counts[below] + (place - below) * (counts[below + 1] - counts[below])
+    below = np.uint32(place)
+    return counts[below] + (place - below) * (counts[below + NEXT] - counts[below])
 
 
 @inline_kernel
 def with_parity(parity: U1, count: float, range_m: float, most_m: float) -> float:
     """Return a range as a count of 4 mm and the correction of a receiver's count; `most_m` is its limit."""
-    odd = np.float64(parity[np.uint64(count)])
+    odd = np.float64(parity[np.uint32(count)])
     counts = 2.0 * np.floor(0.5 * (range_m * _RANGE_LSB_PER_M - odd) + 0.5) + odd
     if counts > most_m * _RANGE_LSB_PER_M:
         counts -= 2.0

@@ -7,6 +7,7 @@ from pydantic import ValidationError
 
 from vlp16emu.errors import InputError
 from vlp16emu.explain import explain
+from vlp16emu.extras.compare.losses import records_lost
 from vlp16emu.extras.compare.sequences import Sequences
 from vlp16emu.extras.compare.statistics import (
     Statistics,
@@ -95,17 +96,12 @@ def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
         spread = found["reflectivity.gain_spread"]
         out["gain_spread"] = round(min(_CONSTANT_GAIN * spread, 0.3), 3)
         out["gain_by_range"] = round(min(_GAIN_BY_RANGE * spread, 0.5), 3)
-    # Rates of lost records relative to the geometric mean of those of real units.
-    rates = {
-        name: found[name] / math.sqrt(REAL[name].low * REAL[name].high)
-        for name in found
-        if name.startswith("lost.")
-    }
-    at_steps = [rate for name, rate in rates.items() if name != _ON_A_SURFACE]
-    if at_steps:
-        out["records_lost"] = round(min(float(np.median(at_steps)), _MOST_LOST), 2)
-    if _ON_A_SURFACE in rates:
-        out["spots_lost"] = round(min(rates[_ON_A_SURFACE], _MOST_LOST), 2)
+    if (lost := records_lost(sequences, _MOST_LOST)) is not None:
+        out["records_lost"] = round(lost, 2)
+    if _ON_A_SURFACE in found:  # relative to the geometric mean of real units
+        known = REAL[_ON_A_SURFACE]
+        rate = found[_ON_A_SURFACE] / math.sqrt(known.low * known.high)
+        out["spots_lost"] = round(min(rate, _MOST_LOST), 2)
     if (factor := far_factor(sequences)) is not None:
         out["reflectivity_far_step"] = round(factor, 2)
     if "no_return.above_0" in found:
