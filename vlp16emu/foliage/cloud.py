@@ -28,8 +28,9 @@ _FEW_FACES = 2000
 """Shapes with at most this many faces are kept face by face: saplings, whose leaves hide each other as those
 of crowns do, and stones, logs, ferns and tufts, which are stretched when placed."""
 _TUFTS = 0.43
-"""Least share of the variance of what is hidden between squares of 62 mm that makes the leaves of a shape tufts.
-Scots pine has 0.57, birch, spruce, beech, oak and sycamore 0.29 to 0.41."""
+"""Least share of the variance of what is hidden between squares of 62 mm that makes the leaves of a shape
+tufts. Crowns of Scots pine have 0.49 to 0.57, shrubs and saplings with large leaves about 0.45, crowns of
+spruce, birch, oak, sycamore and beech 0.27 to 0.39."""
 _SQUARE = 4  # pixels along the edge of such a square
 _CUTS = 4  # of the triangles of a branch where it leaves the stem: to pieces of some centimetres
 
@@ -216,9 +217,9 @@ def _middles_m(corners_m: F8) -> F8:
 def look_through(corners_m: F8, first: I8, share: F4) -> tuple[F8, F8, float]:
     """Look through a shape along x and along y.
 
-    Returns the share (f,) of each face's area that hides as much when placed at random, the light
-    (meshes, 2, `TILTS`) of each mesh by its cosine of incidence: what is in view, and all; and the share of the
-    variance of what is hidden in a voxel that lies between squares of 62 mm.
+    Returns the share (f,) of each face's area that hides as much when placed at random; the light
+    (meshes, 2, `TILTS`) of each mesh by its cosine of incidence: what is in view, and all; and the share of
+    the variance of what is hidden in a voxel that lies between squares of 62 mm.
 
     All faces are rasterized along x and along y, voxel by voxel. Randomly placed faces that hide the same
     part of a voxel's side have an area of -log(1 - hidden) times that side (Beer's law); clumped faces have
