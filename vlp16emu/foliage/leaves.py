@@ -136,7 +136,7 @@ class Weights(NamedTuple):
 
 
 _Whose = tuple[np.uint32, np.uint32, Weights]
-"""Number of the record of a voxel, its tile in the order of `Medium.surface`, and the weights of the light's elevation."""
+"""Number of the record of a voxel, its tile in the order of `Medium.surface`, and the light's weights."""
 
 
 @inline_kernel
