@@ -42,4 +42,4 @@ def cos_sin(angle_rad: float) -> tuple[float, float]:
 @inline_kernel
 def fold(x: float) -> float:
     """Return a triangular wave between 0 and 1 with a period of 1."""
-    return 2.0 * abs(x - math.floor(x) - 0.5)
+    return 2.0 * abs(x - np.floor(x) - 0.5)

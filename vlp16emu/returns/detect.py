@@ -98,7 +98,7 @@ def detect(
     most_nodes = int(hits.count.max(initial=1)) + 1  # the air's own echo is one more
     peaks = np.empty((COLUMNS, _PEAKS_PER_NODE * most_nodes))
     noise = np.zeros((4, lasers))
-    room = np.empty((COLUMNS, most_nodes)), peaks, np.empty(3, np.int64), noise, np.zeros((lasers, 6))
+    room = np.empty((COLUMNS, most_nodes)), peaks, np.empty(3, np.int64), noise, np.zeros((lasers, 7))
     reflectance, sheet = _columns_of(surfaces)
     rays = SubRays(hits.count, hits.range_m, hits.surface, hits.cos_incidence, reflectance)
     errors = _Errors(

@@ -175,9 +175,9 @@ def lose(
     row, first_ray : number of the sequence among the pulses, and of its first sub-ray
     met : (4, L) normal numbers of each pulse, whose last digits decide on losses at steps, its range before
         errors, and the number of its nodes; one node has no step
-    before : (L, 6) state of each laser: mean code, -1 for none, last range, mean change of range, mean change
-        of code over the mean code, at most 1, 1 if its last pulse was lost, and that change over more pulses,
-        at most `range.most_change`
+    before : (L, 7) state of each laser: mean code, -1 for none, last range, mean change of range, mean change
+        of code over the last code, at most 1, 1 if its last pulse was lost, mean change of code over the mean
+        code in more pulses, at most `range.most_change`, and the last code
     """
     (seed, dual, sheet, near_lost, no_return) = unit
     rays, sight = pulses
@@ -221,7 +221,7 @@ def _lose_pulse(
     pulse : True for a single node, and its sub-rays as in `second_surface_share`
     place : seed of the unit, pulses and row of this one, its range before errors, and the share of near
         records that its laser loses
-    before : (6,) state of the laser
+    before : (7,) state of the laser
     """
     if distance_m[0] <= 0.0:
         before[0] = -1.0
@@ -231,7 +231,9 @@ def _lose_pulse(
     rough_m = before[2]
     is_uneven = before[3] > _UNEVEN_FROM
     follows = before[4]
-    level, change = _follow(before, code, range_m)
+    last = before[6] if before[0] >= 0.0 else -1.0
+    change = _change_of(last, code)
+    _follow(before, code, range_m, change)
     lost = _fraction(noise[0] * _DIGITS)  # no further number is drawn
     is_calm = change <= _STEP_FROM and follows == 0.0 and not is_uneven
     has_spots = code < _BLACK_CODE or range_m < _CALM_FROM_M
@@ -241,8 +243,8 @@ def _lose_pulse(
     before[4] = 0.0
     # Where ranges jump, as in trees, steps and spots lose fewer records.
     calm = _ROUGH_M / (_ROUGH_M + rough_m)
-    is_up = code > level
-    jump = calm * loss_at_step(rates, level, code)
+    is_up = code > last
+    jump = calm * loss_at_step(rates, last, code)
     sure = jump + calm * follows * rates.again
     gloss = calm * rates.gloss if is_uneven else 0.0
     if lost >= sure and not _is_in_spot(_spot_rate(rates, code, range_m, gloss, place[4]), place, laser):
@@ -271,17 +273,17 @@ def _lose_pulse(
 
 
 @inline_kernel
-def _follow(before: F8, code: float, range_m: float) -> tuple[float, float]:
-    """Update the averages of a laser, as in `lose`; return its mean code before, and the change of code."""
+def _follow(before: F8, code: float, range_m: float, change: float) -> None:
+    """Update the state of a laser, as in `lose`, by a code with its change over the last one."""
     level = before[0]
     change_m = min(abs(range_m - before[1]), _MOST_ROUGH_M)
     before[2] += _POWER_GAIN * (change_m - before[2])
     before[1] = range_m
     before[0] = code if level < 0.0 else level + _POWER_GAIN * (code - level)
-    change = _change_of(level, code)
     before[3] += _POWER_GAIN * (change - before[3])
-    before[UNEVENNESS] += _NOISE_GAIN * (min(change, _MOST_CHANGE) - before[UNEVENNESS])
-    return level, change
+    unevenness = min(_change_of(level, code), _MOST_CHANGE)
+    before[UNEVENNESS] += _NOISE_GAIN * (unevenness - before[UNEVENNESS])
+    before[6] = code
 
 
 @inline_kernel
@@ -291,16 +293,16 @@ def _change_of(level: float, code: float) -> float:
 
 
 @inline_kernel
-def loss_at_step(rates: LossRates, level: float, code: float) -> float:
-    """Return the share of records that a step of brightness costs, from the level of a laser to a code."""
-    if _change_of(level, code) <= _STEP_FROM:
+def loss_at_step(rates: LossRates, last: float, code: float) -> float:
+    """Return the share of records that a step of brightness costs, from the last code of a laser."""
+    if _change_of(last, code) <= _STEP_FROM:
         return 0.0
-    if code > level:
-        y = max(0.5 * (code + _FLOOR_CODE) / (level + _FLOOR_CODE) - 1.0, 0.0)
+    if code > last:
+        y = max(0.5 * (code + _FLOOR_CODE) / (last + _FLOOR_CODE) - 1.0, 0.0)
         y *= y
-        height = 0.01 * (code - level)
+        height = 0.01 * (code - last)
         return rates.up * y * y / (y * y + _UP_HALF) + rates.bright * height * height
-    y = max(0.5 * (level + _FLOOR_CODE) / (code + _FLOOR_CODE) - 1.0, 0.0)
+    y = max(0.5 * (last + _FLOOR_CODE) / (code + _FLOOR_CODE) - 1.0, 0.0)
     y *= y
     return rates.down * y / (y + _DOWN_HALF)
 

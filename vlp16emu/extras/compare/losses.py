@@ -19,8 +19,8 @@ from vlp16emu.sensor.laws import law
 from vlp16emu.types import F8
 from vlp16emu.units import S_NS
 
-_BEFORE = 4  # records before one, all with returns, from which the level of its laser follows
-_WEIGHTS = 0.5 ** np.array([3.0, 3.0, 2.0, 1.0])  # of these, the eldest first, as a step halves each time
+_BEFORE = 4  # records before one, all with returns, from which the mean change of range follows
+_WEIGHTS = 0.5 ** np.array([3.0, 2.0, 1.0])  # of their changes, the eldest first, as a step halves each time
 _LONGEST = 3  # run of lost records
 _FLAT_MM = 40.0
 _EQUAL_MM = 30.0
@@ -39,7 +39,7 @@ class _Windows(NamedTuple):
 
     before_mm: F8  # ranges before a record, and after it or after the run of lost ones that it begins
     after_mm: F8
-    level: F8  # mean code of the laser
+    level: F8  # last code of the laser before it
     code: F8  # codes of the record and of the one after it
     after_code: F8
     calm: F8  # factor on losses where ranges change from record to record
@@ -89,9 +89,9 @@ def _windows_of(sequences: Sequences) -> _Windows:
         after_mm = np.where(fits, ranges[first], after_mm)
         next_mm = np.where(fits, ranges[first + 1], next_mm)
         after_code = np.where(fits, codes[first], after_code)
-    level = np.tensordot(_WEIGHTS, codes[:_BEFORE], axes=1)
+    level = codes[_BEFORE - 1]
     change_mm = np.minimum(np.abs(np.diff(ranges[:_BEFORE], axis=0)), 1e3 * law("loss.most_rough_m"))
-    rough_m = 1e-3 * np.tensordot(_WEIGHTS[1:], change_mm, axes=1)
+    rough_m = 1e-3 * np.tensordot(_WEIGHTS, change_mm, axes=1)
     is_calm = is_usable & (after_mm > 0.0) & (np.abs(after_mm - next_mm) < _FLAT_MM)
     is_calm &= change_mm[-1] < _FLAT_MM
     is_calm &= np.ptp(codes[:_BEFORE], axis=0) <= _EVEN * np.maximum(level, law("spot.bright_code"))
