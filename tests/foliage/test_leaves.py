@@ -88,15 +88,25 @@ def test_a_voxel_has_one_leaf_in_each_column_along_each_axis():
             assert (leaf[16 * place[:, a].astype(int) + place[:, b]] == np.arange(256)).all()
 
 
-@pytest.mark.parametrize(("kind", "low", "high"), [(0, 0.4, 0.6), (1, 0.4, 0.6), (2, 0.3, 0.4)])
+@pytest.mark.parametrize(
+    ("kind", "low", "high"), [(0, 0.4, 0.6), (1, 0.4, 0.6), (2, 0.3, 0.4), (3, 0.7, 0.9)]
+)
 def test_leaves_come_in_clumps_of_their_kind(kind, low, high):
-    """Half the variance of low plants and crowns lies between squares of 125 mm, of 16 columns each, and a
-    third of that of level leaves, where a fifth of the columns have a leaf; of single leaves it is
-    1 / 16."""
+    """Half the variance of low plants and crowns lies between squares of 125 mm, of 16 columns each, a third
+    of that of level leaves, and four fifths of that of tufts, where a fifth of the columns have a leaf; of
+    single leaves it is 1 / 16."""
     own = room._LEAF_OF[:, 16 * kind : 16 * (kind + 1)].reshape(-1, 4, 4, 4, 4)
     squares = (own < 256 // 5).mean(axis=(2, 4))
     mean = (256 // 5) / 256
     assert low < np.square(squares - mean).mean() / (mean * (1 - mean)) < high
+
+
+def test_a_pair_of_leaves_is_side_by_side_from_the_side():
+    """All pairs have two leaves at one height, which along x and along y are in neighbouring columns."""
+    for pair, place in zip(room._PAIR, room._PLACE // 16, strict=True):
+        cells = place[np.argsort(pair, kind="stable")].reshape(128, 2, 3).astype(int)
+        assert (np.diff(np.sort(pair))[::2] == 0).all()
+        assert (np.abs(cells[:, 0] - cells[:, 1]) == [1, 1, 0]).all()
 
 
 BROADLEAVES = {
@@ -124,6 +134,30 @@ def test_leaves_between_knots_are_as_wide_as_their_published_inclinations_make_t
         lower = int(weights.bits) // 7
         found = weights.low * knots[lower] + weights.high * knots[lower + 1]
         assert found == pytest.approx(area(sine), rel=within)
+
+
+@pytest.mark.parametrize("name", BROADLEAVES)
+def test_light_meets_leaves_between_knots_at_the_cosine_of_their_published_inclinations(name):
+    """Between the knots, mean cosines of incidence are those of the beta distribution of the leaves'
+    inclination, integrated, to 4 % up to 17 degrees and to 5 % above; those of the nearest knot depart by up
+    to 15 %."""
+    mu, nu = BROADLEAVES[name].inclination
+    tilt = np.random.default_rng(1).beta(nu, mu, 4000) * (np.pi / 2)
+    azimuth = (np.arange(128) + 0.5) * (np.pi / 128)
+
+    def cosine(sine):
+        level = np.sqrt(1 - sine * sine) * np.sin(tilt)[:, None] * np.cos(azimuth)
+        met = np.abs(level + sine * np.cos(tilt)[:, None])
+        return np.square(met).sum() / met.sum()
+
+    knots = [cosine(sine) for sine in KNOTS]
+    for sine, within in [(s, 0.04) for s in (0.05, 0.1, 0.15, 0.2, 0.25)] + [
+        (s, 0.05) for s in (0.4, 0.6, 0.8)
+    ]:
+        weights = weights_of(np.float32(sine), np.float32(1.0))
+        upper = int(weights.chance) / 256
+        found = (1 - upper) * knots[weights.knot] + upper * knots[weights.knot + 1]
+        assert found == pytest.approx(cosine(sine), rel=within)
 
 
 NEAR_M = 0.5

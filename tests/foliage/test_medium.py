@@ -11,7 +11,21 @@ from raycast import lab
 from vlp16emu.foliage import cloud as clouds_room
 from vlp16emu.foliage.cloud import TILTS, Library, cloud_of, look_through
 from vlp16emu.foliage.medium import Block, Shelf, block_of
-from vlp16emu.foliage.voxel import COLUMNS, KNOTS, QUANTILES, SHARE_BIT, TAU_PER_M, TILE_BIT, VOXEL_M
+from vlp16emu.foliage.voxel import (
+    COLUMNS,
+    CROWN,
+    GROUND,
+    KIND_BIT,
+    KNOTS,
+    LEVEL,
+    LOW,
+    QUANTILES,
+    SHARE_BIT,
+    TAU_PER_M,
+    TILE_BIT,
+    TUFTS,
+    VOXEL_M,
+)
 from vlp16emu.types import Mesh, PlantPart
 
 PARTS = np.array([PlantPart.BRANCH_FIRST_ORDER, PlantPart.LEAF], "u1")
@@ -126,7 +140,7 @@ def test_a_cloud_is_where_its_faces_are(monkeypatch):
     faces, to a millimetre."""
 
     def all_in_view(corners, *_):
-        return np.ones(len(corners)), np.zeros((2, 2, TILTS))
+        return np.ones(len(corners)), np.zeros((2, 2, TILTS)), 0.0
 
     monkeypatch.setattr(clouds_room, "look_through", all_in_view)
     meshes = lab.Tiles().shape("crown")
@@ -229,6 +243,13 @@ def test_leaves_that_lie_nearly_level_hide_each_other_beyond_a_voxel(tilt_deg, l
 
 def codes_of_a_shape(mesh, ground_m, knot=0):
     """Codes of the voxels of a tile on level ground with one shape of leaves at (5.1, 5.1, 0)."""
+    record = records_of_a_shape(cloud_of([mesh], PARTS[1:]), ground_m)
+    code = record >> np.uint32(7 * knot) & 127
+    return code[code > 0].tolist()
+
+
+def records_of_a_shape(cloud, ground_m):
+    """Records of the voxels of a tile on level ground with one cloud at (5.1, 5.1, 0)."""
     world = lab.Tiles(per_tile=0, things=False, height_m=lambda x, y: 0.0 * x + 0.0 * y + ground_m)
     tiles = {place: world.far_tile(*place) for place in itertools.product((-1, 0, 1), repeat=2)}
     tiles[0, 0] = replace(
@@ -238,9 +259,49 @@ def codes_of_a_shape(mesh, ground_m, knot=0):
         world_T_shape=np.column_stack([np.eye(3), [5.1, 5.1, 0.0]])[None],
         first_surface=np.ones(1, "i8"),
     )
-    block = block_of(Library.of([cloud_of([mesh], PARTS[1:])]), {"low": 0}, tiles, 0, 0)
-    code = block.record >> np.uint32(7 * knot) & 127
-    return code[code > 0].tolist()
+    return block_of(Library.of([cloud]), {"low": 0}, tiles, 0, 0).record
+
+
+@pytest.mark.parametrize(("leaf_m", "tufts"), [(0.03, False), (0.2, True)])
+def test_large_leaves_are_tufts(leaf_m, tufts):
+    """Upright square leaves of 200 mm are tufts, and those of 30 mm are none; the share of the variance
+    between squares of 62 mm is that of numpy, along x and y, to 0.02."""
+    rng = np.random.default_rng(5)
+    middle_m = rng.random((300 if tufts else 12000, 3)) * [3.0, 3.0, 3.0]
+    across, up = np.array([1.0, 1.0, 0.0]) * leaf_m / 2, np.array([0.0, 0.0, leaf_m / 2])
+    corners_m = np.stack([middle_m + a * across + b * up for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))], 1)
+    share = np.ones(1, "f4")
+    *_, coarse = clouds_room.look_through(corners_m, np.array([0, len(corners_m)]), share)
+    between = every = 0.0
+    for axis in (0, 1):
+        side = np.floor(corners_m[..., 1 - axis] * 64).astype(int) + 64
+        height = np.floor(corners_m[..., 2] * 64).astype(int) + 64
+        slab = np.floor(middle_m[:, axis] / VOXEL_M).astype(int)
+        for number in np.unique(slab):
+            hidden = np.zeros((512, 512), bool)
+            for a, b in zip(side[slab == number], height[slab == number], strict=True):
+                hidden[a.min() : a.max(), b.min() : b.max()] = True
+            voxels = hidden.reshape(16, 32, 16, 32).transpose(0, 2, 1, 3)
+            squares = voxels.reshape(16, 16, 8, 4, 8, 4).mean(axis=(3, 5))
+            between += squares.var(axis=(2, 3)).sum()
+            every += voxels.var(axis=(2, 3)).sum()
+    assert coarse == pytest.approx(between / every, abs=0.02)
+    assert (coarse > clouds_room._TUFTS) == tufts
+
+
+def test_a_voxel_has_the_kind_of_its_foliage():
+    """Voxels with ground are of low plants; over it level leaves, tufts and other leaves have kinds."""
+    corners_m = np.array([[0, 0, 2], [0.02, 0, 2], [0.02, 0.02, 2], [0, 0.02, 2]]) + 0.1
+    turned_m = corners_m[:, [2, 0, 1]] - [2.0, 0.0, -2.0]
+    face = np.arange(4, dtype="u4").reshape(1, 4)
+    level, upright = (cloud_of([Mesh(m.astype("f4"), face)], PARTS[1:]) for m in (corners_m, turned_m))
+    for cloud, kind in ((level, LEVEL), (upright, CROWN), (replace(upright, tufts=True), TUFTS)):
+        record = records_of_a_shape(cloud, 0.0)
+        record = record[record & np.uint32(127 << 7) > 0]
+        assert (record >> KIND_BIT == kind).all()
+        assert len(record) == 1
+        low = records_of_a_shape(cloud, 2.0)
+        assert (low[low & GROUND > 0] >> KIND_BIT == LOW).all()
 
 
 def place_of(owner):

@@ -27,6 +27,11 @@ _CELL_M = 0.25
 _FEW_FACES = 2000
 """Shapes with at most this many faces are kept face by face: saplings, whose leaves hide each other as those
 of crowns do, and stones, logs, ferns and tufts, which are stretched when placed."""
+_TUFTS = 0.43
+"""Least share of the variance of what is hidden between squares of 62 mm that makes the leaves of a shape
+tufts. Crowns of Scots pine have 0.49 to 0.57, shrubs and saplings with large leaves about 0.45, crowns of
+spruce, birch, oak, sycamore and beech 0.27 to 0.39."""
+_SQUARE = 4  # pixels along the edge of such a square
 _CUTS = 4  # of the triangles of a branch where it leaves the stem: to pieces of some centimetres
 
 
@@ -57,6 +62,7 @@ class Cloud:
     parts."""
     cosine: F4  # (meshes, knots, QUANTILES) quantiles of the cosine of incidence, of what is in view
     radius_m: float  # greatest distance of a corner from the shape's origin
+    tufts: bool  # True if its leaves are in tufts, as in `vlp16emu.foliage.voxel`
 
 
 def cloud_of(meshes: Sequence[Mesh], parts: U1, core: F8 | None = None) -> Cloud:
@@ -93,8 +99,10 @@ def cloud_of(meshes: Sequence[Mesh], parts: U1, core: F8 | None = None) -> Cloud
         projection[number], cosine[number] = _angular_law(weight[number])
     counted = share[mesh_of]
     is_leaf = parts == PlantPart.LEAF
+    tufts = False
     if not few or (is_leaf.any() and not is_leaf.all()):
-        effective, light = look_through(corners_m, first, share)
+        effective, light, coarse = look_through(corners_m, first, share)
+        tufts = coarse > _TUFTS
         counted = (counted * effective).astype(np.float32)
         cosine = _as_seen(cosine, light)
     if few:
@@ -104,7 +112,7 @@ def cloud_of(meshes: Sequence[Mesh], parts: U1, core: F8 | None = None) -> Cloud
         cells = _cells(corners_m, mesh_of, area_m2 * counted)
         kept = np.zeros((0, 4, 3), np.float32), np.zeros(0, np.uint8), np.zeros(0, np.float32)
     radius_m = float(norm(corners_m).max(initial=0.0))
-    return Cloud(*cells, *kept, projection.astype(np.float32), cosine.astype(np.float32), radius_m)
+    return Cloud(*cells, *kept, projection.astype(np.float32), cosine.astype(np.float32), radius_m, tufts)
 
 
 def outside(corners_m: F8, mesh_of: I8, core: F8) -> tuple[F8, I8]:
@@ -206,11 +214,12 @@ def _middles_m(corners_m: F8) -> F8:
     return 0.25 * (corners_m[:, 0] + corners_m[:, 1] + corners_m[:, 2] + corners_m[:, 3])
 
 
-def look_through(corners_m: F8, first: I8, share: F4) -> tuple[F8, F8]:
+def look_through(corners_m: F8, first: I8, share: F4) -> tuple[F8, F8, float]:
     """Look through a shape along x and along y.
 
-    Returns the share (f,) of each face's area that hides as much when placed at random, and the light
-    (meshes, 2, `TILTS`) of each mesh by its cosine of incidence: what is in view, and all.
+    Returns the share (f,) of each face's area that hides as much when placed at random; the light
+    (meshes, 2, `TILTS`) of each mesh by its cosine of incidence: what is in view, and all; and the share of
+    the variance of what is hidden in a voxel that lies between squares of 62 mm.
 
     All faces are rasterized along x and along y, voxel by voxel. Randomly placed faces that hide the same
     part of a voxel's side have an area of -log(1 - hidden) times that side (Beer's law); clumped faces have
@@ -230,6 +239,7 @@ def look_through(corners_m: F8, first: I8, share: F4) -> tuple[F8, F8]:
     factor = np.zeros((len(share), *size))
     total = np.zeros((len(share), *size), np.int64)
     light = np.zeros((len(share), 2, TILTS))
+    variance = np.zeros(2)
     for axis in (0, 1):
         slab = middle[:, axis].astype(np.int64)
         order = np.argsort(slab, kind="stable")
@@ -240,11 +250,12 @@ def look_through(corners_m: F8, first: I8, share: F4) -> tuple[F8, F8]:
             np.empty((5, 4)),
         )
         facing = _mesh_and_facing(corners_m, mesh_of, axis)
-        _look(corners_m, facing, low, axis, order, begin, view, factor, total, light)
+        _look(corners_m, facing, low, axis, order, begin, view, factor, total, light, variance)
     at = np.ravel_multi_index((mesh_of, *middle.astype(np.int64).T), factor.shape)
     drawn = total.ravel()[at]
     kept = factor.ravel()[at] / (np.maximum(drawn, 1) * share[mesh_of])
-    return np.where(drawn > 0, kept, 1.0), light
+    coarse = float(variance[0] / max(variance[1], 1e-12))
+    return np.where(drawn > 0, kept, 1.0), light, coarse
 
 
 def _mesh_and_facing(corners_m: F8, mesh_of: I8, axis: int) -> I8:
@@ -286,6 +297,7 @@ def _look(
     factor: F8,
     total: I8,
     light: F8,
+    variance: F8,
 ) -> None:
     """Look through slab after slab along an axis; add to the effective areas and to the pixels of meshes.
 
@@ -295,6 +307,7 @@ def _look(
     order, begin : faces by slab, and the place of each slab's first one among them
     factor, total : (meshes, x, y, z) in pixels
     light : (meshes, 2, `TILTS`) in pixels, as `look_through` returns it
+    variance : (2,) of what is hidden, summed over voxels: between squares of 62 mm, and all
     """
     for slab in range(len(begin) - 1):
         if begin[slab] == begin[slab + 1]:
@@ -307,6 +320,7 @@ def _look(
                 x, y = (slab, a) if axis == 0 else (a, slab)
                 if total[:, x, y, z].any():
                     _count(view.face[:, a, z], facing, factor[:, x, y, z], light)
+                    _add_variance(view.face[0, a, z], variance)
                     view.depth[:, a, z] = np.inf
                     view.face[:, a, z] = -1
 
@@ -329,6 +343,26 @@ def _count(face: I4, facing: I8, factor: F8, light: F8) -> None:
                 if shown >= 0:
                     factor[facing[shown, 0]] += weight
                     light[facing[shown, 0], 0, facing[shown, 1]] += weight
+
+
+@inline_kernel
+def _add_variance(face: I4, variance: F8) -> None:
+    """Add the variance of what is hidden in a voxel: between squares of 62 mm, and between pixels."""
+    squares = _PIXELS // _SQUARE
+    mean = 0.0
+    of_squares = 0.0
+    for a in range(squares):
+        for b in range(squares):
+            hidden = 0
+            for row in range(_SQUARE * a, _SQUARE * (a + 1)):
+                for pixel in range(_SQUARE * b, _SQUARE * (b + 1)):
+                    hidden += face[row, pixel] >= 0
+            share = hidden / (_SQUARE * _SQUARE)
+            mean += share
+            of_squares += share * share
+    mean /= squares * squares
+    variance[0] += of_squares / (squares * squares) - mean * mean
+    variance[1] += mean - mean * mean
 
 
 @inline_kernel
@@ -417,6 +451,7 @@ class Library(NamedTuple):
     first_law: I8  # (shapes + 1,) law of each shape's first mesh
     projection: F4
     radius_m: F8  # (shapes,)
+    tufts: U1  # (laws,) 1 if the leaves of its shape are in tufts
 
     @classmethod
     def of(cls, clouds: Sequence[Cloud]) -> "Library":
@@ -431,5 +466,9 @@ class Library(NamedTuple):
             first_face=first([cloud.corners_m for cloud in clouds]),
             first_law=first([cloud.projection for cloud in clouds]),
             radius_m=np.array([cloud.radius_m for cloud in clouds]),
+            tufts=np.repeat(
+                np.array([cloud.tufts for cloud in clouds], np.uint8),
+                [len(cloud.projection) for cloud in clouds],
+            ),
             **{name: np.concatenate([getattr(cloud, name) for cloud in clouds]) for name in joined},
         )

@@ -11,17 +11,22 @@ from vlp16emu.foliage.voxel import (
     BRICK,
     CODES,
     COLUMNS,
+    CROWN,
     FINER,
     GROUND,
+    KIND_BIT,
     LAW_BIT,
+    LEVEL,
+    LOW,
     MOST_PER_M,
     SHARE_BIT,
     TILE_BIT,
+    TUFTS,
     VOXEL_M,
 )
 from vlp16emu.kernels.compiler import array_kernel, inline_kernel, kernel
 from vlp16emu.trig import ZERO
-from vlp16emu.types import F4, F8, I4, I8, U4, U8
+from vlp16emu.types import F4, F8, I4, I8, U1, U4, U8
 
 _PIECE_M = 0.25  # faces with longer sides are cut
 _LEVEL_SHARE = 0.94
@@ -77,7 +82,7 @@ def fill_block(
         used = _add_shape(library, s, voxels, used, T, (tile_of[p], row[p]), add, projection)
     flags = np.zeros(head.shape, np.uint32)
     _mark_ground(flags, ground_m, low_m)
-    return _pack(head, flags, node, area, used, _volumes(head.shape[2], ground_m, low_m))
+    return _pack(head, flags, node, area, used, _volumes(head.shape[2], ground_m, low_m), library.tufts)
 
 
 @array_kernel
@@ -267,7 +272,7 @@ def _volumes(levels: int, ground_m: F4, low_m: float) -> F4:
 
 
 @array_kernel
-def _pack(head: I4, flags: U4, node: I8, area: F8, used: int, volume: F4) -> _Packed:
+def _pack(head: I4, flags: U4, node: I8, area: F8, used: int, volume: F4, tufts: U1) -> _Packed:
     nx, ny, nz = head.shape[0] // BRICK, head.shape[1] // BRICK, head.shape[2] // BRICK
     mask = np.zeros((nx, ny, nz), np.uint64)
     first = np.zeros((nx, ny, nz), np.uint32)
@@ -288,26 +293,46 @@ def _pack(head: I4, flags: U4, node: I8, area: F8, used: int, volume: F4) -> _Pa
                     mask[x, y, z] |= np.uint64(1) << np.uint64(bit)
                     first_owner[n] = o
                     area0, area1, area2 = _areas(node, area, at)
+                    kind = _kind(flags[i, j, k], area0, area2)
                     per_volume = (_LEVEL_SHARE if 9.0 * area0 < 4.0 * area2 else 1.0) / volume[i, j, k]
-                    so_far = 0.0
+                    # Owners have shares as for light of 11 degrees; most of it goes into crowns at 5 to 15.
+                    of_all = area0 + 2.0 * area1
+                    so_far = in_tufts = 0.0
                     while at >= 0:
-                        so_far += area[at, 1]
+                        own = area[at, 0] + 2.0 * area[at, 1]
+                        so_far += own
+                        if tufts[node[at, 2]]:
+                            in_tufts += own
                         tile = node[at, 0]
                         row = node[at, 1]
                         law = node[at, 2]
                         at = node[at, 3]
-                        share = 255 if at < 0 or area1 <= 0.0 else int(255.0 * so_far / area1)
+                        share = 255 if at < 0 or of_all <= 0.0 else int(255.0 * so_far / of_all)
                         owner[o] = np.uint64(row) | np.uint64(law) << LAW_BIT
                         owner[o] |= np.uint64(tile) << TILE_BIT | np.uint64(share) << SHARE_BIT
                         o += 1
+                    if kind == CROWN and 2.0 * in_tufts > of_all:
+                        kind = TUFTS
                     record[n] = (
                         flags[i, j, k]
+                        | np.uint32(kind) << KIND_BIT
                         | _code(area0 * per_volume)
                         | _code(area1 * per_volume) << np.uint32(7)
                         | _code(area2 * per_volume) << np.uint32(14)
                     )
                     n += 1
     return mask, first, record, first_owner, owner
+
+
+@inline_kernel
+def _kind(flags: np.uint32, level: float, vertical: float) -> int:
+    """Return the kind of a voxel, but for tufts, by its flags and areas.
+
+    Leaves lie nearly level where light from above meets more than 9 / 4 of the area that level light meets.
+    """
+    if flags & GROUND:
+        return LOW
+    return LEVEL if 9.0 * level < 4.0 * vertical else CROWN
 
 
 @inline_kernel

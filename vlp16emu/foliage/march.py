@@ -159,7 +159,7 @@ def march(M: Medium, bricks: U8, ahead: StemsAhead, pulse: Pulse) -> None:
                         axes,
                         _voxel(centre, slab_here),
                         L.place[at],
-                        weights.knot,
+                        weights,
                         L.hash[at],
                         lit,
                         L.code[at],

@@ -36,7 +36,7 @@ class Block:
     bottom: int  # level of the lowest bricks, in bricks from a height of 0
     mask: U8  # (10, 10, n) mask of the occupied voxels of each brick: bit 16 x + 4 y + z
     first: U4  # (10, 10, n) record of the first occupied voxel
-    record: U4  # (m,) codes of projected area at the three knots, and the flag of the ground
+    record: U4  # (m,) codes of projected area at the three knots, flag of the ground, and kind of foliage
     first_owner: U4  # (m,) first owner of each record; the last owner has a share of 255
     owner: U8
     """(o,) bit fields: row of a tile's surfaces; from `LAW_BIT` the law in the library; from `TILE_BIT` 3 (dx

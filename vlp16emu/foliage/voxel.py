@@ -26,3 +26,8 @@ LAW_MASK = np.uint64((1 << 20) - 1)
 
 GROUND = np.uint32(1 << 21)
 """Flag of a voxel, above its three codes of seven bits: ground may be met in or beside it."""
+
+LOW, CROWN, LEVEL, TUFTS = range(4)
+"""Kinds of foliage in a voxel: of low plants, of crowns, of leaves that lie nearly level, and of leaves in
+tufts of some 100 mm that hide nearly all behind them."""
+KIND_BIT = np.uint32(22)  # first of two bits of the kind
