@@ -45,7 +45,7 @@ u4 = np.uint32
 _SPREAD = u4(16)
 """Step of the draw of an owner from facet to facet, of 256. An owner with less than a 16th of a voxel's area
 has single facets."""
-_CLUMPS = (1.0, 0.7, 0.5, 0.7), (0.85, 1.3, 0.4, 2.4), (0.2, 0.7, 0.85, 0.9), (0.55, 1.1, 0.15, 0.1)
+_CLUMPS = (1.0, 0.7, 0.5, 0.7), (0.9, 1.3, 0.4, 2.0), (0.2, 0.7, 0.85, 0.9), (0.55, 1.1, 0.15, 0.1)
 """Weights of cubes of 250, 125, 62 and 31 mm in the order of leaves, by kind.
 
 Source: sub-rays of a pulse that foliage ends within 0.75 m, and that are left at 20 to 70 m, in stands of one
