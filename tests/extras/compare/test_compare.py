@@ -298,12 +298,7 @@ def test_a_unit_that_was_fitted_at_500_rpm_turns_at_its_speed(recorded):
 def test_the_step_of_codes_and_the_kinds_of_losses_come_back(recorded):
     """The factor beyond 8 m of two units is found within a fifth, and more losses in spots raise their factor
     alone, where steps of the texture cost few."""
-    hall = {
-        "noise.unit_spread": 0.0,
-        "noise.records_lost": 0.7,
-        "world.texture": 0.25,
-        "world.shading": 0.3,
-    }
+    hall = {"noise.unit_spread": 0.0, "noise.records_lost": 0.7, "world.texture": 0.25, "world.shading": 0.3}
     fitted = [
         fit_settings(recorded(f"steps {step} {spots}", UNIT | hall | own))["noise"]
         for step, spots in ((1.2, 0.5), (2.0, 4.0))
