@@ -25,7 +25,7 @@ from vlp16emu.returns.echoes import (
     gather,
     highest_peak,
 )
-from vlp16emu.returns.lost import UNEVENNESS, Sight, lose, raised_code
+from vlp16emu.returns.lost import MEAN_CODE, STATE, UNEVENNESS, Sight, lose, raised_code
 from vlp16emu.returns.noise import (
     NO_RETURN_KNOTS,
     REFLECTIVITY_TAIL,
@@ -98,7 +98,7 @@ def detect(
     most_nodes = int(hits.count.max(initial=1)) + 1  # the air's own echo is one more
     peaks = np.empty((COLUMNS, _PEAKS_PER_NODE * most_nodes))
     noise = np.zeros((4, lasers))
-    room = np.empty((COLUMNS, most_nodes)), peaks, np.empty(3, np.int64), noise, np.zeros((lasers, 7))
+    room = np.empty((COLUMNS, most_nodes)), peaks, np.empty(3, np.int64), noise, np.zeros((lasers, STATE))
     reflectance, sheet = _columns_of(surfaces)
     rays = SubRays(hits.count, hits.range_m, hits.surface, hits.cos_incidence, reflectance)
     errors = _Errors(
@@ -192,8 +192,8 @@ def _detect(
         n = first + i
         slot = 24 * n % 5
         if i % block == 0:
-            before[:, 0] = -1.0
-            before[:, 1:] = 0.0
+            before[:] = 0.0
+            before[:, MEAN_CODE] = -1.0
         if _draws_noise(constants):
             normal_pairs(constants.seed, _RANGE_NOISE, n, noise[0], noise[1])
         first_ray = stop

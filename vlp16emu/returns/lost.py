@@ -23,7 +23,9 @@ from vlp16emu.sensor.laws import law, span
 from vlp16emu.trig import ZERO, fold
 from vlp16emu.types import F4, F8, U1, U4
 
-UNEVENNESS = 5  # column of the state of lasers with the mean change of code that range noise follows
+STATE = 7
+MEAN_CODE, _RANGE_M, _ROUGH, _CHANGE, _WAS_LOST, UNEVENNESS, _CODE = range(STATE)
+"""Columns of the state of a laser, as in `lose`; range noise follows the unevenness."""
 _EDGE = ZERO + Purpose.NO_RETURN
 _SPOT = ZERO + Purpose.LOSS_SPOT
 # Steps of brightness, and of range.
@@ -175,9 +177,9 @@ def lose(
     row, first_ray : number of the sequence among the pulses, and of its first sub-ray
     met : (4, L) normal numbers of each pulse, whose last digits decide on losses at steps, its range before
         errors, and the number of its nodes; one node has no step
-    before : (L, 7) state of each laser: mean code, -1 for none, last range, mean change of range, mean change
-        of code over the last code, at most 1, 1 if its last pulse was lost, mean change of code over the mean
-        code in more pulses, at most `range.most_change`, and the last code
+    before : (L, STATE) state of each laser: mean code, -1 for none, last range, mean change of range, mean
+        change of code over the last code, at most 1, 1 if its last pulse was lost, mean change of code over
+        the mean code in more pulses, at most `range.most_change`, and the last code
     """
     (seed, dual, sheet, near_lost, no_return) = unit
     rays, sight = pulses
@@ -221,17 +223,17 @@ def _lose_pulse(
     pulse : True for a single node, and its sub-rays as in `second_surface_share`
     place : seed of the unit, pulses and row of this one, its range before errors, and the share of near
         records that its laser loses
-    before : (7,) state of the laser
+    before : (STATE,) state of the laser
     """
     if distance_m[0] <= 0.0:
-        before[0] = -1.0
+        before[MEAN_CODE] = -1.0
         return
     code = min(np.float64(reflectivity[0]), 100.0)
     range_m = np.float64(distance_m[0])
-    rough_m = before[2]
-    is_uneven = before[3] > _UNEVEN_FROM
-    follows = before[4]
-    last = before[6] if before[0] >= 0.0 else -1.0
+    rough_m = before[_ROUGH]
+    is_uneven = before[_CHANGE] > _UNEVEN_FROM
+    follows = before[_WAS_LOST]
+    last = before[_CODE] if before[MEAN_CODE] >= 0.0 else -1.0
     change = _change_of(last, code)
     _follow(before, code, range_m, change)
     lost = _fraction(noise[0] * _DIGITS)  # no further number is drawn
@@ -240,7 +242,7 @@ def _lose_pulse(
     is_single = pulse[0]
     if is_calm and not has_spots and (is_single or lost >= rates.step):  # nearly every pulse
         return
-    before[4] = 0.0
+    before[_WAS_LOST] = 0.0
     # Where ranges jump, as in trees, steps and spots lose fewer records.
     calm = _ROUGH_M / (_ROUGH_M + rough_m)
     is_up = code > last
@@ -253,7 +255,7 @@ def _lose_pulse(
         share = second_surface_share(*pulse[1:])
         if lost >= sure + calm * rates.step * 4.0 * share * (1.0 - share):
             return
-    before[4] = 1.0
+    before[_WAS_LOST] = 1.0
     choice = _fraction(noise[1] * _DIGITS)
     if dual and choice < _EITHER_ALONE and lost >= jump:
         column = (
@@ -275,15 +277,15 @@ def _lose_pulse(
 @inline_kernel
 def _follow(before: F8, code: float, range_m: float, change: float) -> None:
     """Update the state of a laser, as in `lose`, by a code with its change over the last one."""
-    level = before[0]
-    change_m = min(abs(range_m - before[1]), _MOST_ROUGH_M)
-    before[2] += _POWER_GAIN * (change_m - before[2])
-    before[1] = range_m
-    before[0] = code if level < 0.0 else level + _POWER_GAIN * (code - level)
-    before[3] += _POWER_GAIN * (change - before[3])
+    level = before[MEAN_CODE]
+    change_m = min(abs(range_m - before[_RANGE_M]), _MOST_ROUGH_M)
+    before[_ROUGH] += _POWER_GAIN * (change_m - before[_ROUGH])
+    before[_RANGE_M] = range_m
+    before[MEAN_CODE] = code if level < 0.0 else level + _POWER_GAIN * (code - level)
+    before[_CHANGE] += _POWER_GAIN * (change - before[_CHANGE])
     unevenness = min(_change_of(level, code), _MOST_CHANGE)
     before[UNEVENNESS] += _NOISE_GAIN * (unevenness - before[UNEVENNESS])
-    before[6] = code
+    before[_CODE] = code
 
 
 @inline_kernel
