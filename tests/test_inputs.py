@@ -116,7 +116,7 @@ def test_a_link_to_itself_is_refused(tmp_path):
     ],
 )
 def test_json_of_users_has_one_error(text, said):
-    """What is no JSON, or has what no other text can have, raises ValueError and nothing else."""
+    """Invalid JSON, JSON that is too deep, and lone surrogates raise ValueError, and no other exception."""
     with pytest.raises(ValueError, match=said):
         parse_json(text)
 

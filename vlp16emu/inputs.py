@@ -72,7 +72,7 @@ def parse_json(text: str) -> Any:
     r"""Return the tree of JSON types in a text.
 
     Raises ValueError for text that is no JSON, that has lists or objects too deep in one another, or that
-    escapes half a character, as `\ud800`: no file has such a name, and no output takes it.
+    escapes half a character (a lone surrogate), as `\ud800`: no file has such a name, and no output takes it.
     """
     try:
         tree = json.loads(text)

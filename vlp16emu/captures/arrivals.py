@@ -45,11 +45,13 @@ class _Arrivals:
         self._held = list[Datagram]()
 
     def take(self, datagram: Datagram) -> None:
+        """Take the next data packet of the unit."""
         self._held.append(datagram)
         if len(self._held) == _TOGETHER:
             self._note()
 
     def _note(self) -> None:
+        """Add the held packets to the record."""
         table = table_of(self._held, self._clock)
         lasts_ns = self._ages_ns[table["factory"], table["return_mode"]]
         self._record.take(table["number"], table["sensor_ns"] + lasts_ns, table["arrival_ns"])

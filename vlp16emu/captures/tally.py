@@ -90,10 +90,12 @@ class ModeTurns:
 
     def __init__(self, of_mode: Layout) -> None:
         self._layout = of_mode
-        self._turned_cdeg = self._steps = 0  # of steps that are even
+        self._turned_cdeg = 0  # angle of the even steps
+        self._steps = 0  # number of even steps
         self._last_cdeg = np.zeros(0, np.int64)
         self._often = np.zeros(AZIMUTH_CODES, np.int64)  # of packets with one reading: how often each step is
-        self._regular_us = self._regular = 0  # sum of regular steps of the stamps, and their number
+        self._regular_us = 0  # sum of the regular steps of the stamps
+        self._regular = 0  # their number
 
     def take(self, azimuth_cdeg: U2, step_ns: I8) -> None:
         """Take the azimuths (n, 12) of packets, and the steps (n or n - 1,) of their stamps."""

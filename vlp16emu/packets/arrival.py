@@ -159,7 +159,7 @@ class ArrivalFit:
 
 
 class ArrivalRecord:
-    """What judgement and fit need of the arrivals of a unit's data packets, taken in order, some at a time.
+    """Running record of the arrivals of a unit's data packets, by which host stamps are judged and fitted.
 
     Its size grows with gaps and with steps of a clock, not with the number of packets: it keeps the convex
     hull of the delays of each part between them, and a sample of all delays for their median.
