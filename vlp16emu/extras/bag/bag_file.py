@@ -86,6 +86,7 @@ class BagFile:
             found = getattr(error, "strerror", None) or str(error)
             raise OutputError(str(path), found, "a place that can be written") from error
         self._connections: Tree = {}
+        self._inner = dict[str, list[tuple[str | None, bool]]]()  # by type, as `_inner_types` returns it
         self._held: list[tuple[int, int, str, Any]] = []
         self._number = count()
         self.counts: dict[str, int] = {}  # messages by topic
@@ -146,17 +147,28 @@ class BagFile:
             self._append()
 
     def _message(self, name: str, fields: Iterable[Any]) -> Any:
-        from rosbags.interfaces import Nodetype
-
         made = []
-        for (_, (node, kind)), value in zip(self._store.fielddefs[name][1], fields, strict=True):
-            if node == Nodetype.NAME:
-                made.append(self._message(kind, value))
-            elif node != Nodetype.BASE and kind[0][0] == Nodetype.NAME:
-                made.append([self._message(kind[0][1], one) for one in value])
-            else:
+        for (inner, is_list), value in zip(self._inner_types(name), fields, strict=True):
+            if inner is None:
                 made.append(value)
+            elif is_list:
+                made.append([self._message(inner, one) for one in value])
+            else:
+                made.append(self._message(inner, value))
         return self._store.types[name](*made)
+
+    def _inner_types(self, name: str) -> list[tuple[str | None, bool]]:
+        """Return the message type of each field of a type, None for plain ones, and True for lists of them."""
+        found = self._inner.get(name)
+        if found is None:
+            from rosbags.interfaces import Nodetype
+
+            found = self._inner[name] = []
+            for _, (node, kind) in self._store.fielddefs[name][1]:
+                is_list = node not in (Nodetype.NAME, Nodetype.BASE)
+                node, inner = kind[0] if is_list else (node, kind)
+                found.append((inner if node == Nodetype.NAME else None, is_list))
+        return found
 
     def _append(self) -> None:
         t_ns, _, topic, message = heapq.heappop(self._held)

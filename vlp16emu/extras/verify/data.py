@@ -105,6 +105,8 @@ class DataChunk:
         self.product = table["factory"]
         self._read_factory(before)
         self._read_codes()
+        if self.dual:
+            self._read_pairs()
         self._read_steps()
         self._read_times(gains)
         self._read_revolutions()
@@ -126,7 +128,7 @@ class DataChunk:
         self.is_old_product = is_new & self._is_prototype & ~new_product
 
     def _read_codes(self) -> None:
-        """Find codes outside their limits, and pairs of dual return whose blocks disagree."""
+        """Find codes outside their limits."""
         packet = np.arange(len(self.number))
         right_flag = np.array(self.layout.model.flags)[:, None]
         is_no_flag = (self.layout.by_reading(self.flag) != right_flag).reshape(len(packet), -1)
@@ -140,11 +142,14 @@ class DataChunk:
         self.is_full_turn = self.azimuth == layout.AZIMUTH_CODES
         self.is_past_hour = self.timestamp_us >= HOUR_US
         self.least = self.layout.model.minimum_lsb
-        is_short = (self.distance_lsb > 0) & (self.distance_lsb < self.layout.model.minimum_lsb)
+        is_short = (self.distance_lsb > 0) & (self.distance_lsb < self.least)
         self.short = is_short.sum(axis=(1, 2, 3))
         self.has_short = self.short > 0
         self.shortest = np.where(is_short, self.distance_lsb, self.least).min(axis=(1, 2, 3))
-        # In dual return even and odd blocks are pairs (63-9243 Rev D, section 9.3.2, p. 57).
+
+    def _read_pairs(self) -> None:
+        """Find pairs whose blocks disagree: even and odd ones (63-9243 Rev D, section 9.3.2, p. 57)."""
+        packet = np.arange(len(self.number))
         is_apart = self.azimuth_cdeg[:, ::2] != self.azimuth_cdeg[:, 1::2]
         self.is_apart = is_apart.any(axis=1)
         pair = is_apart.argmax(axis=1)

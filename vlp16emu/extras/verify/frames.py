@@ -250,9 +250,6 @@ class _Frames:
             b"".join(datagram.ip[:20] + datagram.header[-8:] for datagram in datagrams), _HEADER
         )
         header = _words(raw.tobytes(), len(raw))
-        payload = _words(b"".join(datagram.payload for datagram in datagrams), len(raw))
-        # The UDP sum includes addresses, protocol and length (RFC 768).
-        udp = header[:, 6:].sum(axis=1) + payload.sum(axis=1) + dpkt.ip.IP_PROTO_UDP + raw["udp_bytes"]
         # Words that include their own checksum add up to a multiple of 2**16 - 1 (RFC 1071).
         fields = [
             ("IP version", raw["version"] >> 4, 4),
@@ -265,12 +262,13 @@ class _Frames:
             ("remainder of the IP header's sum", header[:, :10].sum(axis=1) % 0xFFFF, 0),
             ("identification", raw["identification"] * (is_data and is_known), 0),
             ("UDP checksum", raw["udp_sum"] * (is_data and is_known), 0),
-            (
-                "remainder of the UDP sum (-1: none sent)",
-                np.where(raw["udp_sum"], udp % 0xFFFF, -1) * (not is_data),
-                0,
-            ),
         ]
+        if not is_data:
+            payload = _words(b"".join(datagram.payload for datagram in datagrams), len(raw))
+            # The UDP sum includes addresses, protocol and length (RFC 768).
+            udp = header[:, 6:].sum(axis=1) + payload.sum(axis=1) + dpkt.ip.IP_PROTO_UDP + raw["udp_bytes"]
+            remainder = np.where(raw["udp_sum"], udp % 0xFFFF, -1)
+            fields.append(("remainder of the UDP sum (-1: none sent)", remainder, 0))
         names, values, correct = zip(*fields, strict=True)
         self.value = np.stack([np.asarray(column, np.int64) for column in values], axis=1)
         self.field = np.broadcast_to(names, self.value.shape)
