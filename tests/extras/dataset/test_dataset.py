@@ -20,6 +20,7 @@ from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.extras.dataset import estimate_dataset, make_dataset
 from vlp16emu.extras.dataset.layouts import LAYOUTS
 from vlp16emu.extras.dataset.manifest import check_manifest, write_manifest
+from vlp16emu.extras.dataset.processes import WorldQueue
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
@@ -279,6 +280,31 @@ def test_a_plot_is_a_laz_file_that_others_read(tmp_path):
     np.testing.assert_allclose(cloud.xyz, points["world_m"], atol=1e-3)
     assert np.array_equal(cloud["instance"], points["instance"])
     assert set(cloud.classification) >= {2}  # ground
+
+
+def test_workers_keep_to_the_worlds_they_have_entered(tmp_path):
+    """Two workers share four worlds of two walks each without entering one twice; a third helps at the end."""
+    walks = walks_in(tmp_path)
+    queue = WorldQueue(walks)
+    first, second = queue.take(None), queue.take(None)
+    assert [first, second] == [walks[0], walks[2]]
+    assert [queue.take(first), queue.take(second)] == [walks[1], walks[3]]
+    third = queue.take(walks[1])
+    assert third == walks[4]
+    assert queue.take(walks[3]) == walks[6]
+    assert queue.take(None) == walks[5]  # all worlds are entered
+    assert queue.take(third) == walks[7]
+    assert queue.take(walks[6]) is None
+    queue.put_back(third)
+    assert queue.take(None) == third
+
+
+def test_walks_of_one_world_that_do_not_follow_one_another_are_all_made(tmp_path):
+    """A queue of walks in any order, some of them missing, gives each of them once."""
+    walks = [walk for walk in walks_in(tmp_path) if walk.number != 2][::-1]
+    queue = WorldQueue(walks)
+    taken = list(iter(lambda: queue.take(None), None))
+    assert sorted(walk.number for walk in taken) == sorted(walk.number for walk in walks)
 
 
 def test_workers_that_are_killed_lose_nothing(tmp_path):
