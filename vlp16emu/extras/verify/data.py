@@ -487,12 +487,18 @@ class PositionChunk:
     def _read_sentences(self, packets: Sequence[Datagram], before: "PositionChunk | None") -> None:
         """Read the sentences, and compare their seconds with the clock and with earlier sentences."""
         areas = [packet.payload[SENTENCE_OFFSET:] for packet in packets]
-        columns = zip(*map(_read_sentence, areas), strict=True)
-        self.second, self.status, self.malformed, self.end, self.checksum, self.right, is_leap, talker = map(
-            np.array, columns
+        index = {area: place for place, area in enumerate(dict.fromkeys(areas))}  # a second has some hundred
+        index_of = np.array([index[area] for area in areas])
+        columns = [np.array(column)[index_of] for column in zip(*map(_read_sentence, index), strict=True)]
+        self.second, self.status, self.malformed, self.end, self.checksum, self.right, is_leap, talker = (
+            columns
         )
         self.talker = np.where(talker == np.append("", talker[:-1]), "", talker)
-        self.time = np.array([f"{second // 60:02d}:{second % 60:02d}" for second in self.second.tolist()])
+        times = [
+            f"{sentence.second // 60:02d}:{sentence.second % 60:02d}"
+            for sentence in map(_read_sentence, index)
+        ]
+        self.time = np.array(times)[index_of]
         is_locked = self.pps == PpsState.LOCKED
         is_known = self.second >= 0
         self.is_missing = is_locked & np.array([not any(area) for area in areas])

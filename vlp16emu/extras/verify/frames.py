@@ -240,20 +240,20 @@ class _Frames:
         self.kind = kind
         is_data = kind is PacketKind.DATA
         payload_bytes = PAYLOAD_BYTES[kind]
-        self.number = np.array([datagram.number for datagram in datagrams])
-        self.captured_bytes = np.array([datagram.captured_bytes for datagram in datagrams])
-        self.wire_bytes = np.array([datagram.wire_bytes for datagram in datagrams])
-        self.frame_bytes = np.array([len(datagram.header) + payload_bytes for datagram in datagrams])
+        columns = [
+            (each.number, each.captured_bytes, each.wire_bytes, len(each.header), each.ip_offset)
+            for each in datagrams
+        ]
+        self.number, self.captured_bytes, self.wire_bytes, header_bytes, ip_offset = np.array(columns).T
+        self.frame_bytes = header_bytes + payload_bytes
         self.is_cut = (self.captured_bytes != self.frame_bytes) | (self.wire_bytes != self.frame_bytes)
-        self.is_rewritten = np.array([not is_data and is_rewritten(datagram) for datagram in datagrams])
-        raw = np.frombuffer(
-            b"".join(datagram.ip[:20] + datagram.header[-8:] for datagram in datagrams), _HEADER
-        )
+        self.is_rewritten = np.array([not is_data and is_rewritten(each) for each in datagrams])
+        raw = np.frombuffer(b"".join([each.ip[:20] + each.header[-8:] for each in datagrams]), _HEADER)
         header = _words(raw.tobytes(), len(raw))
         # Words that include their own checksum add up to a multiple of 2**16 - 1 (RFC 1071).
         fields = [
             ("IP version", raw["version"] >> 4, 4),
-            ("header bytes", np.array([len(datagram.ip) + 8 for datagram in datagrams]), 28),
+            ("header bytes", header_bytes - ip_offset, 28),
             ("type of service", raw["tos"], 0),
             ("IP length", raw["total"], 28 + payload_bytes),
             ("flags and offset", raw["fragment"] * is_known, _FLAGS[kind] * is_known),
