@@ -254,6 +254,10 @@ class Packet:
         None  # (384,) of a data packet: ground truth of each record, only on request
     )
 
+    def at(self, due_ns: int) -> "Packet":
+        """Return the packet with another time, as `dataclasses.replace` in a third of the time."""
+        return Packet(self.kind, due_ns, self.payload, self.unit, self.fired_ns, self.number, self.slots)
+
 
 class PacketSink(Protocol):
     """A destination of packets: a context manager that is open once it is made.

@@ -27,7 +27,7 @@ from vlp16emu.returns.detect import detect
 from vlp16emu.returns.detector import UnitDetector
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.settings import require_packets
-from vlp16emu.types import F8, Firings, Hits, Packet, PacketKind, Returns
+from vlp16emu.types import F8, I8, Firings, Hits, Packet, PacketKind, Returns
 from vlp16emu.units import S_NS, seconds_to_ns
 
 if TYPE_CHECKING:
@@ -294,18 +294,19 @@ def sent_before(scenario: Scenario, unit: Unit, kind: PacketKind, since_ns: int)
     return due - sum(silent)
 
 
-def positions_due(scenario: Scenario, unit: Unit, start_ns: int, stop_ns: int) -> Iterator[tuple[int, int]]:
-    """Yield number and UTC of the position packets of a unit due in a span since the first pulse."""
+def positions_due(scenario: Scenario, unit: Unit, start_ns: int, stop_ns: int) -> Iterator[tuple[I8, I8]]:
+    """Yield numbers and UTC (n,) of the position packets of a unit due in a span since the first pulse."""
     rate = require_packets(unit.section).position_rate
     first, stop = (
         number_at(scenario, unit, PacketKind.POSITION, since_ns) for since_ns in (start_ns, stop_ns)
     )
-    from_ns = unit.positions_from_ns
-    for number in range(first, stop, _AT_ONCE):
-        due_ns = position_due_ns(rate, unit.seed, from_ns, number, min(_AT_ONCE, stop - number))
-        for place, due in enumerate(due_ns.tolist()):
-            if not unit.state.silences.at(due - scenario.start_ns):
-                yield number + place, due
+    run_ns = scenario.start_ns
+    silences = unit.state.silences
+    for begin in range(first, stop, _AT_ONCE):
+        number = np.arange(begin, min(begin + _AT_ONCE, stop))
+        due_ns = position_due_ns(rate, unit.seed, unit.positions_from_ns, begin, len(number))
+        is_sent = np.array([silences.at(since_ns) is None for since_ns in (due_ns - run_ns).tolist()])
+        yield number[is_sent], due_ns[is_sent]
 
 
 def position_packets(
@@ -315,14 +316,16 @@ def position_packets(
     gps = unit.state.gps
     named_ns = None
     sentence = b""
-    for number, due_ns in positions_due(scenario, unit, start_ns, stop_ns):
-        stamp_ns = due_ns - STAMP_LEAD_NS
-        second_ns = gps.second_ns(stamp_ns)
-        if second_ns != named_ns:
-            named_ns = second_ns
-            sentence = b""
-            if receiver is not None and second_ns is not None:
-                sentence = gps.sentence(receiver.fix(second_ns), unit.seed)
-        clock_ns = int(unit.head.clock.reading_ns(np.array([stamp_ns]))[0])
-        payload = pack_position(clock_ns, gps.pps.at(stamp_ns), sentence)
-        yield Packet(PacketKind.POSITION, due_ns, payload, unit.number, number=number)
+    for numbers, due in positions_due(scenario, unit, start_ns, stop_ns):
+        clocks_ns = unit.head.clock.reading_ns(due - STAMP_LEAD_NS)
+        columns = numbers.tolist(), due.tolist(), clocks_ns.tolist()
+        for number, due_ns, clock_ns in zip(*columns, strict=True):
+            stamp_ns = due_ns - STAMP_LEAD_NS
+            second_ns = gps.second_ns(stamp_ns)
+            if second_ns != named_ns:
+                named_ns = second_ns
+                sentence = b""
+                if receiver is not None and second_ns is not None:
+                    sentence = gps.sentence(receiver.fix(second_ns), unit.seed)
+            payload = pack_position(clock_ns, gps.pps.at(stamp_ns), sentence)
+            yield Packet(PacketKind.POSITION, due_ns, payload, unit.number, number=number)

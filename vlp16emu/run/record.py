@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
-from dataclasses import replace
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Protocol
@@ -195,7 +194,7 @@ class HostClock:
         off_ns = since_ns * 1e-6 * self._ppm + 1e6 * self._ahead_ms
         moved_ns = round(off_ns + self._delay_us(packet) * US_NS)
         self._latest_ns = max(self._latest_ns, packet.due_ns + moved_ns)
-        return replace(packet, due_ns=self._latest_ns)
+        return packet.at(self._latest_ns)
 
     def _delay_us(self, packet: Packet) -> float:
         section = self._section

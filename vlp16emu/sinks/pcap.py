@@ -11,6 +11,7 @@ from pathlib import Path
 from vlp16emu.errors import OutputError, RunError
 from vlp16emu.output import STDOUT, OutputFile
 from vlp16emu.packets.frames import FACTORY_LINK, Link, data_header, position_frame
+from vlp16emu.packets.layout import DATA_BYTES
 from vlp16emu.types import Packet, PacketKind, PacketSink
 from vlp16emu.units import S_NS, US_NS
 
@@ -57,6 +58,7 @@ class PcapSink(PacketSink):
         self.path = path
         self._is_stdout = path == STDOUT
         self._links = links
+        self._data_headers = [data_header(link) for link in links]  # of payloads with the usual length
         self._sent = 0
         self._bytes = 0
         self._failed = False
@@ -99,7 +101,9 @@ class PcapSink(PacketSink):
     def _frame(self, packet: Packet) -> bytes:
         link = self._links[packet.unit]
         if packet.kind is PacketKind.DATA:
-            return data_header(link, len(packet.payload)) + packet.payload
+            is_whole = len(packet.payload) == DATA_BYTES
+            header = self._data_headers[packet.unit] if is_whole else data_header(link, len(packet.payload))
+            return header + packet.payload
         if packet.kind is PacketKind.POSITION:
             return position_frame(link, packet.payload, packet.number)
         raise ValueError(f"found a packet of kind {packet.kind}, expected data or position")

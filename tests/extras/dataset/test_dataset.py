@@ -283,7 +283,7 @@ def test_a_plot_is_a_laz_file_that_others_read(tmp_path):
 
 
 def test_workers_keep_to_the_worlds_they_have_entered(tmp_path):
-    """Two workers share four worlds of two walks each without entering one twice; a third helps at the end."""
+    """Two workers share four worlds of two walks without entering one twice; a third helps at the end."""
     walks = walks_in(tmp_path)
     queue = WorldQueue(walks)
     first, second = queue.take(None), queue.take(None)

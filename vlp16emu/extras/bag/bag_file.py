@@ -158,7 +158,7 @@ class BagFile:
         return self._store.types[name](*made)
 
     def _inner_types(self, name: str) -> list[tuple[str | None, bool]]:
-        """Return the message type of each field of a type, None for plain ones, and True for lists of them."""
+        """Return the message type of each field of a type, None for plain ones, and whether it is a list."""
         found = self._inner.get(name)
         if found is None:
             from rosbags.interfaces import Nodetype
@@ -166,8 +166,8 @@ class BagFile:
             found = self._inner[name] = []
             for _, (node, kind) in self._store.fielddefs[name][1]:
                 is_list = node not in (Nodetype.NAME, Nodetype.BASE)
-                node, inner = kind[0] if is_list else (node, kind)
-                found.append((inner if node == Nodetype.NAME else None, is_list))
+                of_one, inner = kind[0] if is_list else (node, kind)
+                found.append((inner if of_one == Nodetype.NAME else None, is_list))
         return found
 
     def _append(self) -> None:

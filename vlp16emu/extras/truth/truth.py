@@ -152,8 +152,9 @@ def timetable(scenario: Scenario, units: Sequence[Unit], start_ns: int, stop_ns:
 
     def position(unit: Unit) -> Iterator[Packet]:
         if isinstance(unit.section, Sensor):
-            for number, due_ns in positions_due(scenario, unit, start_ns, stop_ns):
-                yield Packet(PacketKind.POSITION, due_ns, b"", unit.number, number=number)
+            for numbers, due in positions_due(scenario, unit, start_ns, stop_ns):
+                for number, due_ns in zip(numbers.tolist(), due.tolist(), strict=True):
+                    yield Packet(PacketKind.POSITION, due_ns, b"", unit.number, number=number)
 
     streams = (stream(unit) for unit in units for stream in (data, position))
     return heapq.merge(*streams, key=lambda packet: packet.due_ns)
