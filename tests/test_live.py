@@ -105,7 +105,7 @@ def test_what_was_flown_repeats_the_run_byte_for_byte(flown):
         assert all(payload in repeated for payload in sent), kind  # `in` goes on from where it was
         assert sent
     streamed = flown.streamed
-    skipped, left_out = streamed.sent.skipped["data"], 4 * round(streamed.live.left_out_s / 0.005308416)
+    skipped, left_out = streamed.sent.skipped["data"], 2 * round(streamed.live.left_out_s / 0.002654208)
     missing = len(flown.repeated[PacketKind.DATA]) - len(flown.sent[PacketKind.DATA])
     # The last step has up to three packets less, and a stream that skips may skip packets of steps that were
     # left out before.

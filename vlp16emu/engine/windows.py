@@ -26,7 +26,9 @@ _log = logging.getLogger(__name__)  # at DEBUG it names each window that is open
 BLOCK = 1_920
 """Firing sequences of a VLP-16 computed at once, 106 ms: whole packets in every return mode, and a multiple
 of 8 rays."""
-STEP_NS = 5_308_416  # steps of a live run, 20 in a VLP-16 block
+STEP_NS = 2_654_208
+"""Steps of a live run: 48 firing sequences of a VLP-16, two packets of single return, 40 in a block. A pose
+waits for the next one, so longer steps are later, and shorter ones cost more."""
 SEGMENT = 64  # blocks of a VLP-16 that share a window of the world, 6.8 s or some 8 m of walking
 
 _RAYS = 8
@@ -91,8 +93,8 @@ class Batching:
 
     @property
     def segment(self) -> int:
-        """Blocks of a segment."""
-        return _SEGMENT_NS // self.block_ns
+        """Blocks of a segment: whole ones, with all their parts."""
+        return _SEGMENT_NS // (self.parts * self.block_ns) * self.parts
 
     def blocks(self, start_ns: int, stop_ns: int) -> range:
         """Blocks that cover a span of time since the first pulse."""

@@ -8,9 +8,10 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
+from vlp16emu.engine.windows import STEP_NS
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.extras.live.flown import FLOWN_HEADER, FlownMotion, flown_rows, read_flown
-from vlp16emu.extras.live.knots import STATE, STEP_NS, Knots, follow
+from vlp16emu.extras.live.knots import STATE, Knots, follow
 from vlp16emu.extras.live.motion import LiveMotion, PoseInput
 from vlp16emu.extras.live.settings import Live
 from vlp16emu.extras.recorded.files import read_trajectory_csv
@@ -128,7 +129,7 @@ def test_without_poses_the_body_comes_to_rest_and_goes_on_without_a_jump():
 def test_old_knots_are_dropped_and_young_ones_stay():
     """Over 100 s of knots the memory stays that of 43 s, and the last 20 s are as they were."""
     rng = np.random.default_rng(1)
-    states = rng.normal(size=(19_000, STATE))
+    states = rng.normal(size=(38_000, STATE))
     states[:, 3:7] /= np.linalg.norm(states[:, 3:7], axis=1)[:, None]
     whole, growing = Knots(START_NS, states), Knots(START_NS, states[:2])
     for state in states[2:]:
@@ -136,7 +137,7 @@ def test_old_knots_are_dropped_and_young_ones_stay():
     t_ns = START_NS + whole.last_ns - np.arange(0, 20_000_000_000, 7_654_321)
     assert growing.poses_at(t_ns).world_p_body_m.tobytes() == whole.poses_at(t_ns).world_p_body_m.tobytes()
     assert growing.last == whole.last
-    assert len(growing._states) == 8192
+    assert len(growing._states) == 16_384
 
 
 def test_what_was_flown_is_read_back_bit_by_bit(tmp_path):
@@ -157,7 +158,7 @@ def test_what_was_flown_is_read_back_bit_by_bit(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("0.005308416,", "0.005308417,", "line 3, column t_s: found 0.005308417; expected 0.005308416"),
+        ("0.002654208,", "0.002654209,", "line 3, column t_s: found 0.002654209; expected 0.002654208"),
         ("2.0,", "nan,", "column z_m: found nan; expected a number"),
     ],
 )

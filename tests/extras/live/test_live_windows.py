@@ -12,15 +12,16 @@ import pytest
 
 from vlp16emu import Emulator
 from vlp16emu.engine import Batching
+from vlp16emu.engine.windows import STEP_NS
 from vlp16emu.extras.live import windows
 from vlp16emu.extras.live.flown import FLOWN_HEADER, FlownMotion, flown_rows
-from vlp16emu.extras.live.knots import STATE, STEP_NS, Knots
+from vlp16emu.extras.live.knots import STATE, Knots
 from vlp16emu.extras.live.windows import Builders, Course, Cube, CubeWindows, LiveWindows, Openers
 from vlp16emu.foliage.polyline import distance_m
 from vlp16emu.units import S_NS
 
 START_NS = 1_779_267_600_000_000_000
-PARTS = Batching(16, 55_296, 20)
+PARTS = Batching(16, 55_296, 40)
 BLOCK_NS = PARTS.parts * PARTS.block_ns
 
 
@@ -173,7 +174,7 @@ def test_no_window_is_opened_for_after_the_end(windows_of):
 def test_a_body_that_jumps_has_the_window_of_its_place(windows_of):
     """Three blocks after a jump of 100 m, the window is that of the cube where the body is."""
     states = states_at((0.0, 0.0, 0.0), 10.0)
-    jump = 20 * 30
+    jump = PARTS.parts * 30
     states[jump:, :3] += (100.0, -40.0, 10.0)
     of = windows_of(Knots(START_NS, states))
     assert of.name_of(29 * PARTS.parts)[0] == Cube(0, 0, 0)
@@ -185,7 +186,7 @@ def test_parts_of_a_block_have_its_window_and_sway_its_time(windows_of):
     motion = Knots(START_NS, states_at((4.0, 2.0, 0.0), 30.0))
     of = windows_of(motion)
     for block in range(200):
-        assert len({of.name_of(block * PARTS.parts + part) for part in (0, 7, 19)}) == 1
+        assert len({of.name_of(block * PARTS.parts + part) for part in (0, 7, 39)}) == 1
         assert of.name_of(block * PARTS.parts)[1] == 0
     swaying = windows_of(motion, wind=object())
     assert [swaying.name_of(block * PARTS.parts)[1] for block in (0, 63, 64, 130)] == [0, 0, 1, 2]
@@ -290,15 +291,15 @@ def test_late_steps_are_taken_together(live_windows, asked):
     asked.watch(of)
     steps = of.runs(range(37, 1000), 1, 2)
     taken = []
-    for late in (0, 1, 2, 4, 6, 7, 0):
+    for late in (0, 1, 2, 4, 12, 13, 0):
         at = taken[-1].stop if taken else 37
         live.elapsed_ns = (at + late) * PARTS.block_ns
         taken.append(next(steps))
-    # 40 begins a block; after the sixth, 7 steps are left out.
+    # 40 begins a block; after the fifth, 13 steps are left out.
     assert [(run.start, run.stop) for run in taken] == [
-        (37, 38), (38, 39), (39, 40), (40, 42), (42, 45), (52, 53), (53, 54),
+        (37, 38), (38, 39), (39, 40), (40, 42), (42, 48), (61, 62), (62, 63),
     ]  # fmt: skip
-    assert of.left_out == of.in_blocks_of(Batching(32, 46_080, 20)).left_out == 7
+    assert of.left_out == of.in_blocks_of(Batching(32, 46_080, 40)).left_out == 13
 
 
 def test_the_windows_of_the_first_seconds_are_opened_before_the_start(live_windows, asked):

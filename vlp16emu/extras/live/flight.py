@@ -14,9 +14,9 @@ from typing import Self
 import numpy as np
 
 from vlp16emu.engine.engine import make_receiver
+from vlp16emu.engine.windows import STEP_NS
 from vlp16emu.errors import InputError
 from vlp16emu.extras.live.flown import FLOWN_HEADER, flown_rows
-from vlp16emu.extras.live.knots import STEP_NS
 from vlp16emu.extras.live.motion import LOST_NS, LiveMotion, PosesLost
 from vlp16emu.extras.live.pose_packet import POSE_BYTES, is_pose, unpack_pose
 from vlp16emu.extras.live.sky import SkyAhead
@@ -32,7 +32,7 @@ from vlp16emu.types import Packet
 from vlp16emu.units import S_NS, seconds_to_ns
 
 _LISTEN_S = 0.1  # how often the thread checks if it shall end
-_MERGED_S = 0.002  # poses that come within this time count as one; knots are 5 ms apart
+_MERGED_S = 0.002  # poses that come within this time count as one; knots are 2.7 ms apart
 _MOST = 1000  # datagrams that are read before a pose is passed on
 _EXPECTED = "udp://HOST:PORT, for instance udp://127.0.0.1:7000"
 

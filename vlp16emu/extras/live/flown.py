@@ -4,9 +4,9 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from vlp16emu.engine import Parts
-from vlp16emu.engine.windows import Batching, Windows
+from vlp16emu.engine.windows import STEP_NS, Batching, Windows
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.extras.live.knots import STEP_NS, Knots
+from vlp16emu.extras.live.knots import Knots
 from vlp16emu.extras.live.windows import CubeWindows
 from vlp16emu.extras.recorded.files import POSE, TIMED_POSES, unit_lengths
 from vlp16emu.raycast.caster import Geometry

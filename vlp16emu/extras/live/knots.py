@@ -5,18 +5,18 @@ import math
 import numpy as np
 
 from vlp16emu.elementary import atan2, exp
+from vlp16emu.engine.windows import STEP_NS
 from vlp16emu.kernels.compiler import array_kernel
 from vlp16emu.motion.piecewise import POWERS, KnotMotion
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import F8
 from vlp16emu.units import S_NS
 
-STEP_NS = 5_308_416  # time between knots: 96 firing sequences of a VLP-16, four packets of single return
 STATE = 13
 """Numbers of a knot: position (3,) and quaternion x, y, z, w (4,) in the world, velocity (3,) in the world,
 angular rate (3,) in body axes."""
 
-_MOST = 8192  # knots of a live run that are kept, 43 s; poses older than 12 s are never requested
+_MOST = 16_384  # knots of a live run that are kept, 43 s; poses older than 12 s are never requested
 _COAST_S = 0.15
 """Time after a pose for which its velocity is extrapolated, and then the time constant with which the body
 comes to rest: poses at 10 Hz are followed smoothly, and a body at 3 m/s stops after 0.9 m."""

@@ -12,8 +12,9 @@ import numpy as np
 
 from vlp16emu.elementary import norm
 from vlp16emu.engine import Batching, Parts
+from vlp16emu.engine.windows import STEP_NS
 from vlp16emu.errors import InputError, TrajectoryError
-from vlp16emu.extras.live.knots import GAP_M, GAP_RAD, STATE, STEP_NS, Knots, follow, turn_between
+from vlp16emu.extras.live.knots import GAP_M, GAP_RAD, STATE, Knots, follow, turn_between
 from vlp16emu.extras.live.settings import Live
 from vlp16emu.extras.live.windows import ASIDE_M, Bounded, LiveWindows
 from vlp16emu.extras.recorded.files import UNIT_TOLERANCE
@@ -23,7 +24,7 @@ from vlp16emu.units import S_NS
 
 LOST_NS = S_NS  # time without a pose after which poses count as lost
 
-_AHEAD_NS = 2_000_000
+_AHEAD_NS = 1_000_000
 """Time before its first pulse at which a step is computed: some packets need it, and each is due after its
 last pulse."""
 _BASE_NS = 20_000_000

@@ -49,7 +49,7 @@ _KNOWN_NS = 200_000_000
 _SPARE_M = 1.0
 _SPARE_S = 0.35  # from that time to the end of a block
 """Margin that is left for the path of the body until the end of the block, at its speed."""
-_LATE_BLOCKS = 6
+_LATE_BLOCKS = 12
 """Steps of delay, 32 ms, from which all late steps are left out: receivers need recent packets."""
 _NICE = 10
 """Niceness of threads that open windows of a live run above the casting threads, which then get nine tenths
