@@ -33,6 +33,7 @@ from vlp16emu.types import F4, F8, I8, U2, U4
 LANES = ROUND  # rays of a row
 ORIGIN, DIRECTION, RANGE, COSINE, ROW = (LANES * row for row in (0, 3, 6, 7, 8))
 """Offsets of rows of lanes in `Batch.row`, and its length."""
+_RANGE, _COSINE = np.uint64(RANGE), np.uint64(COSINE)
 AXES_TIME = 12  # place of the pulse's time in a row of `Batch.axes_row`
 
 
@@ -344,21 +345,24 @@ def settle(
     total = have + count
     lasers = met.shape[0] // PACKET
     first_m = first_round[0].view(np.float32)
+    first_met = first_round[1]
     first_cosine = first_round[2].view(np.float32)
     for t in range(todo):
         q = batch.todo[t]
         begin = q * room
-        at = q * room + have
-        for lane in range(LANES):
-            range_m[at + lane] = np.float32(np.inf) if met[q, lane] == NONE else row[q, RANGE + lane]
-            surface[at + lane] = met[q, lane]
-            cosine[at + lane] = row[q, COSINE + lane]
+        own = row[q]
+        own_met = met[q]
+        at = np.uint64(begin + have)  # unsigned, also below: signed indices might count from the end
+        for lane in range(np.uint64(LANES)):
+            range_m[at + lane] = np.float32(np.inf) if own_met[lane] == NONE else own[_RANGE + lane]
+            surface[at + lane] = own_met[lane]
+            cosine[at + lane] = own[_COSINE + lane]
         if have == 0:
-            to = count * ((first + q % PACKET) * lasers + q // PACKET)
-            for lane in range(count):
+            to = np.uint64(count * ((first + q % PACKET) * lasers + q // PACKET))
+            for lane in range(np.uint64(count)):
                 first_m[to + lane] = range_m[at + lane]
                 first_cosine[to + lane] = cosine[at + lane]
-                first_round[1, to + lane] = surface[at + lane]
+                first_met[to + lane] = surface[at + lane]
         batch.have[q] = total
         needs_more = total < budget.max_rays
         if needs_more and budget.adaptive:
