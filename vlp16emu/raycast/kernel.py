@@ -33,7 +33,8 @@ from vlp16emu.types import F4, F8, I8, U2, U4
 LANES = ROUND  # rays of a row
 ORIGIN, DIRECTION, RANGE, COSINE, ROW = (LANES * row for row in (0, 3, 6, 7, 8))
 """Offsets of rows of lanes in `Batch.row`, and its length."""
-_RANGE, _COSINE = np.uint64(RANGE), np.uint64(COSINE)
+_RANGE = np.uint64(RANGE)
+_COSINE = np.uint64(COSINE)
 AXES_TIME = 12  # place of the pulse's time in a row of `Batch.axes_row`
 
 
