@@ -47,6 +47,27 @@ def met_m(medium, origin_m, direction, far_m=60.0):
     return float(L.range_m[0]) if L.surface[0] != NO_SURFACE else np.inf
 
 
+def murmur(place, seed):
+    """Mixture of three whole numbers and a seed, with a finaliser of MurmurHash3's form."""
+    h = seed
+    for at, factor in zip(place, (0x9E3779B1, 0x85EBCA77, 0xC2B2AE3D), strict=True):
+        h ^= at * factor % 2**32
+    h = (h ^ h >> 16) * 0x7FEB352D % 2**32
+    h = (h ^ h >> 15) * 0x846CA68B % 2**32
+    return h ^ h >> 16
+
+
+def test_a_voxels_hash_depends_on_its_place_alone():
+    """Along whichever axis a pulse passes, a voxel has the hash of x, y and z in arithmetic without limits,
+    at negative places too."""
+    rng = np.random.default_rng(6)
+    for place in rng.integers(-(2**20), 2**20, (20, 3)).tolist():
+        words = np.array(place).astype(np.uint32)
+        for axes in ((0, 1, 2), (1, 0, 2), (2, 0, 1)):
+            found = room.hash_of(*words[[*axes]], room.hash_factors(axes), np.uint32(7))
+            assert found == murmur(place, 7)
+
+
 @pytest.mark.parametrize("code", [10, 40, 90])
 @pytest.mark.parametrize("corner", [(40, -7, 11), (0, 0, 0), (-3, 5, -900)])
 def test_a_voxels_leaves_have_one_place_in_space(code, corner):

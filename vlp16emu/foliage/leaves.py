@@ -54,6 +54,7 @@ _HOLES = False, True, True, False
 """Whether the draws of leaves of 31 mm are fifth powers of uniform ones, by kind: most are small, and a few
 large, so that clumps have holes."""
 _Three = tuple[int, int, int]
+_Words = tuple[np.uint32, np.uint32, np.uint32]
 UNOWNED = u4(0xFFFFFFFE)  # surface of a lane that meets a leaf whose owner is not drawn yet
 _QUANTILE_BIT = u4(8)  # first bits of the parts of `LeavesMet.drawn`; the draw of an owner begins at bit 0
 _KNOT_BIT = u4(16)
@@ -114,10 +115,27 @@ _PLACE_OF_COLUMN = np.concatenate(
 _COVER = (1.0 - exp(-np.arange(_COVER_STEPS * _COVER_MOST + 2) / _COVER_STEPS)).astype(np.float32)
 
 
+_FACTORS = u4(0x9E3779B1), u4(0x85EBCA77), u4(0xC2B2AE3D)
+"""Factors of x, y and z in the hash of a voxel's position."""
+
+
 @inline_kernel
-def _hash(a: int, b: int, c: int, seed: np.uint32) -> np.uint32:
-    """Hash the position of a voxel (constants and rounds as in MurmurHash3's finaliser)."""
-    h = u4(u4(a) * u4(0x9E3779B1)) ^ u4(u4(b) * u4(0x85EBCA77)) ^ u4(u4(c) * u4(0xC2B2AE3D)) ^ u4(seed)
+def hash_factors(axes: _Three) -> _Words:
+    """Return the factors of positions along three axes, for `hash_of`."""
+    (main, second, third) = axes
+    return _FACTORS[main], _FACTORS[second], _FACTORS[third]
+
+
+@inline_kernel
+def hash_of(a: np.uint32, b: np.uint32, c: np.uint32, factors: _Words, seed: np.uint32) -> np.uint32:
+    """Hash the position of a voxel of the world (constants and rounds as in MurmurHash3's finaliser).
+
+    Parameters
+    ----------
+    a, b, c : position along three axes, in voxels
+    factors : as `hash_factors` returns them for these axes
+    """
+    h = u4(a * factors[0]) ^ u4(b * factors[1]) ^ u4(c * factors[2]) ^ seed
     h = u4(h ^ u4(h >> u4(16)))
     h = u4(h * u4(0x7FEB352D))
     h = u4(h ^ u4(h >> u4(15)))
@@ -164,43 +182,33 @@ def weights_of(up: np.float32, length: np.float32) -> Weights:
 
 @inline_kernel
 def lit_lanes(
-    M: Medium, pulse: Pulse, axes: _Three, corner: _Three, cell: _Three, code: np.uint32, weights: Weights
-) -> tuple[np.uint32, np.uint64]:
-    """Return the hash of a voxel's position, and bits of the lanes that meet one of its leaves; branchless.
+    pulse: Pulse, axes: _Three, k: int, code: np.uint32, h: np.uint32, weights: Weights
+) -> np.uint64:
+    """Return bits of the lanes that meet one of the leaves of a voxel; branchless.
 
     Parameters
     ----------
     axes : the main axis, across the slabs, and the two others
-    corner, cell : corner of the grid in voxels of the world, and the voxel in the grid, along these axes
-    code : code of the voxel
+    k : place of the voxel in the grid along the main axis
+    code, h : code of the voxel, and hash of its position
     """
     (main, second, third) = axes
-    (k, i1, i2) = cell
     low, high = (code >> weights.bits) & u4(127), (code >> (weights.bits + u4(7))) & u4(127)
-    g = k + corner[0]
-    g1 = i1 + corner[1]
-    g2 = i2 + corner[2]
-    a = g if main == 0 else g1
-    b = g if main == 1 else (g1 if main == 0 else g2)
-    c = g if main == 2 else g2
-    h = _hash(a, b, c, u4(M.seed))
     x = min(
         (TAU_PER_M[low] * weights.low + TAU_PER_M[high] * weights.high) * f4(_COVER_STEPS),
         f4(_COVER_STEPS * _COVER_MOST),
     )
-    step = int(x)
-    cover = _COVER[step] + (_COVER[step + 1] - _COVER[step]) * (x - f4(step))
+    step = u4(x)  # unsigned: a signed index might count from the end
+    cover = _COVER[step] + (_COVER[step + u4(1)] - _COVER[step]) * (x - f4(step))
     count = np.int32(cover * f4(LEAVES * LEAVES) + f4(h >> u4(24)) * f4(1.0 / 256.0))
-    variant = variant_of(h, code)
     line = pulse.lanes.line
     middle_m = (f4(k) + f4(0.5)) * f4(VOXEL_M)
     (r1, r2) = _mirrors(h, second, third)
-    first = np.int32((main * len(_CLUMPS) * _VARIANTS + variant) * LEAVES * LEAVES)
+    first = u4((main * len(_CLUMPS) * _VARIANTS + variant_of(h, code)) * LEAVES * LEAVES)
     if pulse.n == 1:
-        return h, np.uint64(
-            np.int32(_LEAF_OF_COLUMN[first + np.int32(_column(line, 0, middle_m, r1, r2))]) < count
-        )
-    return h, _in_columns(line, middle_m, r1, r2, _LEAF_OF_COLUMN, first, count)
+        leaf = _LEAF_OF_COLUMN[first + _column(line, 0, middle_m, r1, r2)]
+        return np.uint64(np.int32(leaf) < count)
+    return _in_columns(line, middle_m, r1, r2, _LEAF_OF_COLUMN, np.int32(first), count)
 
 
 @inline_kernel

@@ -16,6 +16,8 @@ from vlp16emu.foliage.leaves import (
     LeavesMet,
     Weights,
     draw_owners,
+    hash_factors,
+    hash_of,
     lit_lanes,
     meet_leaves,
     take_leaves,
@@ -137,6 +139,8 @@ def march(M: Medium, bricks: U8, ahead: StemsAhead, pulse: Pulse) -> None:
     alive, last_m = _set_up_lines(corner_m, L, n, near_m, axes)
     weights = weights_of(abs(axis[5]), length)
     grid = _grid(M, axes)
+    factors = hash_factors(axes)
+    seed = u4(M.seed)
     first, stop = _crossing(centre, grid.size)
     slab = -_floor(-first)
     slabs = _floor(min(stop, (last_m - centre.to_middle) / length + f4(1.5)))
@@ -149,9 +153,9 @@ def march(M: Medium, bricks: U8, ahead: StemsAhead, pulse: Pulse) -> None:
             alive, slabs = _drop_ended(L, centre, n, alive, slab, slabs)
         if slab > slabs:
             break
-        left = _occupied_voxels(L, centre, grid, bricks, slab, slabs)
+        left = _occupied_voxels(L, centre, grid, bricks, factors, seed, slab, slabs)
         while left:
-            left, voxels = _lit_voxels(M, pulse, centre, grid, weights, bricks, slab, left, alive)
+            left, voxels = _lit_voxels(M, pulse, centre, weights, bricks, slab, left, alive)
             while voxels:
                 at = int(lowest_bit(voxels))
                 voxels &= voxels - np.uint64(1)
@@ -257,10 +261,18 @@ def _voxel(centre: _CentreRay, slab: int) -> tuple[int, int, int]:
 
 @inline_kernel
 def _occupied_voxels(
-    L: Lanes, centre: _CentreRay, grid: _Grid, bricks: U8, slab: int, slabs: int
+    L: Lanes,
+    centre: _CentreRay,
+    grid: _Grid,
+    bricks: U8,
+    factors: tuple[np.uint32, np.uint32, np.uint32],
+    seed: np.uint32,
+    slab: int,
+    slabs: int,
 ) -> np.uint64:
-    """Find the voxels of the next slabs; return bits of those that are not empty."""
+    """Find the voxels of the next slabs and hash their positions; return bits of those that are not empty."""
     place = L.place
+    hashes = L.hash
     begin = f4(slab)
     k = f4(centre.k)
     step = f4(centre.step)
@@ -270,6 +282,7 @@ def _occupied_voxels(
     d2 = centre.d2
     s_main, s_one, s_two = grid.stride
     b_main, b_one, b_two = grid.shift
+    c_main, c_one, c_two = grid.corner
     last = u4((bricks.shape[0] >> 1) - 1)
     for ahead in range(AHEAD):
         at = begin + _SLABS[ahead]
@@ -279,6 +292,9 @@ def _occupied_voxels(
         brick = u4(u4(i >> 2) * s_main) + u4(u4(i1 >> 2) * s_one) + u4(u4(i2 >> 2) * s_two)
         bit = u4(u4(i & 3) << b_main) | u4(u4(i1 & 3) << b_one) | u4(u4(i2 & 3) << b_two)
         place[ahead] = u4(min(u4(brick), last) << u4(6)) | bit
+        hashes[ahead] = hash_of(
+            u4(u4(i) + u4(c_main)), u4(u4(i1) + u4(c_one)), u4(u4(i2) + u4(c_two)), factors, seed
+        )
     voxels = np.uint64(0)
     for ahead in range(AHEAD):
         pair = np.uint64(place[ahead] >> u4(6)) << np.uint64(1)
@@ -292,7 +308,6 @@ def _lit_voxels(
     M: Medium,
     pulse: Pulse,
     centre: _CentreRay,
-    grid: _Grid,
     weights: Weights,
     bricks: U8,
     slab: int,
@@ -325,9 +340,8 @@ def _lit_voxels(
         at = int(lowest_bit(few))
         few &= few - np.uint64(1)
         code = L.code[at]
-        h, lit = lit_lanes(M, pulse, axes, grid.corner, _voxel(centre, slab + at), code, weights)
+        lit = lit_lanes(pulse, axes, centre.k + (slab + at) * centre.step, code, L.hash[at], weights)
         lit &= alive
-        L.hash[at] = h
         L.lit[at] = lit
         asked |= np.uint64((lit | np.uint64(code & GROUND)) != 0) << np.uint64(at)
     return voxels, asked

@@ -24,9 +24,8 @@ from vlp16emu.types import F4, F8, I4, I8, U1, U4
 f4 = np.float32
 _BLOCK = 8  # stems that are tested together
 _ROWS = 9  # rows of a block: foot, unit axis, lowest and highest end along the axis, reach beside it
-_LOW = 6 * _BLOCK
-_HIGH = 7 * _BLOCK
-_REACH = 8 * _BLOCK
+_X, _Y, _Z, _SX, _SY, _SZ, _LOW, _HIGH, _REACH = (np.uint64(_BLOCK * row) for row in range(_ROWS))
+"""Offsets of these rows; unsigned, as signed indices might count from the end, and are read one by one."""
 _ROUNDING_M = f4(0.01)  # more than the rounding of float32 within 200 m
 _WIDE = 0.7  # sine and cosine of the half-width beyond which a sector lists all stems of the window
 
@@ -229,7 +228,7 @@ def meet_stems(
         else:
             if begin >= count or from_m[begin] > min(last_m, until_m):
                 break
-            close = _near_stems(ahead.row, begin * _ROWS, pulse, last_m)
+            close = _near_stems(ahead.row, np.uint64(begin * _ROWS), pulse, last_m)
             close &= (np.uint64(1) << np.uint64(min(count - begin, _BLOCK))) - np.uint64(1)
             begin += _BLOCK
     return StemsLeft(begin, close), met
@@ -244,7 +243,7 @@ def _farthest(row: F4, n: int) -> np.float32:
 
 
 @inline_kernel
-def _near_stems(row: F4, at: int, pulse: Pulse, last_m: np.float32) -> np.uint64:
+def _near_stems(row: F4, at: np.uint64, pulse: Pulse, last_m: np.float32) -> np.uint64:
     """Return bits of the stems of a block, whose rows begin at `at`, that the pulse may hit.
 
     It excludes only stems for which the exact `meet_stem` has no hit.
@@ -260,11 +259,11 @@ def _near_stems(row: F4, at: int, pulse: Pulse, last_m: np.float32) -> np.uint64
     dy = axis[4]
     dz = axis[5]
     close = np.uint64(0)
-    for i in range(_BLOCK):
-        sx = row[at + 3 * _BLOCK + i]
-        sy = row[at + 4 * _BLOCK + i]
-        sz = row[at + 5 * _BLOCK + i]
-        qx, qy, qz = ox - row[at + i], oy - row[at + _BLOCK + i], oz - row[at + 2 * _BLOCK + i]
+    for i in range(np.uint64(_BLOCK)):
+        sx = row[at + _SX + i]
+        sy = row[at + _SY + i]
+        sz = row[at + _SZ + i]
+        qx, qy, qz = ox - row[at + _X + i], oy - row[at + _Y + i], oz - row[at + _Z + i]
         up = dx * sx + dy * sy + dz * sz
         lift = qx * sx + qy * sy + qz * sz
         wx = dx - up * sx

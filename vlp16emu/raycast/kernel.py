@@ -33,6 +33,8 @@ from vlp16emu.types import F4, F8, I8, U2, U4
 LANES = ROUND  # rays of a row
 ORIGIN, DIRECTION, RANGE, COSINE, ROW = (LANES * row for row in (0, 3, 6, 7, 8))
 """Offsets of rows of lanes in `Batch.row`, and its length."""
+_RANGE = np.uint64(RANGE)
+_COSINE = np.uint64(COSINE)
 AXES_TIME = 12  # place of the pulse's time in a row of `Batch.axes_row`
 
 
@@ -223,18 +225,21 @@ def cast_centre_rays(cast: Cast, beyond: Target | None, first: int) -> None:
     direction = light.direction
     from_m = near.window_origin_m
     reach_m = light.reach_m
-    for j in range(origin_m.shape[1]):
-        for r in range(PACKET):
-            i = first + r
+    lasers = origin_m.shape[1]
+    for r in range(PACKET):  # in the order of memory
+        for j in range(lasers):
+            own = batch.axes_row[PACKET * j + r]
             for a in range(3):
-                rays[ORG + PACKET * a + r] = np.float32(origin_m[i, j, a] - from_m[a])
-                rays[DIR + PACKET * a + r] = np.float32(direction[i, j, a])
-                if beyond is not None:
-                    batch.axes[PACKET * j + r, 0, a] = rays[ORG + PACKET * a + r]
-                    batch.axes[PACKET * j + r, 1, a] = rays[DIR + PACKET * a + r]
-            rays[TIME + r] = light.time[i, j]
-            if beyond is not None:
-                batch.axes_row[PACKET * j + r, AXES_TIME] = light.time[i, j]
+                own[a] = np.float32(origin_m[first + r, j, a] - from_m[a])
+                own[3 + a] = np.float32(direction[first + r, j, a])
+            own[AXES_TIME] = light.time[first + r, j]
+    for j in range(lasers):
+        for r in range(PACKET):
+            own = batch.axes_row[PACKET * j + r]
+            for a in range(3):
+                rays[ORG + PACKET * a + r] = own[a]
+                rays[DIR + PACKET * a + r] = own[3 + a]
+            rays[TIME + r] = own[AXES_TIME]
         packet.valid[:] = -1
         cast_packet(near, packet, light.near_m[j], reach_m)
         _store_hits(cast, beyond, PACKET * j, ZERO + 1, ZERO + PACKET)
@@ -248,21 +253,33 @@ def cast_near(
     near, light, packet, batch = cast
     valid = packet.valid
     reach_m = light.reach_m
+    if not have:
+        _fill_axes(cast, first)
     for t in range(todo):
         q = batch.todo[t]
         i = first + q % PACKET
         j = q // PACKET
         axes = batch.axes[q]
-        if not have:
-            pulse_axes(light.origin_m, light.direction, light.beam_axis, near.window_origin_m, i, j, axes)
-            batch.axes_row[q, AXES_TIME] = light.time[i, j]
         u, v = draw_pattern(light.seed, light.first + i, j)
         fill_sub_rays(packet.rays, axes, light.sigmas, u, v, have, budget.adaptive)
         for r in range(PACKET):
-            packet.rays[TIME + r] = light.time[i, j]
+            packet.rays[TIME + r] = batch.axes_row[q, AXES_TIME]
             valid[r] = -1 if r < count else 0
         cast_packet(near, packet, light.near_m[j], reach_m)
         _store_hits(cast, beyond, q, ZERO, count)
+
+
+@inline_kernel
+def _fill_axes(cast: Cast, first: int) -> None:
+    """Fill the axes of the pulses of eight sequences, in the order of memory, which is then read ahead."""
+    near, light, _, batch = cast
+    for r in range(PACKET):
+        i = first + r
+        for j in range(light.time.shape[1]):
+            q = PACKET * j + r
+            axes = batch.axes[q]
+            pulse_axes(light.origin_m, light.direction, light.beam_axis, near.window_origin_m, i, j, axes)
+            batch.axes_row[q, AXES_TIME] = light.time[i, j]
 
 
 @inline_kernel
@@ -344,21 +361,24 @@ def settle(
     total = have + count
     lasers = met.shape[0] // PACKET
     first_m = first_round[0].view(np.float32)
+    first_met = first_round[1]
     first_cosine = first_round[2].view(np.float32)
     for t in range(todo):
         q = batch.todo[t]
         begin = q * room
-        at = q * room + have
-        for lane in range(LANES):
-            range_m[at + lane] = np.float32(np.inf) if met[q, lane] == NONE else row[q, RANGE + lane]
-            surface[at + lane] = met[q, lane]
-            cosine[at + lane] = row[q, COSINE + lane]
+        own = row[q]
+        own_met = met[q]
+        at = np.uint64(begin + have)  # unsigned, also below: signed indices might count from the end
+        for lane in range(np.uint64(LANES)):
+            range_m[at + lane] = np.float32(np.inf) if own_met[lane] == NONE else own[_RANGE + lane]
+            surface[at + lane] = own_met[lane]
+            cosine[at + lane] = own[_COSINE + lane]
         if have == 0:
-            to = count * ((first + q % PACKET) * lasers + q // PACKET)
-            for lane in range(count):
+            to = np.uint64(count * ((first + q % PACKET) * lasers + q // PACKET))
+            for lane in range(np.uint64(count)):
                 first_m[to + lane] = range_m[at + lane]
                 first_cosine[to + lane] = cosine[at + lane]
-                first_round[1, to + lane] = surface[at + lane]
+                first_met[to + lane] = surface[at + lane]
         batch.have[q] = total
         needs_more = total < budget.max_rays
         if needs_more and budget.adaptive:

@@ -111,7 +111,7 @@ def _texture(
             start, stop = stop, stop + int(count[i, j])
             patch_m = -np.inf
             patch = 0.0
-            for ray in range(start, stop):
+            for ray in range(np.uint64(start), np.uint64(stop)):  # signed indices might count from the end
                 if not range_m[ray] < np.inf:
                     continue
                 row = met[ray]
@@ -163,8 +163,12 @@ def _texture(
 
 @inline_kernel
 def _factor(more: float, reflectance: float) -> float:
-    """Return the factor of brightness for a deviation, at most up to white, and its inverse below 0."""
-    return min(1.0 + more, max(1.0, 1.0 / reflectance)) if more >= 0.0 else 1.0 / (1.0 - more)
+    """Return the factor of brightness for a deviation, at most up to white, and its inverse below 0.
+
+    Without a branch: processors cannot predict the sign. One of the two factors is 1.
+    """
+    brighter = min(1.0 + max(more, 0.0), max(1.0, 1.0 / reflectance))
+    return brighter / (1.0 - min(more, 0.0))
 
 
 @inline_kernel
