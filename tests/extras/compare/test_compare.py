@@ -296,9 +296,10 @@ def test_a_unit_that_was_fitted_at_500_rpm_turns_at_its_speed(recorded):
 
 
 def test_the_step_of_codes_and_the_kinds_of_losses_come_back(recorded):
-    """The factor beyond 8 m of two units is found within a fifth, and more losses in spots raise their factor
-    alone, where steps of the texture cost few."""
-    hall = {"noise.unit_spread": 0.0, "noise.records_lost": 0.7, "world.texture": 0.25, "world.shading": 0.3}
+    """The factor beyond 8 m of two units is found within a fifth, the rates of losses at steps within 30 %,
+    and more losses in spots raise their factor alone."""
+    hall = {"noise.unit_spread": 0.0, "noise.records_lost": 1.0, "world.texture": 0.25, "world.shading": 0.3}
+    hall["beam.model"] = "adaptive"  # a ray without a width meets one surface
     fitted = [
         fit_settings(recorded(f"steps {step} {spots}", UNIT | hall | own))["noise"]
         for step, spots in ((1.2, 0.5), (2.0, 4.0))
@@ -307,7 +308,7 @@ def test_the_step_of_codes_and_the_kinds_of_losses_come_back(recorded):
     assert fitted[0]["reflectivity_far_step"] == pytest.approx(1.2, rel=0.2)
     assert fitted[1]["reflectivity_far_step"] == pytest.approx(2.0, rel=0.2)
     assert fitted[1]["spots_lost"] > 2.0 * fitted[0]["spots_lost"]
-    assert fitted[1]["records_lost"] == pytest.approx(fitted[0]["records_lost"], rel=0.5)
+    assert [noise["records_lost"] for noise in fitted] == pytest.approx([1.0, 1.0], rel=0.3)
 
 
 def test_what_no_setting_makes_is_compared_but_not_fitted(recorded, tmp_path):
