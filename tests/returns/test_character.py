@@ -87,6 +87,32 @@ def test_counts_do_not_shift_ranges():
     assert np.abs(error_mm).max() < 2.01
 
 
+def test_some_lasers_change_their_parity_for_all_counts():
+    """Three of ten lasers have another parity in 0.1 to 0.5 of the time, by 24 sequences that begin at others
+    for each laser, as A, B and C; a run that begins elsewhere has the same ones.
+
+    With a range without noise a laser shows its parity alone.
+    """
+    tables = [detector({"range_counts": True}, seed=seed).strength.changed for seed in range(200)]
+    drawn = np.concatenate(tables)
+    assert np.mean(drawn > 0.0) == pytest.approx(0.3, abs=0.03)
+    low, high = span("strength.changed")
+    assert stats.kstest(drawn[drawn > 0.0], stats.uniform(low, high - low).cdf).pvalue > 0.01
+    out = wall({"range_counts": True}, 24 * 500, seed=2)
+    odd = np.rint(500.0 * out.distance_m[..., 0]).astype(int) % 2
+    assert (
+        odd[700:900]
+        == np.rint(500.0 * wall({"range_counts": True}, 200, index=700, seed=2).distance_m[..., 0]) % 2
+    ).all()
+    share = tables[2]
+    assert (odd[:, share == 0.0] == odd[0, share == 0.0]).all()
+    usual = np.where(odd.mean(axis=0) < 0.5, odd, 1 - odd).mean(axis=0)
+    np.testing.assert_allclose(usual, share, atol=0.06)
+    for laser in np.nonzero(share)[0]:
+        begins = np.nonzero(np.diff(odd[:, laser]))[0] + 1
+        assert set(begins % 24) == {laser}
+
+
 def test_the_greatest_range_has_a_code():
     """No range exceeds the greatest one by its correction."""
     noise = {"range_counts": True}
@@ -291,6 +317,31 @@ def test_codes_that_are_8_modulo_9_are_rarer():
     )
     counts = np.bincount(codes.ravel(), minlength=101)
     assert counts[17] < 0.85 * (counts[16] + counts[18]) / 2.0
+
+
+def test_dark_returns_scatter_more():
+    """Range noise of even walls over that at code 20 follows the law of a median unit, 2.2 at code 2 and 0.75
+    at 70; units differ from 1.8 to 2.6 at code 2, and one without that law has the eighth root."""
+    own = {"preset": "unit", "range_beat_m": 0.0, "range_counts": False, "records_lost": 0.0}
+    own |= {"spots_lost": 0.0, "weak_echoes_lost": False, "unit_spread": 0.0, "range_bias_m": 0.0}
+
+    def noise_m(noise, reflectance, seed=1):
+        out = wall(noise, 3000, range_m=3.0, reflectance=reflectance, seed=seed)
+        return np.std(out.distance_m[20:, :, 0].astype(float), axis=0)
+
+    dark, middle, bright = (noise_m(own, reflectance) for reflectance in (0.02, 0.2, 0.7))
+    assert np.mean(dark / middle) == pytest.approx(2.19, rel=0.03)
+    assert np.mean(bright / middle) == pytest.approx(0.75, rel=0.03)
+    of_units = [
+        np.mean(
+            noise_m(own | {"unit_spread": 1e-6}, 0.02, seed) / noise_m(own | {"unit_spread": 1e-6}, 0.2, seed)
+        )
+        for seed in range(12)
+    ]
+    assert 1.75 < min(of_units) < 2.1
+    assert 2.3 < max(of_units) < 2.65
+    plain = {"range_noise_m": 0.003}
+    assert np.mean(noise_m(plain, 0.02) / noise_m(plain, 0.2)) == pytest.approx(10.0**0.125, rel=0.03)
 
 
 def test_noise_grows_where_brightness_is_uneven():

@@ -75,8 +75,8 @@ def test_spots_have_a_place():
 
 
 def test_a_step_of_brightness_costs_a_record():
-    """Units lose 10 to 95 % of the records at a sharp step up by a factor of 9, fewer down, 1 to 4 % at one
-    of 1.5 by its height alone.
+    """Units lose 2 to 95 % of the records at a sharp step up by a factor of 9, as real ones at 4 to 9 across
+    an edge, 40 to 95 % down, and 0.1 to 2 % at one of 1.5 by its height alone.
 
     Lost records up have high codes, few above 100; in dual return some are higher in the last return, as on
     nebula.
@@ -87,10 +87,10 @@ def test_a_step_of_brightness_costs_a_record():
         for low in (0.055, 0.4)
     )
     up, down = (np.array([lost(out)[first::20].mean() for out in many]) for first in (10, 20))
-    assert 0.1 < up.min() < 0.4
+    assert 0.02 < up.min() < 0.2
     assert 0.4 < up.max() < 0.95
-    assert 0.01 < down.mean() < 0.5 * up.max()
-    assert 0.01 < np.mean([lost(out)[10::20].mean() for out in few]) < 0.04
+    assert 0.4 < down.min() < down.max() < 0.95
+    assert 0.001 < np.mean([lost(out)[10::20].mean() for out in few]) < 0.02
     codes, last = (
         np.concatenate([out.reflectivity[10::20, :, i][lost(out)[10::20]] for out in many]) for i in (0, 1)
     )

@@ -34,7 +34,7 @@ from vlp16emu.returns.noise import (
     with_heavy_tails,
 )
 from vlp16emu.returns.settings import DetectorConstants
-from vlp16emu.returns.strength import at_range, count_of, strength, with_parity
+from vlp16emu.returns.strength import at_range, change_parities, count_of, strength, with_parity
 from vlp16emu.sensor.laws import law
 from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, I8, U1, U4, Firings, Hits, PlantPart, Returns, Semantic
@@ -51,10 +51,10 @@ _UNSTEADY = law("range.unsteady")
 _EVEN_CHANGE = law("range.even_change")
 _UNSHIFTED_CODE = 40.0  # code at which reflectivity does not change the range
 _Pair = tuple[float, float]
-_Laser = tuple[float, float, float, U1, F8, float, U1, F8, float]
+_Laser = tuple[float, float, float, U1, F8, float, U1, F8, float, float]
 """Range error of a laser in metres, its factor on the white range noise, its gain, codes as in `sent_codes`,
-its tables, its greatest code and the unit's counts as in `Strength`, and the mean change of code of its last
-pulses."""
+its tables, its greatest code and the unit's counts as in `Strength`, 1 if its parities are changed, and the
+mean change of code of its last pulses."""
 _LANE_BITS = 16  # lane of a random number: the laser in the lower bits, rank or column of the echo above them
 
 
@@ -97,8 +97,8 @@ def detect(
     exact_m = np.zeros(shape if truth else (0, 0, 3), np.float32)
     most_nodes = int(hits.count.max(initial=1)) + 1  # the air's own echo is one more
     peaks = np.empty((COLUMNS, _PEAKS_PER_NODE * most_nodes))
-    noise = np.zeros((4, lasers))
-    room = np.empty((COLUMNS, most_nodes)), peaks, np.empty(3, np.int64), noise, np.zeros((lasers, STATE))
+    of_lasers = np.zeros((4, lasers)), np.zeros((lasers, STATE)), np.zeros(lasers)
+    room = np.empty((COLUMNS, most_nodes)), peaks, np.empty(3, np.int64), *of_lasers
     reflectance, sheet = _columns_of(surfaces)
     rays = SubRays(hits.count, hits.range_m, hits.surface, hits.cos_incidence, reflectance)
     errors = _Errors(
@@ -160,6 +160,7 @@ class _Errors(NamedTuple):
     top: F8
     parity: U1
     counts: F8
+    changed: F8
 
 
 @kernel
@@ -169,7 +170,7 @@ def _detect(
     block: int,
     errors: _Errors,
     pulses: tuple[SubRays, Sight],
-    room: tuple[F8, F8, I8, F8, F8],
+    room: tuple[F8, F8, I8, F8, F8, F8],
     distance_m: F4,
     reflectivity: U1,
     exact_m: F4,
@@ -179,10 +180,11 @@ def _detect(
     Parameters
     ----------
     block : as in `detect`; the first block begins with row 0
-    room : scratch arrays for nodes, peaks, chosen peaks, what `lose` takes of each pulse, and its state
+    room : scratch arrays for nodes, peaks, chosen peaks, what `lose` takes of each pulse, its state, and
+        lasers with changed parities
     exact_m : output, ranges before errors; may be empty
     """
-    nodes, peaks, chosen, noise, before = room
+    nodes, peaks, chosen, noise, before, changed = room
     rays, _ = pulses
     stop = ZERO
     keeps_exact = exact_m.shape[0] > 0
@@ -196,6 +198,8 @@ def _detect(
             before[:, MEAN_CODE] = -1.0
         if _draws_noise(constants):
             normal_pairs(constants.seed, _RANGE_NOISE, n, noise[0], noise[1])
+        if errors.parity.shape[1] > 0:
+            change_parities(constants.seed, n, i == 0, errors.changed, changed)
         first_ray = stop
         for j in range(lasers):
             start, stop = stop, stop + int(rays.counts[i, j])
@@ -209,6 +213,7 @@ def _detect(
                 errors.top[j],
                 errors.parity[j],
                 errors.counts,
+                changed[j],
                 before[j, UNEVENNESS],
             )
             lit = _gather_with_air(constants, n, j, rays, start, stop, nodes)
@@ -365,7 +370,7 @@ def _none_is_seen(constants: DetectorConstants, n: int, laser: int, brightest: f
 @inline_kernel
 def _white_m(constants: DetectorConstants, laser: _Laser, reflectance: float, amplitude: float) -> float:
     """Return the white range noise of an echo, one sigma; larger on surfaces of uneven brightness."""
-    uneven = _UNSTEADY * max(laser[8] - _EVEN_CHANGE, 0.0)
+    uneven = _UNSTEADY * max(laser[9] - _EVEN_CHANGE, 0.0)
     return laser[1] * range_sigma_m(constants, reflectance, amplitude, uneven)
 
 
@@ -378,7 +383,7 @@ def _measure(
     The distance is 0 below the least range, and both are 0 beyond the greatest.
     """
     (range_noise, other_noise) = noise
-    (error_m, _, own_gain, codes, by_range, top, parity, counts_of_code, _) = laser_errors
+    (error_m, _, own_gain, codes, by_range, top, parity, counts_of_code, changed, _) = laser_errors
     reflectance = amplitude * range_m * range_m
     shown = min(100.0 * reflectance, 100.0)
     measured_m = range_m + error_m + constants.range_walk_m * (shown - _UNSHIFTED_CODE)
@@ -398,7 +403,8 @@ def _measure(
     code = max(percent * gain + counts, 0.0)
     exact = strength(min(code, 100.0), eighths)
     if parity.shape[0] > 0 and measured_m > 0.0:
-        measured_m = with_parity(parity, count_of(counts_of_code, code), measured_m, constants.max_range_m)
+        count = count_of(counts_of_code, code)
+        measured_m = with_parity(parity, changed, count, measured_m, constants.max_range_m)
     scale = eighths, top
     return np.float32(measured_m), reflectivity_byte(percent, gain, counts, exact, scale, codes)
 

@@ -14,6 +14,7 @@ from vlp16emu.returns.noise import (
     no_return_reflectivity,
     range_beat_m,
     range_bias_m,
+    range_noise_parts,
     sent_codes,
 )
 from vlp16emu.returns.settings import Detector, DetectorConstants, LossRates, Noise, Weather
@@ -78,6 +79,7 @@ class UnitDetector:
         factors = exp(noise.unit_spread * normal(seed, Purpose.UNIT_NOISE, 0, 2)).tolist()
         least_walk, most_walk = span("range.walk_mm")
         walk_mm = least_walk + (most_walk - least_walk) * float(uniform(seed, Purpose.UNIT_NOISE, 2, 1)[0])
+        bright_noise, dark_noise = range_noise_parts(seed, noise)
         air_per_m = clutter = 0.0
         if weather.summary:
             from vlp16emu.returns.weather import air_reflectance, extinction_per_m  # here: not for clear air
@@ -97,6 +99,8 @@ class UnitDetector:
             clutter=clutter,
             least_clutter=least,
             range_noise_m=noise.range_noise_m * factors[0],
+            bright_noise=bright_noise,
+            dark_noise=dark_noise,
             reflectivity_noise=noise.reflectivity_noise * factors[1],
             reflectivity_noise_share=noise.reflectivity_noise_share * factors[1],
             heavy_tails=noise.is_real,

@@ -34,6 +34,7 @@ _DOWN_HALF = law("loss.down_half")
 _FLOOR_CODE = law("loss.floor_code")
 _STEP_FROM = law("loss.step_from")
 _POWER_GAIN = law("loss.power_gain")
+_ROUGH_GAIN = law("loss.rough_gain")
 _ROUGH_M = law("loss.rough_m")
 _MOST_ROUGH_M = law("loss.most_rough_m")
 _RANGE_STEP_M = law("loss.range_step_m")
@@ -249,7 +250,7 @@ def _lose_pulse(
     jump = calm * loss_at_step(rates, last, code)
     sure = jump + calm * follows * rates.again
     gloss = calm * rates.gloss if is_uneven else 0.0
-    if lost >= sure and not _is_in_spot(_spot_rate(rates, code, range_m, gloss, place[4]), place, laser):
+    if lost >= sure and not _is_in_spot(spot_rate(rates, code, range_m, gloss, place[4]), place, laser):
         if is_single or lost >= sure + calm * rates.step:
             return
         share = second_surface_share(*pulse[1:])
@@ -279,7 +280,7 @@ def _follow(before: F8, code: float, range_m: float, change: float) -> None:
     """Update the state of a laser, as in `lose`, by a code with its change over the last one."""
     level = before[MEAN_CODE]
     change_m = min(abs(range_m - before[_RANGE_M]), _MOST_ROUGH_M)
-    before[_ROUGH] += _POWER_GAIN * (change_m - before[_ROUGH])
+    before[_ROUGH] += _ROUGH_GAIN * (change_m - before[_ROUGH])
     before[_RANGE_M] = range_m
     before[MEAN_CODE] = code if level < 0.0 else level + _POWER_GAIN * (code - level)
     before[_CHANGE] += _POWER_GAIN * (change - before[_CHANGE])
@@ -306,11 +307,11 @@ def loss_at_step(rates: LossRates, last: float, code: float) -> float:
         return rates.up * y * y / (y * y + _UP_HALF) + rates.bright * height * height
     y = max(0.5 * (last + _FLOOR_CODE) / (code + _FLOOR_CODE) - 1.0, 0.0)
     y *= y
-    return rates.down * y / (y + _DOWN_HALF)
+    return rates.down * y * y / (y * y + _DOWN_HALF)
 
 
 @inline_kernel
-def _spot_rate(rates: LossRates, code: float, range_m: float, gloss: float, near_rate: float) -> float:
+def spot_rate(rates: LossRates, code: float, range_m: float, gloss: float, near_rate: float) -> float:
     """Return the share of records that spots cost: dark ones, near ones, and where brightness is uneven.
 
     It is 0 on a calm surface that is neither dark nor near. `gloss` is the share of bright records.

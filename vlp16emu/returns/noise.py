@@ -10,7 +10,7 @@ import numpy as np
 from vlp16emu.elementary import cos, exp, log, power
 from vlp16emu.kernels.compiler import inline_kernel
 from vlp16emu.random import Purpose, normal, uniform
-from vlp16emu.returns.settings import DetectorConstants
+from vlp16emu.returns.settings import DetectorConstants, Noise
 from vlp16emu.returns.strength import NEXT, in_steps
 from vlp16emu.sensor.laws import law, span
 from vlp16emu.types import F8, U1
@@ -19,8 +19,9 @@ BIAS_LIMIT_M = 0.03  # accuracy of the data sheet, which no laser exceeds
 _NOISE_AT = 0.2  # reflectance at which the noise has the value of the settings
 _FAINTEST_REFLECTANCE = 0.01
 _REFLECTANCES = 0.01 * np.maximum(np.arange(101.0), 1.0)
-_NOISE_BY_CODE = np.sqrt(np.sqrt(np.sqrt(_NOISE_AT / _REFLECTANCES)))
-"""Eighth root of the noise's reflectance over those of codes 0 to 100; a table is faster than roots."""
+_DARKER = _NOISE_AT / _REFLECTANCES
+_ROOTS = np.sqrt(np.sqrt(_DARKER))
+"""Parts of the variance of range noise at codes 0 to 100; tables are faster than roots and quotients."""
 NO_RETURN_KNOTS = int(law("no_return.knots"))  # azimuth intervals over which no-return codes change
 
 
@@ -146,24 +147,42 @@ def range_beat_m(seed: int, amplitude_m: float, phase_deg: float | None) -> F8:
     return np.asarray(amplitude_m * (cos(angle) + share * cos(2.0 * angle + overtone_rad)))
 
 
+def range_noise_parts(seed: int, noise: Noise) -> tuple[float, float]:
+    """Return the parts of the variance of white range noise of a unit at `_NOISE_AT`: bright and dark.
+
+    The bright one falls with the fourth root of the reflectance, the dark one with the reflectance. Both are
+    shares of the set variance, which only a unit like real ones divides.
+    """
+    if not noise.is_real:
+        return 1.0, 0.0
+    low, high = span("range.dark")
+    drawn = float(uniform(seed, Purpose.UNIT_NOISE, 3, 1)[0]) if noise.unit_spread > 0.0 else 0.5
+    middle = math.sqrt(low * high)
+    return 1.0 - middle, float(low * power(high / low, drawn))
+
+
 @inline_kernel
-def by_code(table: F8, reflectance: float) -> float:
-    """Return the value of a table of codes 0 to 100 at a reflectance, interpolated; that of code 1 below."""
+def _variance(constants: DetectorConstants, reflectance: float) -> float:
+    """Return the variance of white range noise over the set one, interpolated between codes 1 to 100."""
     percent = 100.0 * min(max(reflectance, _FAINTEST_REFLECTANCE), 1.0)
     below = np.uint32(min(percent, 99.5))
-    return table[below] + (percent - below) * (table[below + NEXT] - table[below])
+    above = below + NEXT
+    fraction = percent - below
+    bright = _ROOTS[below] + fraction * (_ROOTS[above] - _ROOTS[below])
+    dark = _DARKER[below] + fraction * (_DARKER[above] - _DARKER[below])
+    return constants.bright_noise * bright + constants.dark_noise * dark
 
 
 @inline_kernel
 def range_sigma_m(constants: DetectorConstants, reflectance: float, amplitude: float, uneven: float) -> float:
     """Return the white range noise of an echo, one sigma.
 
-    sigma**2 = (1 + uneven)**2 noise**2 (0.2 / reflectance)**0.25 + (width / signal-to-noise ratio)**2. The
-    first term is measured on four real units on even smooth surfaces without the beat, and on uneven ones
-    (law `range.unsteady`); it does not grow with range, because the sensor fires with more power at far or
-    dark targets: on the HDL-32E one of 11 powers, chosen by the previous shot (its software version 2.0). The
-    second term is the least error of the position of a Gaussian pulse in white noise, and counts at maximum
-    power.
+    sigma**2 = (1 + uneven)**2 noise**2 (b x**0.25 + d x) + (width / signal-to-noise ratio)**2, with x = 0.2 /
+    reflectance, and b and d as in `range_noise_parts`. The first term is measured on four real units on
+    smooth surfaces without the beat, even and uneven ones (laws `range.dark` and `range.unsteady`); it does
+    not grow with range, because the sensor fires with more power at far or dark targets: on the HDL-32E one
+    of 11 powers, chosen by the previous shot (its software version 2.0). The second term is the least error
+    of the position of a Gaussian pulse in white noise, and counts at maximum power.
 
     Parameters
     ----------
@@ -172,8 +191,8 @@ def range_sigma_m(constants: DetectorConstants, reflectance: float, amplitude: f
     uneven : increase of the first term where brightness changes
     """
     far_m = constants.sigma_m * constants.amplitude_noise / amplitude
-    own_m = constants.range_noise_m * by_code(_NOISE_BY_CODE, reflectance) * (1.0 + uneven)
-    return math.sqrt(own_m * own_m + far_m * far_m)
+    own_m = constants.range_noise_m * (1.0 + uneven)
+    return math.sqrt(own_m * own_m * _variance(constants, reflectance) + far_m * far_m)
 
 
 REFLECTIVITY_TAIL = law("code.tail")

@@ -27,7 +27,7 @@ _PRESETS: dict[str, dict[str, object]] = {
     "datasheet": {"range_noise_m": 0.011, "range_bias_m": 0.010},
     # Measured on captures of real units: protocol/README.md, "The character of a unit".
     "unit": {
-        "range_noise_m": 0.0031,
+        "range_noise_m": 0.0038,
         "range_beat_m": 0.006,
         "reflectivity_noise": 0.2,
         "reflectivity_noise_share": 0.031,
@@ -72,8 +72,8 @@ class Noise(Preset):
     errors of reflectivity, and ranges that depend slightly on reflectivity."""
     range_noise_m: _Metres = 0.0065
     """White range noise, one sigma, at a reflectivity of 20 on an even surface; it falls with the eighth root
-    of the reflectivity, as on four real units. With `preset = "unit"` it is up to 2.4 times as large where
-    the brightness changes from pulse to pulse."""
+    of the reflectivity, as on four real units. With `preset = "unit"` it is 1.8 to 2.6 times as large at 2 as
+    at 20, by unit, and up to 2.4 times as large where the brightness changes from pulse to pulse."""
     range_beat_m: Annotated[float, Field(ge=0, le=0.02)] = 0.0
     """Amplitude of the error that repeats every five pulses of 2.304 us, the same for all lasers and ranges;
     4 to 7 mm on real units. Units differ by a third, and in phase. 0 switches it off."""
@@ -219,6 +219,8 @@ class DetectorConstants(NamedTuple):
     clutter: float  # reflectance of the air that a pulse fills
     least_clutter: float  # amplitude below which the echo of the air is ignored
     range_noise_m: float
+    bright_noise: float  # parts of its variance, as in `range_noise_parts`
+    dark_noise: float
     reflectivity_noise: float
     reflectivity_noise_share: float
     heavy_tails: bool  # of reflectivity

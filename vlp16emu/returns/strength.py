@@ -3,8 +3,8 @@
 A code is the strength times an integer of eighths that depends on the laser and the range, without its
 fraction: at 9/8 the codes 8, 17, 26 ... are missing, at 20/8 only 0, 2, 5, 7, 10 ... are sent. Lasers receive
 about the same strength from one surface, so the gain of a laser follows this factor. A range is twice a count
-of 4 mm, plus a correction in steps of 2 mm from a table by laser and count of the receiver. Sources: the laws
-`strength` of `vlp16emu/sensor/laws.toml`.
+of 4 mm, plus a correction in steps of 2 mm from a table by laser and count of the receiver, which some lasers
+change as a whole from time to time. Sources: the laws `strength` of `vlp16emu/sensor/laws.toml`.
 """
 
 from typing import NamedTuple
@@ -13,8 +13,9 @@ import numpy as np
 
 from vlp16emu.elementary import exp, log, power
 from vlp16emu.kernels.compiler import inline_kernel
-from vlp16emu.random import Purpose, normal, uniform
+from vlp16emu.random import Purpose, normal, uniform, uniform_pair
 from vlp16emu.sensor.laws import law, span
+from vlp16emu.trig import ZERO
 from vlp16emu.types import F8, U1
 
 _BINS_PER_M = 16
@@ -38,6 +39,9 @@ _COUNTS_OF_CODE = np.interp(
 _BLOCK = int(law("strength.balanced_over"))
 PARITIES = _BLOCK * (1 + int(max(span("strength.counts_of_units")) * _COUNTS_OF_CODE.sum()) // _BLOCK)
 """Counts of the receiver with a correction of their own, in whole blocks: those of all codes on all units."""
+_PARITY = ZERO + Purpose.DISTANCE_PARITY
+_KEPT = int(law("strength.kept_sequences"))
+_CHANGES_LANE = 1 << 12  # lane of the random numbers of changes, beside the laser
 _RANGE_LSB_PER_M = 500.0  # of a packet: 2 mm
 _M_PER_RANGE_LSB = 0.002
 
@@ -51,6 +55,7 @@ class Strength(NamedTuple):
     top: F8  # (L,) greatest code of a matt surface
     parity: U1  # (L, PARITIES) correction of the range by count of the receiver, modulo 2; empty for none
     counts: F8  # (257,) count of the receiver of each code up to 255, before it is rounded
+    changed: F8  # (L,) share of the time in which the corrections of a laser have the other parity
 
 
 def strength_of(
@@ -82,8 +87,9 @@ def strength_of(
         by_range[..., EIGHTHS] = _PER_CODE * factors
         by_range[..., GAIN] *= _gains(seed, factors, unit_spread)
     parity = _parities(seed, lasers) if has_counts else np.zeros((lasers, 0), np.uint8)
+    changed = _changed(seed, lasers) if has_counts else np.zeros(lasers)
     top = _tops(seed, lasers) if is_real else np.full(lasers, _DIFFUSE)
-    return Strength(by_range, top, parity, _counts(seed, unit_spread))
+    return Strength(by_range, top, parity, _counts(seed, unit_spread), changed)
 
 
 def _tops(seed: int, lasers: int) -> F8:
@@ -99,6 +105,14 @@ def _counts(seed: int, unit_spread: float) -> F8:
     least, most = span("strength.counts_of_units")
     drawn = float(uniform(seed, Purpose.STRENGTH, 0, 1)[0]) if unit_spread > 0.0 else 0.5
     return np.concatenate([[0.0], np.cumsum((least + (most - least) * drawn) * _COUNTS_OF_CODE)])
+
+
+def _changed(seed: int, lasers: int) -> F8:
+    """Draw the share of the time in which the parity of each laser is changed, (lasers,); 0 for most."""
+    low, high = span("strength.changed")
+    share = low + (high - low) * uniform(seed, Purpose.STRENGTH, 5, lasers, _OF_UNIT)
+    changes = uniform(seed, Purpose.STRENGTH, 5 + lasers, lasers, _OF_UNIT) < law("strength.changing_lasers")
+    return np.where(changes, share, 0.0)
 
 
 def _wave(seed: int, laser: int, spread: float, at_m: F8) -> F8:
@@ -201,9 +215,29 @@ def count_of(counts: F8, code: float) -> float:
 
 
 @inline_kernel
-def with_parity(parity: U1, count: float, range_m: float, most_m: float) -> float:
-    """Return a range as a count of 4 mm and the correction of a receiver's count; `most_m` is its limit."""
-    odd = np.float64(parity[np.uint32(count)])
+def change_parities(seed: int, n: int, is_first: bool, share: F8, changed: F8) -> None:
+    """Update which lasers have changed parities, 1 or 0 in `changed` (L,), at firing sequence n.
+
+    A draw holds for `_KEPT` sequences, which begin at others for each laser; `is_first` to draw for all
+    lasers, whatever came before.
+    """
+    begin = 0 if is_first else n % _KEPT
+    for laser in range(begin, share.shape[0], 1 if is_first else _KEPT):
+        if share[laser] > 0.0:
+            drawn, _ = uniform_pair(seed, _PARITY, (n - laser) // _KEPT, _CHANGES_LANE | laser)
+            changed[laser] = 1.0 if drawn < share[laser] else 0.0
+
+
+@inline_kernel
+def with_parity(parity: U1, changed: float, count: float, range_m: float, most_m: float) -> float:
+    """Return a range as a count of 4 mm and the correction of a receiver's count.
+
+    Parameters
+    ----------
+    parity, changed : corrections of the laser modulo 2, and 1 if they are changed, else 0
+    most_m : limit of the range
+    """
+    odd = np.abs(np.float64(parity[np.uint32(count)]) - changed)
     counts = 2.0 * np.floor(0.5 * (range_m * _RANGE_LSB_PER_M - odd) + 0.5) + odd
     if counts > most_m * _RANGE_LSB_PER_M:
         counts -= 2.0

@@ -38,11 +38,11 @@ SHORT_SIGHTED = {"sensor.max_range_m": 14, "beam.model": "adaptive"}  # some of 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
-    """Record 0.4 s of the bench with some settings, and read it."""
+    """Record 0.4 s of the bench, or of a scene, with some settings, and read it."""
 
-    def record(name, settings, duration_s=0.4):
+    def record(name, settings, duration_s=0.4, scene="static_bench"):
         path = tmp_path_factory.mktemp("compare") / f"{name}.pcap"
-        Emulator("static_bench", settings).record(path, duration_s=duration_s)
+        Emulator(scene, settings).record(path, duration_s=duration_s)
         return read_sequences(path)
 
     return record
@@ -228,18 +228,17 @@ def settings_of(sequences):
 
 FITTED = (
     *("range.beat", "range.white", "reflectivity.equal_60", "reflectivity.scatter_60"),
+    *("reflectivity.comb", "reflectivity.gain", "lost.on_a_surface"),
     *("no_return.above_0", "no_return.mean", "rotation.o", "rotation.r", "residue."),
 )
 """Beginnings of the names of statistics that follow from keys which `fit` gives."""
-VARIED = {"world.texture": 0.2, "world.shading": 0.3}
-"""A hall of many brightnesses, as rooms are: with one, few strengths decide on odd and even."""
 
 
 @pytest.mark.parametrize("name", ["mrpt", "nebula", "einride", "2014"])
 def test_no_statistic_of_a_fitted_unit_is_apart(real, recorded, name):
-    """A recording with the tables that fit a capture is in no fitted statistic farther from it than real
-    units are from each other."""
-    fitted_unit = recorded(f"as_{name}", settings_of(real[name]) | SHORT_SIGHTED | VARIED, 0.8)
+    """A recording in a furnished hall with the tables that fit a capture is in no fitted statistic farther
+    from it than real units are from each other."""
+    fitted_unit = recorded(f"as_{name}", settings_of(real[name]), 0.8, scene="furnished")
     rows = compare_statistics(fitted_unit, real[name])
     assert not [row for row in rows if row.apart and row.name.startswith(FITTED)]
 
@@ -296,9 +295,10 @@ def test_a_unit_that_was_fitted_at_500_rpm_turns_at_its_speed(recorded):
 
 
 def test_the_step_of_codes_and_the_kinds_of_losses_come_back(recorded):
-    """The factor beyond 8 m of two units is found within a fifth, and more losses in spots raise their factor
-    alone, where steps of the texture cost few."""
-    hall = {"noise.unit_spread": 0.0, "noise.records_lost": 0.7, "world.texture": 0.25, "world.shading": 0.3}
+    """The factor beyond 8 m of two units is found within a fifth, the rates of losses at steps within 30 %,
+    and more losses in spots raise their factor alone."""
+    hall = {"noise.unit_spread": 0.0, "noise.records_lost": 1.0, "world.texture": 0.25, "world.shading": 0.3}
+    hall["beam.model"] = "adaptive"  # a ray without a width meets one surface
     fitted = [
         fit_settings(recorded(f"steps {step} {spots}", UNIT | hall | own))["noise"]
         for step, spots in ((1.2, 0.5), (2.0, 4.0))
@@ -307,7 +307,7 @@ def test_the_step_of_codes_and_the_kinds_of_losses_come_back(recorded):
     assert fitted[0]["reflectivity_far_step"] == pytest.approx(1.2, rel=0.2)
     assert fitted[1]["reflectivity_far_step"] == pytest.approx(2.0, rel=0.2)
     assert fitted[1]["spots_lost"] > 2.0 * fitted[0]["spots_lost"]
-    assert fitted[1]["records_lost"] == pytest.approx(fitted[0]["records_lost"], rel=0.5)
+    assert [noise["records_lost"] for noise in fitted] == pytest.approx([1.0, 1.0], rel=0.3)
 
 
 def test_what_no_setting_makes_is_compared_but_not_fitted(recorded, tmp_path):

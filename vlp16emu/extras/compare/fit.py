@@ -7,7 +7,7 @@ from pydantic import ValidationError
 
 from vlp16emu.errors import InputError
 from vlp16emu.explain import explain
-from vlp16emu.extras.compare.losses import records_lost
+from vlp16emu.extras.compare.losses import records_lost, spots_lost
 from vlp16emu.extras.compare.sequences import Sequences
 from vlp16emu.extras.compare.statistics import (
     Statistics,
@@ -20,9 +20,9 @@ from vlp16emu.extras.compare.statistics import (
     turning_of,
 )
 from vlp16emu.extras.compare.steps import far_factor
-from vlp16emu.extras.compare.table import REAL
 from vlp16emu.packets.layout import BLOCK_PERIOD_NS
 from vlp16emu.returns import Noise
+from vlp16emu.returns.noise import range_noise_parts
 from vlp16emu.sensor.settings import MOST_OFF_RPM, RPM_STEP, Sensor, set_rpm
 
 _EVEN_CDEG2 = 0.111
@@ -36,8 +36,11 @@ _FROM = 30.0
 _TOP = 90.0
 """Step of bright codes over the product of their scatter and the share of equal neighbours, from our own
 packets; greatest step; reflectivities at which the step is 1 and at which the key gives it."""
+_STEPS = (1.0, 1.25, 1.5, 1.95, 2.5, 3.5)
+_RUGGEDNESS = (1.24, 1.74, 1.98, 2.46, 3.0, 3.73)
+"""Steps at 90, and the ruggedness of bright codes that they give, from our own packets."""
 _OTHER_MM = (
-    2.8  # white error from the detector and the codes of a range, beside the setting; from our packets
+    2.1  # white error from the detector and the codes of a range, beside the setting; from our packets
 )
 _EVEN_SCATTER = 0.06  # greatest scatter over the level of even surfaces
 _LEAST_EVEN = 10.0  # their levels
@@ -49,9 +52,9 @@ _CONSTANT_GAIN = 0.36
 _GAIN_BY_RANGE = 1.18
 """Shares of the spread of gains over lasers, as both kinds of sectors show it: keys of our own packets over
 their statistic. One capture does not separate them."""
-_ON_A_SURFACE = "lost.on_a_surface"
 _LEAST_SILENT = 50
 _MOST_LOST = 2.0
+_MOST_IN_SPOTS = 4.0
 _HALF_DEG_PER_US = 0.0018  # half of the turn of a rotor at 600 rpm in a microsecond
 
 
@@ -78,18 +81,15 @@ def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
     out: dict[str, object] = {"preset": "unit", "unit_spread": 0.0}
     if (stretches := stretches_of(sequences)) is not None:
         sine, _ = beat_of(stretches)
-        if (even_mm := _even_white_mm(stretches)) is None:
-            even_mm = found["range.white_at_20_mm"]
-        out["range_noise_m"] = round(math.sqrt(max(even_mm**2 - _OTHER_MM**2, 0.0)) * 1e-3, 5)
+        if (own_mm := _own_white_mm(stretches)) is None:
+            own_mm = math.sqrt(max(found["range.white_at_20_mm"] ** 2 - _OTHER_MM**2, 0.0))
+        out["range_noise_m"] = round(own_mm * 1e-3, 5)
         out["range_beat_m"] = round(float(abs(sine)) * 1e-3, 5)
         out["range_beat_phase_deg"] = round(float(np.degrees(np.angle(sine))) % 360.0, 1) % 360.0
     if scatter := found.get("reflectivity.scatter_60_99"):
         counts = Noise().reflectivity_noise
         out["reflectivity_noise_share"] = round(max(scatter - counts, 0.0) / _LEVEL, 4)
-        # The share of equal neighbours after rounding depends on the step over the scatter.
-        step = _EQUAL_STEPS * scatter * found["reflectivity.equal_60_99"]
-        at_top = 1.0 + (step - 1.0) * (_TOP - _FROM) / (_LEVEL - _FROM)
-        out["reflectivity_step"] = round(min(max(at_top, 0.0), _COARSEST), 2)
+        out["reflectivity_step"] = round(_step_of_bright_codes(found, scatter), 2)
     if "residue.even_at_equal_codes" in found:
         out["range_counts"] = found["residue.even_at_equal_codes"] > _COUNTS_EVEN
     if "reflectivity.gain_spread" in found:
@@ -98,10 +98,8 @@ def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
         out["gain_by_range"] = round(min(_GAIN_BY_RANGE * spread, 0.5), 3)
     if (lost := records_lost(sequences, _MOST_LOST)) is not None:
         out["records_lost"] = round(lost, 2)
-    if _ON_A_SURFACE in found:  # relative to the geometric mean of real units
-        known = REAL[_ON_A_SURFACE]
-        rate = found[_ON_A_SURFACE] / math.sqrt(known.low * known.high)
-        out["spots_lost"] = round(min(rate, _MOST_LOST), 2)
+    if (spots := spots_lost(sequences, _MOST_IN_SPOTS)) is not None:
+        out["spots_lost"] = round(spots, 2)
     if (factor := far_factor(sequences)) is not None:
         out["reflectivity_far_step"] = round(factor, 2)
     if "no_return.above_0" in found:
@@ -114,15 +112,28 @@ def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
     return out
 
 
-def _even_white_mm(stretches: Stretches) -> float | None:
+def _step_of_bright_codes(found: Statistics, scatter: float) -> float:
+    """Return the step of codes at 90: from their histogram, with few ones from equal neighbours."""
+    if (ruggedness := found.get("reflectivity.comb")) is not None:
+        return float(np.interp(ruggedness, _RUGGEDNESS, _STEPS))
+    # The share of equal neighbours after rounding depends on the step over the scatter.
+    step = _EQUAL_STEPS * scatter * found["reflectivity.equal_60_99"]
+    at_top = 1.0 + (step - 1.0) * (_TOP - _FROM) / (_LEVEL - _FROM)
+    return min(max(at_top, 0.0), _COARSEST)
+
+
+def _own_white_mm(stretches: Stretches) -> float | None:
     """Return the white range noise on surfaces of even brightness, at code 20; None without such surfaces."""
     level = stretches.level
     scatter = np.sqrt((stretches.code_residual**2).mean(axis=1)) / np.maximum(level, 1.0)
     chosen = (scatter < _EVEN_SCATTER) & (level >= _LEAST_EVEN) & (level < _MOST_EVEN)
     if not chosen.any():
         return None
-    sigma_mm = np.sqrt((stretches.white_mm[chosen] ** 2).mean(axis=1) * _FREE_SHARE)
-    return float(np.median(sigma_mm * (level[chosen] / _SET_AT) ** 0.125))
+    variance = (stretches.white_mm[chosen] ** 2).mean(axis=1) * _FREE_SHARE
+    bright, dark = range_noise_parts(0, Noise(preset="unit", unit_spread=0.0))
+    darker = _SET_AT / level[chosen]
+    over_set = bright * np.sqrt(np.sqrt(darker)) + dark * darker
+    return float(np.median(np.sqrt(np.maximum(variance - _OTHER_MM**2, 0.0) / over_set)))
 
 
 def _rotor(sequences: Sequences, found: Statistics) -> dict[str, object]:

@@ -1,7 +1,8 @@
-"""Factor of a unit on the loss of records at steps, from records that it lost and from those that it did not.
+"""Factors of a unit on the loss of records at steps and in spots, from those it lost and those it did not.
 
 A lost record has no code, so the probabilities by which the others were at risk decide: if a unit loses the
-share x h of records like one that arrived, then x h / (1 - x h) records of its kind were lost beside it.
+share x h of records like one that arrived, then x h / (1 - x h) records of its kind were lost beside it. They
+are those of a beam with a width: a ray without one (`beam.model = "none"`) loses none between two surfaces.
 """
 
 from typing import NamedTuple
@@ -13,15 +14,19 @@ from vlp16emu.extras.compare.sequences import Sequences
 from vlp16emu.kernels.compiler import array_kernel
 from vlp16emu.raycast.settings import Beam
 from vlp16emu.returns import Noise
-from vlp16emu.returns.lost import loss_at_step, loss_rates
+from vlp16emu.returns.lost import loss_at_step, loss_rates, spot_rate
 from vlp16emu.returns.settings import LossRates
-from vlp16emu.sensor.laws import law
+from vlp16emu.sensor.laws import law, span
 from vlp16emu.types import F8
 from vlp16emu.units import S_NS
 
 _BEFORE = 4  # records before one, all with returns, from which the mean change of range follows
-_WEIGHTS = 0.5 ** np.array([3.0, 2.0, 1.0])  # of their changes, the eldest first, as a step halves each time
-_LONGEST = 3  # run of lost records
+_GAIN = law("loss.rough_gain")
+_WEIGHTS = _GAIN * (1.0 - _GAIN) ** np.array([2.0, 1.0, 0.0])  # of their changes, the eldest first
+_LONGEST = 3  # run of lost records at a step
+_LONGEST_IN_SPOT = 10
+_NEAREST_M = 0.6  # nearer records may be below the least range of a unit
+_EVEN_CODES = 5  # greatest change of code across a spot
 _FLAT_MM = 40.0
 _EQUAL_MM = 30.0
 _STEP_MM = 300.0
@@ -31,6 +36,7 @@ _LEAST_RATE = 0.02  # share of records lost at a step of brightness that counts
 _MOST_RATE = 0.98
 _LEAST_EXPECTED = 2.0  # lost records of a median unit
 _HALVINGS = 30
+_MEAN_NEAR = float(np.sqrt(np.prod(span("spot.near"))))  # loss of near records of a median unit
 _PARTS = (np.arange(8) + 0.5) / 8.0  # of the way from pulse to pulse
 
 
@@ -71,6 +77,39 @@ def records_lost(sequences: Sequences, most: float) -> float | None:
     return _factor(at_risk, int((is_counted & windows.is_lost).sum()), most)
 
 
+def spots_lost(sequences: Sequences, most: float) -> float | None:
+    """Return the factor on a median unit's rates by which a unit loses dark and near records, up to `most`.
+
+    Lost ones are between returns of nearly one range and code. None if a median unit would lose hardly any.
+    """
+    rates = loss_rates(0, Noise(preset="unit", unit_spread=0.0))
+    code = np.minimum(sequences.reflectivity, 100).astype(float)
+    range_m = 1e-3 * sequences.range_mm
+    expected = _in_spots(rates, code, np.where(range_m > _NEAREST_M, range_m, 0.0), _MEAN_NEAR).sum()
+    if expected < _LEAST_EXPECTED:
+        return None
+    lost = _lost_between_alike(sequences.range_mm, code)
+    return float(min(lost / expected, most))
+
+
+def _lost_between_alike(range_mm: F8, code: F8) -> int:
+    """Return the number of dark or near records that are lost between two returns alike."""
+    at = np.arange(len(range_mm))[:, None]
+    returned = range_mm > 0.0
+    before = np.maximum.accumulate(np.where(returned, at, -1), axis=0)
+    after = np.minimum.accumulate(np.where(returned, at, len(at))[::-1], axis=0)[::-1]
+    is_short = ~returned & (before >= 0) & (after < len(at)) & (after - before <= _LONGEST_IN_SPOT + 1)
+    row, laser = np.nonzero(is_short)
+    first = before[row, laser], laser
+    last = after[row, laser], laser
+    alike = np.abs(range_mm[first] - range_mm[last]) < _EQUAL_MM
+    alike &= np.abs(code[first] - code[last]) < _EVEN_CODES
+    alike &= range_mm[first] > 1e3 * _NEAREST_M
+    is_dark = np.minimum(code[first], code[last]) < law("loss.black_code")
+    is_near = range_mm[first] < 1e3 * law("spot.calm_from_m")
+    return int((alike & (is_dark | is_near)).sum())
+
+
 def _windows_of(sequences: Sequences) -> _Windows:
     """Return the records of a capture that have returns of their laser on both sides."""
     range_mm = sequences.range_mm
@@ -91,7 +130,8 @@ def _windows_of(sequences: Sequences) -> _Windows:
         after_code = np.where(fits, codes[first], after_code)
     level = codes[_BEFORE - 1]
     change_mm = np.minimum(np.abs(np.diff(ranges[:_BEFORE], axis=0)), 1e3 * law("loss.most_rough_m"))
-    rough_m = 1e-3 * np.tensordot(_WEIGHTS, change_mm, axes=1)
+    elder_mm = (1.0 - _WEIGHTS.sum()) * change_mm.mean(axis=0)  # those before are taken for alike
+    rough_m = 1e-3 * (np.tensordot(_WEIGHTS, change_mm, axes=1) + elder_mm)
     is_calm = is_usable & (after_mm > 0.0) & (np.abs(after_mm - next_mm) < _FLAT_MM)
     is_calm &= change_mm[-1] < _FLAT_MM
     is_calm &= np.ptp(codes[:_BEFORE], axis=0) <= _EVEN * np.maximum(level, law("spot.bright_code"))
@@ -114,6 +154,17 @@ def _at_steps(rates: LossRates, level: F8, code: F8) -> F8:
     for i in range(level.shape[0]):
         for j in range(level.shape[1]):
             out[i, j] = loss_at_step(rates, level[i, j], code[i, j])
+    return out
+
+
+@array_kernel
+def _in_spots(rates: LossRates, code: F8, range_m: F8, near_rate: float) -> F8:
+    """Return the share of records (n, L) that dark and near spots cost; 0 for records without a return."""
+    out = np.zeros_like(code)
+    for i in range(code.shape[0]):
+        for j in range(code.shape[1]):
+            if range_m[i, j] > 0.0:
+                out[i, j] = spot_rate(rates, code[i, j], range_m[i, j], 0.0, near_rate)
     return out
 
 
