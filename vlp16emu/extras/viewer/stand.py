@@ -25,16 +25,21 @@ from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.tiles import TILE_M, TileKey
 from vlp16emu.types import F8, U1, Mesh, PlantPart, ShapeKey
 
-_CLUMPS = 12_000
+_CLUMPS = 9_000
 """Approximate number of clumps of foliage of all plants that are not near: crowns look like crowns, and a
 browser without a graphics card draws an image every second or two."""
-_MOST_CLUMPS = 120  # of a plant
-_LEAF_FACES = 80_000  # approximate number of triangles of the leaves and branches of all near plants
+_MOST_CLUMPS = 240  # of a plant
+_BANDS_M = 14.0, 22.0
+_BAND_CLUMPS = 3.0, 1.0, 0.4
+"""Distances from the path from which on plants have fewer clumps, and relative numbers of clumps before,
+between and after them: clumps near the camera are small."""
+_LEAF_FACES = 140_000  # approximate number of triangles of the leaves and branches of all near plants
 _FEWEST_FACES = 12  # least number of faces of one mesh of an object; more in proportion to its size
 _MOST_FACES = 3_000
-_NEAR_M = 6.0
-"""Plants up to this distance from the path have leaves and branches, those beyond have clumps. Ground cover
-is complete so far, and thins out with the square of the distance."""
+_NEAR_M = 10.0
+"""Plants up to this distance from the path have leaves and branches, those beyond have clumps."""
+_COVER_M = 6.0
+"""Ground cover is complete up to this distance, and thins out with its square beyond."""
 _BRANCH_SHARE = 0.25  # faces of branches as a share of the faces of leaves, which largely hide them
 _GOLDEN = 0.618034
 _CELL_M = 1.0  # cell of the ground mesh
@@ -65,11 +70,16 @@ class _Placements(NamedTuple):
         """Mask (n,) of those with leaves and branches."""
         return self.gap_m <= _NEAR_M
 
+    @property
+    def band(self) -> NDArray[np.intp]:
+        """Number (n,) of the band of distance of each, from 0."""
+        return np.searchsorted(_BANDS_M, self.gap_m)
+
 
 class _Budget(NamedTuple):
     """Numbers per metre of a plant's size."""
 
-    clumps_per_m: float  # if far
+    clumps_per_m: float  # if far, times the number of its band in `_BAND_CLUMPS`
     faces_per_m: float  # of leaves, if near
 
 
@@ -147,7 +157,7 @@ def _choose_placements(
     # A tile's place is its corner; its stems are drawn if one of them may be near.
     gap_m = path.distance_m(window.world_T_shape[:, :2, 3] + np.where(is_tile, TILE_M / 2, 0.0)[:, None])
     radius_m = np.where(is_tile, stand.radius_m + TILE_M / 2, np.inf if stand.hall else stand.radius_m)
-    dense = np.minimum(_NEAR_M / np.maximum(gap_m, _NEAR_M), 1.0) ** 2
+    dense = np.square(_COVER_M / np.maximum(gap_m, _COVER_M))
     is_chosen = ~_is_kind(stand, FloorKey) | (np.arange(len(gap_m)) * _GOLDEN % 1.0 < dense)
     moss = [isinstance(key, FloorKey) and is_ground(key.kind) for key in window.shapes]
     is_chosen &= ~np.array(moss, np.bool_)[window.shape]
@@ -170,7 +180,8 @@ def _is_kind(stand: Survey, kind: type | UnionType) -> NDArray[np.bool_]:
 
 def _budget(stand: Survey, chosen: _Placements) -> _Budget:
     is_plant = ~_is_kind(stand, FloorKey)[chosen.row]
-    far_m = chosen.size_m[is_plant & ~chosen.is_near]
+    far = chosen.select(is_plant & ~chosen.is_near)
+    far_m = far.size_m * np.array(_BAND_CLUMPS)[far.band]
     near_m = chosen.size_m[chosen.is_near]
     return _Budget(_CLUMPS / max(float(far_m.sum()), 1.0), _LEAF_FACES / max(float(near_m.sum()), 1.0))
 
@@ -201,9 +212,15 @@ def _simplify(
     if part is PlantPart.LEAF:
         quads = mesh.faces.shape[1] == 4  # a quad is two triangles
         leaves = fewer_faces(mesh, limit // 2 if quads else limit, keeps_area=True)
-        count = int(np.clip(budget.clumps_per_m * size_m, 1, _MOST_CLUMPS))
         far = group.select(~group.is_near)
-        return [(clumps(mesh, 1 if isinstance(key, FloorKey) else count), far), (leaves, near)]
+        if isinstance(key, FloorKey):
+            return [(clumps(mesh, 1), far), (leaves, near)]
+        simplified = [(leaves, near)]
+        for band, share in enumerate(_BAND_CLUMPS):
+            count = int(np.clip(share * budget.clumps_per_m * size_m, 1, _MOST_CLUMPS))
+            if (in_band := far.band == band).any():
+                simplified.append((clumps(mesh, count), far.select(in_band)))
+        return simplified
     if part is PlantPart.NONE and isinstance(key, FloorKey):
         return [(lump(mesh), group)]
     if part is PlantPart.NONE:

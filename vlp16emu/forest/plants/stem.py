@@ -47,6 +47,7 @@ _LEADER_GAP = (0.1, 0.22)
 it over the crown width; assumptions."""
 _LEADER_TOP = 0.93  # height of its tip, as a share of the way from fork to tip; assumption
 _BENT = [0, 1, 2, 3, 4, 5, 6, 8, 9]  # keys of `StemForm` that straight and round stems lack
+_GAUSS = 1 / np.sqrt(12)  # a point of the Gauss-Legendre rule of two points, on an interval of -0.5 to 0.5
 _DIRECTIONS = 720  # directions for a tape measurement of a section: accurate to 1e-5
 
 
@@ -173,6 +174,18 @@ def tape_m(away_m: F8) -> F8:
     sides = away_m.shape[1]
     turn = 2 * np.pi * (np.arange(_DIRECTIONS)[:, None] / _DIRECTIONS - np.arange(sides) / sides)
     return 2 * np.array([(cos(turn) * corners).max(axis=1).mean() for corners in away_m])
+
+
+def half_width_m(away_m: F8) -> F8:
+    """Half of the mean width (...) of polygons (..., sides) as in `polygon_m2`, as far light meets them.
+
+    One direction per side is enough, at a point of Gauss and Legendre: within 0.1 % of `tape_m` on average.
+    """
+    sides = away_m.shape[-1]
+    corners = np.arange(sides)
+    towards = cos(2 * np.pi / sides * (corners[:, None] + _GAUSS - corners))
+    half_m: F8 = (towards * away_m[..., None, :]).max(axis=-1).mean(axis=-1)
+    return half_m
 
 
 _BURIED_M = 0.1  # depth of the foot below level ground, or below the lowest ground around it
@@ -333,6 +346,14 @@ class Stems:
         radius_m = self.radius_m[rows]
         breast_m = self.trees["dbh_m"][rows] / 2
         return self.forms.select(rows).outline(self.angles(rows, sides), above_m, radius_m, breast_m)
+
+    def half_widths_m(self) -> F8:
+        """Halves (n, r) of the mean widths of the rings: they count butts and bark as wide as they look."""
+        half_m = np.empty_like(self.radius_m)
+        for sides in np.unique(self.sides):
+            rows = np.flatnonzero(self.sides == sides)
+            half_m[rows] = half_width_m(self.outlines(rows, int(sides)))
+        return half_m
 
 
 _STATIONS = np.array([0.0, 0.08, 0.2, 0.4, 0.65, 1.0])

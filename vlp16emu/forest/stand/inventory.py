@@ -216,7 +216,7 @@ def branch_circles(
 
 
 def far_stems(trees: Trees, first_row: int, *, table: Table | None = None) -> NDArray[np.void]:
-    """Stems of n trees as `STEM`, with circles in place of polygons, then second leaders.
+    """Stems of n trees as `STEM`, with circles as wide as their polygons look, then second leaders.
 
     Rows start at `first_row`.
     """
@@ -226,7 +226,7 @@ def far_stems(trees: Trees, first_row: int, *, table: Table | None = None) -> ND
     first = profiles(
         foot_m,
         stems_of_trees.axis_m(above_m),
-        np.column_stack([stems_of_trees.radius_m, stems_of_trees.tip_radius_m]),
+        np.column_stack([stems_of_trees.half_widths_m(), stems_of_trees.tip_radius_m]),
         1,
     )
     first["flare_m"] = stems_of_trees.flare_m / first["axis"][:, 2]
