@@ -214,8 +214,8 @@ def test_a_tape_shows_too_much_as_it_does_around_real_stems():
 
 
 def test_far_light_meets_sections_as_wide_as_their_hulls():
-    """Halves of mean widths are those by tape, within 0.1 % on average and 1 % in any section; lobed butts are
-    wider than circles of their area, and no section is narrower."""
+    """Halves of mean widths are those by tape, within 0.1 % on average and 1 % in any section; no section is
+    narrower than the circle of its area, and butts with lobes are wider than tips."""
     for name in ("norway_spruce", "european_beech", "silver_birch"):
         rings = Stems(make_trees(name, 60))
         for sides in np.unique(rings.sides):
