@@ -128,7 +128,7 @@ def hash_factors(axes: _Three) -> _Words:
 
 @inline_kernel
 def hash_of(a: np.uint32, b: np.uint32, c: np.uint32, factors: _Words, seed: np.uint32) -> np.uint32:
-    """Hash the position of a voxel of the world (constants and rounds as in MurmurHash3's finaliser).
+    """Hash the position of a voxel of the world (constants and rounds as in lowbias32, C. Wellons 2018).
 
     Parameters
     ----------
