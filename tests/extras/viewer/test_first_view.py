@@ -6,7 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from vlp16emu.extras.viewer.page import _BEHIND_M, _FREE_M, _filled, _look_from, _room_m
+from vlp16emu.extras.viewer.page import _FREE_M, _filled, _look_from, _room_m
+from vlp16emu.extras.viewer.stand import BEHIND_M
 
 PLACE_M, AHEAD_M = np.array([3.0, 4.0, 2.0]), np.array([2.0, 0.0, 0.1])
 
@@ -31,14 +32,14 @@ def first_view(stand):
 def test_the_camera_is_straight_behind_the_sensor_without_trees():
     """It looks ahead from 6 m behind the sensor."""
     camera_m = first_view(stand_of())
-    assert camera_m[:2] == pytest.approx([3.0 - _BEHIND_M, 4.0])
+    assert camera_m[:2] == pytest.approx([3.0 - BEHIND_M, 4.0])
 
 
 def test_a_stem_before_the_sensor_moves_the_camera():
     """A stem on the line from the camera to the sensor turns the camera until there is room."""
     stand = stand_of((0.0, 4.0, 0.6))
     camera_m = first_view(stand)
-    assert math.hypot(*(camera_m - PLACE_M)[:2]) == pytest.approx(_BEHIND_M)
+    assert math.hypot(*(camera_m - PLACE_M)[:2]) == pytest.approx(BEHIND_M)
     assert _room_m(camera_m, PLACE_M, stand) >= _FREE_M
 
 
@@ -46,8 +47,8 @@ def test_a_stem_close_to_the_camera_does_not_fill_the_view():
     """From straight behind, a stem of 50 cm stands 1.5 m before the camera, 1 m beside the line of sight. The
     camera takes a place from which it is less than half as wide, or out of sight."""
     stand = stand_of((-1.5, 5.0, 0.5))
-    straight_m = np.array([3.0 - _BEHIND_M, 4.0, 4.5])
-    look_at_m = PLACE_M + [_BEHIND_M, 0.0, 0.0]
+    straight_m = np.array([3.0 - BEHIND_M, 4.0, 4.5])
+    look_at_m = PLACE_M + [BEHIND_M, 0.0, 0.0]
     before = _filled(straight_m, look_at_m, stand)
     assert before == pytest.approx(0.25 / 1.5, rel=0.01)
     assert _room_m(straight_m, PLACE_M, stand) > _FREE_M
@@ -61,4 +62,4 @@ def test_a_sapling_about_the_sensor_leaves_the_choice_to_the_stems():
     stand = SimpleNamespace(near=np.concatenate([sapling, stem]))
     camera_m = first_view(stand)
     assert _room_m(camera_m, PLACE_M, stand) < -1.5
-    assert _filled(camera_m, PLACE_M + [_BEHIND_M, 0.0, 0.0], SimpleNamespace(near=stem)) == 0.0
+    assert _filled(camera_m, PLACE_M + [BEHIND_M, 0.0, 0.0], SimpleNamespace(near=stem)) == 0.0

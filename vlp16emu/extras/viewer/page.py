@@ -29,7 +29,7 @@ from websockets.http11 import Request, Response
 from vlp16emu.extras.survey import Survey, survey
 from vlp16emu.extras.viewer.editor import Editor, OpenScene
 from vlp16emu.extras.viewer.layers import colours_of, html_box, layers_of_scan, legend_of
-from vlp16emu.extras.viewer.stand import pieces_of
+from vlp16emu.extras.viewer.stand import BEHIND_M, pieces_of
 from vlp16emu.extras.viewer.sweeps import CaptureSweeps, SceneSweeps, Sweep
 from vlp16emu.extras.walk.settings import Walk
 from vlp16emu.foliage.polyline import distance_m
@@ -44,7 +44,6 @@ _MOST_SWEEPS = 50  # sweeps drawn together: 1.2 million points
 _LISTED = 6  # greatest number of faults listed for a sweep
 _PATH_RGB = (220, 60, 40)
 _AMBIENT = 1.4  # light from everywhere, so that no side of a stem is black
-_BEHIND_M = 6.0  # first place of the camera, seen from the sensor
 _ABOVE_M = 2.5
 _ASIDE_DEG = (0, 10, -10, 20, -20, 30, -30, 40, -40, 50, -50)
 """Bearings of the camera from straight behind: the first of those with the freest view is taken."""
@@ -201,14 +200,14 @@ def _look_from(server: viser.ViserServer, place_m: F8, ahead_m: F8, stand: Surve
     away_m = math.hypot(*ahead_m[:2])
     ahead = ahead_m[:2] / away_m if away_m > 0 else np.array([1.0, 0.0])
     aside = np.radians(_ASIDE_DEG)
-    behind_m = -_BEHIND_M * np.column_stack(
+    behind_m = -BEHIND_M * np.column_stack(
         [
             ahead[0] * np.cos(aside) - ahead[1] * np.sin(aside),
             ahead[0] * np.sin(aside) + ahead[1] * np.cos(aside),
         ]
     )
     cameras_m = place_m + np.column_stack([behind_m, np.full(len(aside), _ABOVE_M)])
-    look_at_m = place_m + _BEHIND_M * np.array([*ahead, 0.0])
+    look_at_m = place_m + BEHIND_M * np.array([*ahead, 0.0])
     rooms_m = np.array([_room_m(camera_m, place_m, stand) for camera_m in cameras_m])
     filled = np.array([_filled(camera_m, look_at_m, stand) for camera_m in cameras_m])
     camera = server.initial_camera
@@ -239,7 +238,7 @@ def _filled(camera_m: F8, look_at_m: F8, stand: Survey | None) -> float:
     along_m = x_m * ahead[0] + y_m * ahead[1]
     across_m = np.abs(y_m * ahead[0] - x_m * ahead[1])
     radius_m = stand.near["dbh_m"] / 2
-    seen = (along_m > 0.0) & (along_m < _BEHIND_M) & (across_m - radius_m < along_m)
+    seen = (along_m > 0.0) & (along_m < BEHIND_M) & (across_m - radius_m < along_m)
     return float((radius_m / np.maximum(along_m, radius_m))[seen].sum())
 
 

@@ -25,19 +25,21 @@ from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.tiles import TILE_M, TileKey
 from vlp16emu.types import F8, U1, Mesh, PlantPart, ShapeKey
 
-_CLUMPS = 9_000
+_CLUMPS = 14_000
 """Approximate number of clumps of foliage of all plants that are not near: crowns look like crowns, and a
 browser without a graphics card draws an image every second or two."""
-_MOST_CLUMPS = 240  # of a plant
+_MOST_CLUMPS = 400  # of a plant
 _BANDS_M = 14.0, 22.0
-_BAND_CLUMPS = 3.0, 1.0, 0.4
+_BAND_CLUMPS = 4.0, 2.0, 0.4
 """Distances from the path from which on plants have fewer clumps, and relative numbers of clumps before,
 between and after them: clumps near the camera are small."""
 _LEAF_FACES = 140_000  # approximate number of triangles of the leaves and branches of all near plants
 _FEWEST_FACES = 12  # least number of faces of one mesh of an object; more in proportion to its size
 _MOST_FACES = 3_000
 _NEAR_M = 10.0
-"""Plants up to this distance from the path have leaves and branches, those beyond have clumps."""
+"""Plants up to this distance from the path have leaves and branches, those beyond have clumps. The path
+counts from the first place of the camera on."""
+BEHIND_M = 6.0  # first place of the camera, seen from the sensor
 _COVER_M = 6.0
 """Ground cover is complete up to this distance, and thins out with its square beyond."""
 _BRANCH_SHARE = 0.25  # faces of branches as a share of the faces of leaves, which largely hide them
@@ -58,7 +60,7 @@ class _Placements(NamedTuple):
     """Placements of the window that are drawn."""
 
     row: NDArray[np.intp]  # (n,) of the window
-    gap_m: F8  # (n,) distance from the path
+    gap_m: F8  # (n,) distance from the path, or from the first place of the camera
     size_m: F8  # (n,) greatest extent, 0 for a tile
 
     def select(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> "_Placements":
@@ -155,7 +157,8 @@ def _choose_placements(
     window = stand.window
     is_tile = _is_kind(stand, TileKey | IvyKey)
     # A tile's place is its corner; its stems are drawn if one of them may be near.
-    gap_m = path.distance_m(window.world_T_shape[:, :2, 3] + np.where(is_tile, TILE_M / 2, 0.0)[:, None])
+    xy_m = window.world_T_shape[:, :2, 3] + np.where(is_tile, TILE_M / 2, 0.0)[:, None]
+    gap_m = path.distance_m(xy_m)
     radius_m = np.where(is_tile, stand.radius_m + TILE_M / 2, np.inf if stand.hall else stand.radius_m)
     dense = np.square(_COVER_M / np.maximum(gap_m, _COVER_M))
     is_chosen = ~_is_kind(stand, FloorKey) | (np.arange(len(gap_m)) * _GOLDEN % 1.0 < dense)
@@ -170,7 +173,19 @@ def _choose_placements(
             meshes = (mesh for mesh in meshes_of(window.shapes[shape]) if len(mesh.faces))
             extents_m = (float(np.ptp(mesh.vertices_m, axis=0).max()) for mesh in meshes)
             size_m[is_alike] = scale * max(extents_m, default=0.0)
-    return _Placements(near, gap_m[near], size_m)
+    seen_m = Polyline(_with_camera(stand.path_m[:, :2])).distance_m(xy_m[near])
+    return _Placements(near, seen_m, size_m)
+
+
+def _with_camera(path_xy_m: F8) -> F8:
+    """Return a path (n, 2) with the first place of the camera, straight behind, before it."""
+    ahead_m = path_xy_m - path_xy_m[0]
+    away_m = np.hypot(*ahead_m.T)
+    if not away_m.any():
+        return path_xy_m
+    first = int(np.argmax(away_m > 0.0))
+    camera_m = path_xy_m[0] - BEHIND_M * ahead_m[first] / away_m[first]
+    return np.vstack([camera_m, path_xy_m])
 
 
 def _is_kind(stand: Survey, kind: type | UnionType) -> NDArray[np.bool_]:
