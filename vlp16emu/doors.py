@@ -218,6 +218,7 @@ def _section_check(base: str, tag: str) -> Callable[[object, str], str | None]:
     """Return the check of a group of sections: of the class `base`, selected by the key `tag`."""
 
     def check(found: object, name: str) -> str | None:
+        """Return what was expected of a class that is not a section of its kind; None if it is one."""
         section = _imported(base)
         if not (isinstance(found, type) and issubclass(found, section)):
             return f"a class on {base}"

@@ -168,6 +168,7 @@ def _open(
     """Return the descriptor of a file that may be read."""
 
     def check(state: os.stat_result) -> None:
+        """Refuse what is no regular file, or is too large."""
         kind = stat.S_IFMT(state.st_mode)
         if kind != stat.S_IFREG and not (takes_pipes and kind == stat.S_IFIFO):
             raise error(str(path), _KINDS[kind], expected)

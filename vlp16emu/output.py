@@ -288,6 +288,7 @@ def unless_ending(call: Callable[[], T]) -> T:
     result = Future[T]()
 
     def run() -> None:
+        """Call the function, and keep its result or its error."""
         try:
             result.set_result(call())
         except BaseException as error:  # noqa: BLE001  # raised where it is waited for

@@ -123,6 +123,7 @@ class _Seen:
         self.count = 0
 
     def take(self, datagram: Datagram) -> None:
+        """Note what the next packet says."""
         self.count += 1
         if len(datagram.payload) == DATA_BYTES:
             self.data = self.data or datagram

@@ -38,10 +38,12 @@ def stop_on_ctrl_c() -> Iterator[threading.Event]:
         del handlers[signal.SIGHUP]
 
     def restore() -> None:
+        """Put back the handlers of before."""
         for number, handler in handlers.items():
             signal.signal(number, handler)
 
     def request_stop(_signal: int, _frame: object) -> None:
+        """Ask the run to stop, and let a second signal end the program."""
         stop.set()
         is_ending.set()
         restore()

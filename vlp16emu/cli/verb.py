@@ -107,6 +107,7 @@ def _parameter(option: Declared) -> inspect.Parameter:
     kind: Any = object | None  # click would read two values for a tuple
 
     def read(text: object) -> object:
+        """Read the text of an option; other values are defaults, and stay."""
         if not isinstance(text, str) or text is default:  # typer reads defaults too
             return text
         return meaning.read(option.name, option.kind, text)

@@ -168,6 +168,7 @@ def in_one_world(first: Scenario, second: Scenario) -> bool:
     """Return whether two runs follow the same path through the same world; their sensors may differ."""
 
     def course(scenario: Scenario) -> tuple[object, ...]:
+        """Return what decides on the path and the world."""
         world = (scenario.world, scenario.world_seed, scenario.wind)
         motion = (scenario.motion, scenario.motion_seed)
         reach = [(sensor.max_range_m, mount) for sensor, mount in _sensors(scenario)]

@@ -236,6 +236,7 @@ class Engine:
         seed = self.parts.world.seed
 
         def work(run: range, opened: Future[Geometry]) -> Returns:
+            """Scan a run of blocks in its window."""
             return self._scan(Job(unit, detector, run, batching.block, seed, truth), opened)
 
         runs = windows.runs(blocks, at_once, threads)
@@ -258,6 +259,7 @@ def make_receiver(scenario: Scenario, parts: Parts, windows: Windows[Geometry]) 
     last: tuple[Geometry | None, bytes, float] = (None, b"", 0.0)
 
     def cover(t_ns: int, antenna_m: F8) -> float:
+        """Return the share of the sky that is hidden from an antenna (3,) at a UTC instant."""
         nonlocal last
         geometry = windows.wait(windows.at_time(t_ns - start_ns))
         seen_in, seen_from, seen = last

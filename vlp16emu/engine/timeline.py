@@ -279,6 +279,7 @@ def _concatenate(earlier: Returns, later: Returns) -> Returns:
     """Concatenate the rows of two returns and their tables of surfaces."""
 
     def concatenate(first: object, second: object, names: tuple[str, ...]) -> dict[str, Any]:
+        """Concatenate the fields of both that the first one has."""
         present = [name for name in names if getattr(first, name) is not None]
         return {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in present}
 

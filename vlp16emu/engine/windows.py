@@ -144,6 +144,7 @@ class Windows(Generic[S]):
 
         @lru_cache(self.kept + math.ceil(too_far / batching.segment))
         def future_of(name: Hashable) -> Future[S]:
+            """Begin to open the window of this name."""
             return opener.submit(open_segment, name)
 
         self._future_of = future_of
@@ -298,6 +299,7 @@ def windows_of(parts: Parts, start_ns: int, batching: Batching, threads: int) ->
     _CASTERS[id(parts.world)] = built
 
     def open_segment(segment: int) -> Geometry:
+        """Open the window of a segment, with the people in it."""
         geometry = built.open(window_of(parts, start_ns, batching, segment))
         return parts.people.among(geometry) if parts.people else geometry
 

@@ -303,6 +303,7 @@ class Live(StreamPart):
         """
 
         def is_there() -> bool:
+            """Return True once there are as many as are waited for, or none come any more."""
             wanted = count()
             lane.wake_at = min(lane.wake_at, wanted)
             return lane.count >= wanted or self._over

@@ -27,6 +27,7 @@ def _numbers(names: str) -> Callable[[str], tuple[float, ...]]:
     """Return the parser of numbers that are named in a list such as `X,Y,Z`."""
 
     def parse(text: str) -> tuple[float, ...]:
+        """Return the numbers of a text; ValueError if they are too few, too many or too large."""
         numbers = tuple(float(word) for word in text.split(","))
         if len(numbers) != len(names.split(",")) or not all(abs(number) <= _FARTHEST for number in numbers):
             raise ValueError(text)

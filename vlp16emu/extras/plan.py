@@ -181,6 +181,7 @@ def _stages_at(
     spent_s = dict[str, float]()
 
     def time_stage(name: str, work: Callable[[], T]) -> T:
+        """Do the work of a stage several times, note its least time, and return its result."""
         times_s = []
         for _ in range(repeats):
             began_s = time.thread_time()

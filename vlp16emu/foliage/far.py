@@ -306,6 +306,7 @@ class FarCaster(EmbreeCaster):
             return
 
         def measure(shape: tuple[ShapeKey, U1]) -> Cloud:
+            """Measure the cloud of a shape, or recall it from disk."""
             key, parts = shape
             name = self._tiled.shape_name(key)
             return recall(

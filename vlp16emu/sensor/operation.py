@@ -44,6 +44,7 @@ def spins(start_deg: float, operation: Steps[Operation], start_ns: int) -> tuple
     """
 
     def steady_spin(t_ns: int, settings: SensorSettings) -> Spin:
+        """Return a rotor that turns at its set speed from an instant on."""
         phase_deg = _phase_deg(settings, start_ns + t_ns)
         return Spin(t_ns, start_deg if phase_deg is None else phase_deg, float(settings.rpm))
 

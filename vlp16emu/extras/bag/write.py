@@ -187,6 +187,7 @@ def bag_of_run(
     truth = _truth_of_run(engine, rate_hz)
 
     def clock_of(number: int, due_ns: int) -> PacketClock:
+        """Return the sensor's clock for a unit that is locked to GPS, else the host's."""
         is_locked = units[number].state.gps.pps.at(due_ns) is PpsState.LOCKED
         return PacketClock(Clock.SENSOR if is_locked else Clock.HOST)
 

@@ -124,6 +124,7 @@ def gps_of(gps: GpsInput, events: Iterable[Event], start_ns: int) -> GpsInput:
         by_kind[event.kind].append(event)
 
     def spans_of(kind: str) -> Spans:
+        """Return the spans of all events of a kind, in UTC ns."""
         return Spans.union(_utc_span(event, start_ns) for event in by_kind[kind])
 
     lost = ((_next_second_ns(begin), _next_second_ns(end)) for begin, end in spans_of("pps_loss"))

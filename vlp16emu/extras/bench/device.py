@@ -252,9 +252,11 @@ def diagnostics(status: DeviceStatus) -> dict[str, object]:
     """
 
     def counts(volts: float, period_s: int) -> int:
+        """Return the reading of a voltage that sways slowly."""
         return round(volts * _COUNTS_PER_V + 0.8 * sine(period_s))
 
     def sine(period_s: int) -> float:
+        """Return a sine of this period at the status's instant."""
         return math.sin(2 * math.pi * (status.t_ns % (period_s * S_NS)) / (period_s * S_NS))
 
     current_a = _REST_A + _LASER_A * status.laser_on + _MOTOR_A_PER_RPM * status.motor_rpm

@@ -321,6 +321,7 @@ def read_images(folder: Path) -> tuple[Tree, Lens, Iterator[Shot]]:
     table = _instances(folder / "instances.csv")
 
     def pixels(layer: str, name: str) -> AnyArray:
+        """Read an image of a layer."""
         path = folder / layer / name
         with open_input(path, _EXPECTED, InputError) as file, parsing(path, _EXPECTED, InputError):
             is_array = path.suffix == ".npy"
@@ -334,6 +335,7 @@ def read_images(folder: Path) -> tuple[Tree, Lens, Iterator[Shot]]:
         return image
 
     def shots() -> Iterator[Shot]:
+        """Yield the images in order of their times."""
         for row in rows:
             name = f"{row['file']}.png"
             depth_m = (pixels("depth", row["depth_file"]) * unit_m).astype(np.float32)

@@ -58,6 +58,7 @@ def clock_offset(poses_ns: tuple[int, int], utc_ns: tuple[int, int]) -> ClockOff
     )
 
     def overlap_ns(clock: ClockOffset) -> int:
+        """Return for how long poses and packets overlap with a clock's offset."""
         first_ns, last_ns = (stamp_ns - clock.offset_ns for stamp_ns in poses_ns)
         return min(last_ns, utc_ns[1]) - max(first_ns, utc_ns[0])
 

@@ -148,6 +148,7 @@ def _blocks(
         point_labels = cloud.PointLabels(labels, scenario.world.site(scenario.world_seed).height_m)
 
     def points_in(block: Returns) -> tuple[cloud.Block, int]:
+        """Return the points of a block within the span, and their number."""
         t_ns = block.firings.t_ns
         inside = (t_ns >= begin_ns) & (t_ns < end_ns)
         if block.is_sent is not None:

@@ -171,6 +171,7 @@ class CubeWindows(Windows[Geometry]):
         arm_m = max(float(norm(np.array(unit.mount.lever_arm_m))) for unit in parts.units)
 
         def open_window(name: tuple[Cube, int]) -> Geometry:
+            """Open the window of a cube, at a segment of time if trees sway."""
             cube, segment = name
             edges_ns = start_ns + batching.edges_ns(segment)
             return built.open(window_around(parts, cube.track_m(arm_m), edges_ns))

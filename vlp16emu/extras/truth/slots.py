@@ -52,6 +52,7 @@ def _rows(unit: Unit, returns: Returns, column: I8, model: Model) -> NDArray[np.
     """Return `SLOT` (k, L) of one return of each pulse, given by its index (k, L) on the last axis."""
 
     def taken(values: AnyArray | None) -> AnyArray:
+        """Return the values of the returns that are sent."""
         assert values is not None
         return np.take_along_axis(values, column[..., None], axis=-1)[..., 0]
 

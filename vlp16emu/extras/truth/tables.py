@@ -167,6 +167,7 @@ def pose_samples(motion: Motion, start_ns: int, rate_hz: int) -> Samples:
     """Return the samples of a trajectory."""
 
     def rows(first: int, count: int) -> Rows:
+        """Return `count` poses from number `first` on."""
         t_ns = start_ns + np.arange(first, first + count, dtype=np.int64) * S_NS // rate_hz
         return pose_rows(motion.kinematics_at(t_ns))
 

@@ -144,6 +144,7 @@ def timetable(scenario: Scenario, units: Sequence[Unit], start_ns: int, stop_ns:
     """
 
     def data(unit: Unit) -> Iterator[Packet]:
+        """Yield the data packets of a unit."""
         sequence_ns = unit.head.beams.sequence_ns
         for rows in unit.timeline.sequences(start_ns, stop_ns):
             for first, last in zip(rows[:, 0].tolist(), rows[:, -1].tolist(), strict=True):
@@ -151,6 +152,7 @@ def timetable(scenario: Scenario, units: Sequence[Unit], start_ns: int, stop_ns:
                 yield Packet(PacketKind.DATA, due_ns, b"", unit.number, fired_ns)
 
     def position(unit: Unit) -> Iterator[Packet]:
+        """Yield the position packets of a unit."""
         if isinstance(unit.section, Sensor):
             for numbers, due in positions_due(scenario, unit, start_ns, stop_ns):
                 for number, due_ns in zip(numbers.tolist(), due.tolist(), strict=True):

@@ -95,6 +95,7 @@ def _check_requests(
         return answer(connection, request)  # type: ignore[return-value]  # viser's function is no coroutine
 
     def drop_unchecked() -> None:
+        """Close connections that came before the check."""
         for connection in web.handlers:
             connection.transport.abort()
 
@@ -139,6 +140,7 @@ def scene_page(
         return page
 
     def show(other_emulator: Emulator) -> Survey:
+        """Show another scene, and return its stand."""
         page.change(SceneSweeps(other_emulator, unit))
         stand = _stand_of(other_emulator, radius_m)
         page.root = _draw_stand(server, stand)

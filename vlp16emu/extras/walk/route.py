@@ -174,6 +174,7 @@ def _speed_for(run_time_s: float, legs: Sequence[_Leg], pauses_s: float, length_
     """Find the cruise speed with which the run takes a given time, or slightly less."""
 
     def duration_s(speed_m_s: float) -> float:
+        """Return the duration of the walk at a speed."""
         return pauses_s + _PADDING_S + sum(leg.times_s(leg.speeds_m_s(speed_m_s))[-1] for leg in legs)
 
     high = _MAX_SPEED_M_S

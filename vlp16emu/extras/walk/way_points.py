@@ -120,10 +120,12 @@ def _gpx_points(path: Path) -> tuple[dict[str, Table], Counter[str]]:
     }
 
     def refuse(*_: object) -> None:  # entities can make a small file expand without bound
+        """Refuse a document type declaration."""
         where = f"{path}, line {parser.CurrentLineNumber}"
         raise TrajectoryError(where, "a document type declaration", "none in a GPX file")
 
     def start(element: str, attributes: dict[str, str]) -> None:
+        """Note the line of an element that begins."""
         name = element.rpartition(":")[2]
         count[name] += 1
         if name in points:

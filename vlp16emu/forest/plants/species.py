@@ -146,6 +146,7 @@ class Habit(Section):
             return self
 
         def between(closed: float, alone: float) -> float:
+            """Return a value between those of closed and of open stands."""
             return closed + (alone - closed) * openness
 
         alone = self.open_grown

@@ -104,6 +104,7 @@ def hard_core_pattern(*, seed: int, purpose: Growth, per_ha: float) -> PointPatt
 
     @lru_cache(maxsize=_TILES_KEPT)
     def candidates(ix: int, iy: int) -> F8:
+        """Return points (n, 3) of a tile before rivals thin them."""
         found = _poisson_points(
             generator(seed, purpose, ix, iy), ix, iy, intensity * TILE_M * TILE_M, columns=3
         )
@@ -128,6 +129,7 @@ def cluster_pattern(section: Clusters, *, seed: int, purpose: Growth, per_ha: fl
 
     @lru_cache(maxsize=_TILES_KEPT)
     def members(ix: int, iy: int) -> F8:
+        """Return the members (n, 2) of clusters whose middles are in a tile."""
         rng = generator(seed, purpose, ix, iy)
         middles = _poisson_points(rng, ix, iy, per_ha / section.per_cluster * TILE_M * TILE_M / 10_000)
         counts = rng.poisson(section.per_cluster, len(middles))
