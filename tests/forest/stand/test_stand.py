@@ -161,6 +161,17 @@ def test_neighbours_shorten_crowns(spruces):
     assert stats.spearmanr(near[inner], rest[inner])[0] < -0.15
 
 
+@pytest.mark.parametrize("name", ["european_beech", "english_oak", "sycamore"])
+def test_crown_ratios_of_broadleaves_do_not_dip_between_30_and_60_cm(name):
+    """The mean crown ratio of closed stands does not fall from 30 over 45 to 60 cm of mean DBH."""
+    ratios = []
+    for dbh_cm, height_m, stems_per_ha in ((30.0, 25.0, 500.0), (45.0, 31.0, 280.0), (60.0, 35.0, 160.0)):
+        share = SpeciesShare(species=name, share=1.0, dbh_cm=dbh_cm, height_m=height_m)
+        trees = grown(make_stand(species=(share,), stems_per_ha=stems_per_ha), 14)
+        ratios.append(np.mean(1 - trees["crown_base_m"] / trees["height_m"]))
+    assert sorted(ratios) == ratios
+
+
 def leaf_area_m2(stand, trees):
     """Leaf area that crowns have by their prototypes, scaled by crown projection."""
     crown = cache(stand.crown)
