@@ -11,7 +11,7 @@ from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from vlp16emu.captures.runs import DAY_S, LONGEST_FRAME_BYTES, Frame, RecordForm, Run, run_of, sound_heads
+from vlp16emu.captures.runs import Frame, RecordForm, Run, is_sound, run_of, sound_heads
 from vlp16emu.errors import CaptureError
 from vlp16emu.units import S_NS, US_NS
 
@@ -134,12 +134,9 @@ class _Records:
         return _Head(*self._struct.unpack(content)) if len(content) == self.size else None
 
     def is_sound(self, head: _Head, near_s: int | None, unit_ns: int | None = None) -> bool:
-        """Return whether a header is that of a record captured within a day of `near_s`.
-
-        Zeros alone are none: blocks of a disk that were never written hold them.
-        """
-        fits = head.captured <= LONGEST_FRAME_BYTES and head.fraction * (unit_ns or self.unit_ns) < S_NS
-        return fits and any(head[:3]) and (near_s is None or abs(head.seconds - near_s) <= DAY_S)
+        """Return whether a header is that of a record captured within a day of `near_s`."""
+        most_units = S_NS // (unit_ns or self.unit_ns)
+        return is_sound(*head[:3], most_units, -1 if near_s is None else near_s)
 
     def is_chain(self, ahead: int = 0, near_s: int | None = None, unit_ns: int | None = None) -> bool:
         """Return whether records follow one another from a place on, some or to the end of the file."""

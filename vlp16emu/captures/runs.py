@@ -133,27 +133,47 @@ def _begins(content: U1, at: int | np.int64, first_bytes: U1) -> bool:
     return True
 
 
-@inline_kernel
-def _is_sound(
-    content: U1, at: int | np.int64, is_big_endian: bool, most_units: int, near_s: int | np.int64
+def is_sound(
+    seconds: int | np.int64,
+    fraction: int | np.int64,
+    captured: int | np.int64,
+    most_units: int,
+    near_s: int | np.int64,
 ) -> bool:
     """Return whether a header is that of a record captured within a day of `near_s`, at any time if < 0.
 
     Zeros alone are none: blocks of a disk that were never written hold them.
+
+    Parameters
+    ----------
+    fraction : of the stamp's second, in units of which `most_units` are a second
+    captured : bytes in the file
     """
+    fits = captured <= LONGEST_FRAME_BYTES and fraction < most_units
+    is_blank = seconds == 0 and fraction == 0 and captured == 0
+    is_near = near_s < 0 or -DAY_S <= seconds - near_s <= DAY_S
+    return bool(fits and is_near and not is_blank)
+
+
+_is_sound = inline_kernel(is_sound)  # the same rule within kernels
+
+
+@inline_kernel
+def _begins_record(
+    content: U1, at: int | np.int64, is_big_endian: bool, most_units: int, near_s: int | np.int64
+) -> bool:
+    """Return whether the header of a sound record is at a place."""
     seconds = _u4(content, at, is_big_endian)
     fraction = _u4(content, at + 4, is_big_endian)
     captured = _u4(content, at + 8, is_big_endian)
-    if captured > LONGEST_FRAME_BYTES or fraction >= most_units or (seconds | fraction | captured) == 0:
-        return False
-    return bool(near_s < 0 or abs(seconds - near_s) <= DAY_S)
+    return _is_sound(seconds, fraction, captured, most_units, near_s)
 
 
 @kernel
 def _next_sound(content: U1, begin: int, is_big_endian: bool, most_units: int, near_s: int) -> int:
     """Return the first place of a sound header from `begin` on; -1 if there is none."""
     for at in range(begin, len(content) - _HEAD_BYTES + 1):
-        if _is_sound(content, at, is_big_endian, most_units, near_s):
+        if _begins_record(content, at, is_big_endian, most_units, near_s):
             return at
     return -1
 
@@ -181,9 +201,9 @@ def _sound_records(
         fraction = _u4(content, at + 4, is_big_endian)
         captured = _u4(content, at + 8, is_big_endian)
         following = at + header_bytes + captured
-        if following > last or not _is_sound(content, at, is_big_endian, most_units, before_s):
+        if following > last or not _begins_record(content, at, is_big_endian, most_units, before_s):
             break
-        if not _is_sound(content, following, is_big_endian, most_units, seconds):
+        if not _begins_record(content, following, is_big_endian, most_units, seconds):
             break
         wire_bytes = _u4(content, at + 12, is_big_endian) - check_bytes
         if wire_bytes < 0:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from vlp16emu.extras.viewer.page import _FREE_M, _filled, _look_from, _room_m
-from vlp16emu.extras.viewer.stand import BEHIND_M
+from vlp16emu.extras.viewer.stand import BEHIND_M, _with_camera
 
 PLACE_M, AHEAD_M = np.array([3.0, 4.0, 2.0]), np.array([2.0, 0.0, 0.1])
 
@@ -33,6 +33,17 @@ def test_the_camera_is_straight_behind_the_sensor_without_trees():
     """It looks ahead from 6 m behind the sensor."""
     camera_m = first_view(stand_of())
     assert camera_m[:2] == pytest.approx([3.0 - BEHIND_M, 4.0])
+
+
+@pytest.mark.parametrize("waits", [0, 3])
+def test_distances_count_from_the_first_camera(waits):
+    """The path of distances begins straight behind the first step of a walk, also of one that waits first; a
+    walk that stays in place has no behind."""
+    start_m = np.array([[3.0, 4.0]])
+    walk_m = np.vstack([np.repeat(start_m, 1 + waits, axis=0), [[3.0, 5.0], [8.0, 5.0]]])
+    assert _with_camera(walk_m)[0] == pytest.approx([3.0, 4.0 - BEHIND_M])
+    assert np.array_equal(_with_camera(walk_m)[1:], walk_m)
+    assert np.array_equal(_with_camera(start_m), start_m)
 
 
 def test_a_stem_before_the_sensor_moves_the_camera():

@@ -16,7 +16,10 @@ STATE = 13
 """Numbers of a knot: position (3,) and quaternion x, y, z, w (4,) in the world, velocity (3,) in the world,
 angular rate (3,) in body axes."""
 
-_MOST = 16_384  # knots of a live run that are kept, 43 s; poses older than 12 s are never requested
+_KEPT_NS = 44 * S_NS
+"""Time over which the knots of a live run are kept; the older half goes at once. Poses older than 12 s are
+never requested."""
+_MOST = _KEPT_NS // STEP_NS  # knots that are kept
 _COAST_S = 0.15
 """Time after a pose for which its velocity is extrapolated, and then the time constant with which the body
 comes to rest: poses at 10 Hz are followed smoothly, and a body at 3 m/s stops after 0.9 m."""

@@ -49,8 +49,8 @@ _KNOWN_NS = 200_000_000
 _SPARE_M = 1.0
 _SPARE_S = 0.35  # from that time to the end of a block
 """Margin that is left for the path of the body until the end of the block, at its speed."""
-_LATE_BLOCKS = 12
-"""Steps of delay, 32 ms, from which all late steps are left out: receivers need recent packets."""
+_MOST_LATE_NS = 32_000_000
+"""Delay beyond which all late steps are left out: receivers need recent packets."""
 _NICE = 10
 """Niceness of threads that open windows of a live run above the casting threads, which then get nine tenths
 of a core. With 3, every other step is late while a window is opened."""
@@ -364,7 +364,7 @@ class LiveWindows(CubeWindows):
         block = blocks.start
         while block < blocks.stop:
             late = self._live.elapsed_ns // self._block_ns - block
-            if late > _LATE_BLOCKS:
+            if late * self._block_ns > _MOST_LATE_NS:
                 self.openers.left_out += min(late, blocks.stop - block)
                 block += late
                 continue
