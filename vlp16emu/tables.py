@@ -8,10 +8,10 @@ import csv
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from difflib import get_close_matches
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -179,43 +179,83 @@ def read_table(
     content = read_bytes(path, expected, error)
     lines = _decode(path, content, error).replace("\r\n", "\n").replace("\r", "\n").split("\n")
     records = partial(_records, path, lines, expected, error)
-    known = {name for column in columns.values() for name in column.units}
     if has_header:
-        headers = {mark: _header(records(mark), known) for mark in _MARKS}
-        mark = max(_MARKS, key=lambda mark: len(known & {*headers[mark][1]}))
-        first, names = headers[mark]
-        if not known & {*names}:  # a file of another kind is not quoted
-            raise error(f"{path}, line 1", "none of the columns", expected)
-        called = _columns_of(names, columns, f"{path}, line {first}", error)
-        if lines[first - 1].lstrip().startswith("#"):
-            mark = _mark_of_rows(records, first, len(names), mark)
+        layout = _layout_of_header(path, records, columns, expected, error)
+        if lines[layout.header - 1].lstrip().startswith("#"):
+            layout = replace(layout, mark=_mark_of_rows(records, layout))
     else:
-        firsts = ((mark, _header(records(mark), known)[1]) for mark in _MARKS)
-        fits = (
-            mark
-            for mark, cells in firsts
-            if len(cells) == len(columns) and not any(" " in cell for cell in cells)
-        )
-        mark = next(fits, " ")
-        first = 0
-        names = list(columns)
-        called = {name: name for name in columns}
-    rows = [row for row in records(mark) if row[0] > first and not row[1][0].startswith("#")]
-    if rows and has_header and len(rows[0][1]) == len(names) + 1 and rows[0][1][-1]:
-        names = ["", *names]  # the column of row names has no name
-    needed = 1 + max(map(names.index, called.values()))
+        layout = _layout_of_rows(records, columns)
+    rows = [row for row in records(layout.mark) if row[0] > layout.header and not row[1][0].startswith("#")]
+    if rows and has_header and len(rows[0][1]) == len(layout.names) + 1 and rows[0][1][-1]:
+        layout = replace(layout, names=["", *layout.names])  # the column of row names has no name
     for line, cells in rows:
+        if fault := layout.fault_of(cells, expected):
+            raise error(f"{path}, line {line}", f"found {len(cells)} cells", fault)
+    places = {column: layout.names.index(name) for column, name in layout.called.items()}
+    cells_of = {column: [cells[place] for _, cells in rows] for column, place in places.items()}
+    line_of = [line for line, _ in rows]
+    return Table(path, error, columns, layout.called, line_of, cells_of, _has_commas=layout.mark == ",")
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """How the rows of a file are cut into columns.
+
+    Parameters
+    ----------
+    mark : separator of columns
+    header : line of the header, from 1; 0 if there is none
+    names : names of all columns in the file
+    called : name in the file by the caller's name, for the columns that are read
+    """
+
+    mark: str
+    header: int
+    names: Sequence[str]
+    called: Mapping[str, str]
+
+    @cached_property
+    def _needed(self) -> int:
+        """Least number of cells of a row."""
+        return 1 + max(map(self.names.index, self.called.values()))
+
+    def fault_of(self, cells: Sequence[str], expected: str) -> str:
+        """Return what is expected of a row that has too few cells or too many; empty if it is right."""
         # Excel leaves out cells at the ends of rows that are empty for long (Microsoft KB 77295).
-        if len(cells) < needed or any(cells[len(names) :]):
-            hint = (
-                "; decimal commas need ; or a tab between columns"
-                if mark == "," and len(cells) > needed
-                else ""
-            )
-            as_in = f", as in line {first}" if first else f": {expected}"
-            raise error(f"{path}, line {line}", f"found {len(cells)} cells", f"{len(names)}{as_in}{hint}")
-    cells_of = {column: [cells[names.index(name)] for _, cells in rows] for column, name in called.items()}
-    return Table(path, error, columns, called, [line for line, _ in rows], cells_of, _has_commas=mark == ",")
+        if len(cells) >= self._needed and not any(cells[len(self.names) :]):
+            return ""
+        as_in = f", as in line {self.header}" if self.header else f": {expected}"
+        is_cut = self.mark == "," and len(cells) > self._needed
+        hint = "; decimal commas need ; or a tab between columns" if is_cut else ""
+        return f"{len(self.names)}{as_in}{hint}"
+
+
+_Records = Callable[[str], Iterator[tuple[int, list[str]]]]
+"""Line and cells of the records of a file whose columns a separator is taken to separate."""
+
+
+def _layout_of_header(
+    path: Path, records: _Records, columns: Mapping[str, Column], expected: str, error: type[InputError]
+) -> _Layout:
+    """Return the layout with which most columns of the header are known."""
+    known = {name for column in columns.values() for name in column.units}
+    headers = {mark: _header(records(mark), known) for mark in _MARKS}
+    mark = max(_MARKS, key=lambda mark: len(known & {*headers[mark][1]}))
+    first, names = headers[mark]
+    if not known & {*names}:  # a file of another kind is not quoted
+        raise error(f"{path}, line 1", "none of the columns", expected)
+    return _Layout(mark, first, names, _columns_of(names, columns, f"{path}, line {first}", error))
+
+
+def _layout_of_rows(records: _Records, columns: Mapping[str, Column]) -> _Layout:
+    """Return the layout of a file without header, with which its first row has all columns."""
+    for mark in _MARKS:
+        _, cells = _header(records(mark), frozenset())
+        if len(cells) == len(columns) and not any(" " in cell for cell in cells):
+            break
+    else:
+        mark = " "
+    return _Layout(mark, 0, list(columns), {name: name for name in columns})
 
 
 def _records(
@@ -234,15 +274,13 @@ def _records(
         raise error(where, str(fault), f"{expected}, with each quotation mark closed") from None
 
 
-def _mark_of_rows(
-    records: Callable[[str], Iterator[tuple[int, list[str]]]], header: int, columns: int, mark: str
-) -> str:
-    """Return the separator of the rows below a header of `numpy.savetxt`, which may have another: `mark`."""
-    for other in (mark, *_MARKS):
-        row = next((cells for line, cells in records(other) if line > header), [])
-        if len(row) == columns:
-            return other
-    return mark
+def _mark_of_rows(records: _Records, layout: _Layout) -> str:
+    """Return the separator of the rows below a header of `numpy.savetxt`, which may have another."""
+    for mark in (layout.mark, *_MARKS):
+        row = next((cells for line, cells in records(mark) if line > layout.header), [])
+        if len(row) == len(layout.names):
+            return mark
+    return layout.mark
 
 
 def _header(records: Iterator[tuple[int, list[str]]], known: AbstractSet[str]) -> tuple[int, list[str]]:
