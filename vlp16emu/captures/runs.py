@@ -146,7 +146,8 @@ def is_sound(
 
     Parameters
     ----------
-    fraction : of the stamp's second, in units of which `most_units` are a second
+    fraction : of the stamp's second
+    most_units : units of that fraction in a second
     captured : bytes in the file
     """
     fits = captured <= LONGEST_FRAME_BYTES and fraction < most_units

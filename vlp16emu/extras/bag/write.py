@@ -273,18 +273,11 @@ def write_bag(
             "--images", "found without --truth", "--truth DIR of the same run, whose frames they are in"
         )
     survey = Survey(capture, stop, progress)
-    every = survey.required()
-    named = None if unit is None else survey.chosen(unit, where="--unit")
-    units = every if unit is None else [named or every[0]]
+    units = _units_of(survey, unit)
     clocks = unit_clocks(capture, units, clock, where="--clock", stop=stop)
     _check_stamps(capture, clocks)
     frames = _frames(len(units))
-    true = None
-    if truth is not None:
-        first_ns = min(one.first_ns for one in clocks)
-        true = _truth_of_folder(truth, [every.index(one) for one in units], len(every), first_ns)
-        if images is not None:
-            true = _with_images(true, images, first_ns)
+    true = _truth_beside(survey, units, min(each.first_ns for each in clocks), truth, images)
     datagrams = Capture(capture, progress=progress)
 
     with (
@@ -296,6 +289,11 @@ def write_bag(
                 break
             if number is not None:
                 _send(datagram, number, sink, capture)
+    return {**_contents(out, sink, clocks, datagrams), "interrupted": stop.is_set()}
+
+
+def _contents(out: Path, sink: BagSink, clocks: Sequence[UnitClock], datagrams: Capture) -> Tree:
+    """Return what a written bag holds, the clocks of its stamps, and what the capture lacked."""
     first_ns, last_ns = sink.bag.span_ns or (0, 0)
     return {
         "file": str(out),
@@ -306,8 +304,26 @@ def write_bag(
         "host_ahead_s": tuple((each.clock.host_ahead_ns or 0) / S_NS for each in clocks),
         "repeats": datagrams.repeated,  # packets left out as repeated
         "damage": tuple(datagrams.damage),  # damaged parts of the capture that were left out
-        "interrupted": stop.is_set(),
     }
+
+
+def _units_of(survey: Survey, unit: str | None) -> list[CapturedUnit]:
+    """Return the sensors to write: one if it is named, else all."""
+    every = survey.required()
+    if unit is None:
+        return every
+    return [survey.chosen(unit, where="--unit") or every[0]]
+
+
+def _truth_beside(
+    survey: Survey, units: Sequence[CapturedUnit], first_ns: int, folder: Path | None, images: Path | None
+) -> TruthSource | None:
+    """Return the ground truth of a capture whose first packet is at `first_ns` UTC; None without a folder."""
+    if folder is None:
+        return None
+    taken = [survey.units.index(one) for one in units]
+    truth = _truth_of_folder(folder, taken, len(survey.units), first_ns)
+    return truth if images is None else _with_images(truth, images, first_ns)
 
 
 def _rig(true: TruthSource | None, capture: Path, unit: CapturedUnit, frame: str) -> Rig:

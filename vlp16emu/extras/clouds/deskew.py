@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.captures import CaptureReader, Survey, packet_clock
+from vlp16emu.captures.capture import CapturedUnit
 from vlp16emu.elementary import matmul, matvec
 from vlp16emu.errors import InputError, TrajectoryError
 from vlp16emu.extras.clouds import cloud
@@ -23,7 +24,7 @@ from vlp16emu.extras.recorded.settings import Recorded
 from vlp16emu.extras.truth.description import read_rig
 from vlp16emu.extras.truth.slots import SlotReader
 from vlp16emu.motion.pose import rotation, rotations
-from vlp16emu.packets import PacketTable, Points, points_in, utc_ns_of
+from vlp16emu.packets import Clock, PacketClock, PacketTable, Points, points_in, utc_ns_of
 from vlp16emu.scenario import load
 from vlp16emu.trees import Tree
 from vlp16emu.types import F8, I8, AnyArray
@@ -178,18 +179,12 @@ def write_deskewed(
     """
     sensor = Survey(capture, stop).chosen(trajectory.sensor or str(trajectory.unit), where="--unit")
     unit_clock = packet_clock(capture, sensor, clock, where="--clock", stop=stop)
-    if trajectory.needs_clock and capture.is_fifo():
-        found = f"found auto for the pipe {capture}"
-        raise InputError("--time-offset", found, "a number, or a file, which can be read twice")
     if trajectory.needs_clock:
-        search = CaptureReader(capture, sensor, clock=unit_clock, is_quiet=True)
-        trajectory.find_clock(_pulses_ns(search, stop))
+        trajectory.find_clock(_pulses_ns(capture, sensor, unit_clock, stop))
     tables = CaptureReader(capture, sensor, clock=unit_clock).tables()
     first = next(tables)
     start_ns = int(first["utc_ns"][0])
-    comments = "x, y, z in the world by a trajectory", cloud.time_comment(unit_clock.clock.whose)
-    start_utc = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=start_ns // 1000)
-    metadata = cloud.CloudMetadata(comments, start_utc, trajectory.origin, trajectory.unit)
+    metadata = _metadata(trajectory, start_ns, unit_clock.clock)
     columns = cloud.DESKEWED_COLUMNS + (truth.columns if truth else ())
     points = 0
     without_pose = 0
@@ -216,21 +211,43 @@ def write_deskewed(
         "without_pose": without_pose,  # points left out because the trajectory has no pose at their pulses
         "truth": truth is not None,
         "simulated_s": last_ns / S_NS,  # from the first pulse of the capture to the last
-        "clock": unit_clock.clock,
-        "time_offset_s": trajectory.time_offset_s,
-        "clock_of_poses": trajectory.clock,  # how the offset was found; None if it was given
-        "fit": unit_clock.fit.summary if unit_clock.fit else None,  # of the host's clock to the sensor's
-        # Capture stamp minus sensor's clock at the first packet.
-        "host_ahead_s": (unit_clock.host_ahead_ns or 0) / S_NS,
+        **_clocks(trajectory, unit_clock),
         "bytes": path.stat().st_size,
         "interrupted": stop.is_set(),
     }
 
 
-def _pulses_ns(reader: CaptureReader, stop: Event) -> tuple[int, int]:
-    """Return UTC of the first and the last data packet of a capture, or of its part before a stop."""
+def _clocks(trajectory: Trajectory, clock: PacketClock) -> Tree:
+    """Return the part of the report on the clocks of pulses and poses."""
+    return {
+        "clock": clock.clock,
+        "time_offset_s": trajectory.time_offset_s,
+        "clock_of_poses": trajectory.clock,  # how the offset was found; None if it was given
+        "fit": clock.fit.summary if clock.fit else None,  # of the host's clock to the sensor's
+        # Capture stamp minus sensor's clock at the first packet.
+        "host_ahead_s": (clock.host_ahead_ns or 0) / S_NS,
+    }
+
+
+def _metadata(trajectory: Trajectory, start_ns: int, clock: Clock) -> cloud.CloudMetadata:
+    """Return the head of a file of points whose first pulse is at `start_ns` UTC by a clock."""
+    comments = "x, y, z in the world by a trajectory", cloud.time_comment(clock.whose)
+    start_utc = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=start_ns // 1000)
+    return cloud.CloudMetadata(comments, start_utc, trajectory.origin, trajectory.unit)
+
+
+def _pulses_ns(
+    capture: Path, sensor: CapturedUnit | None, clock: PacketClock, stop: Event
+) -> tuple[int, int]:
+    """Return UTC of the first and the last data packet of a capture, or of its part before a stop.
+
+    Raises InputError for a pipe.
+    """
+    if capture.is_fifo():
+        found = f"found auto for the pipe {capture}"
+        raise InputError("--time-offset", found, "a number, or a file, which can be read twice")
     ends_ns = list[int]()
-    for table in reader.tables():
+    for table in CaptureReader(capture, sensor, clock=clock, is_quiet=True).tables():
         ends_ns += [int(table["utc_ns"][0]), int(table["utc_ns"][-1])]
         if stop.is_set():
             break

@@ -19,7 +19,7 @@ from vlp16emu.extras.truth.slots import LEAF_OR_WOOD
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.run.report import Turn, turn_of
 from vlp16emu.scenario import Scenario
-from vlp16emu.types import Returns
+from vlp16emu.types import I8, Returns
 from vlp16emu.units import S_NS, seconds_to_ns
 
 
@@ -99,14 +99,44 @@ def write_points(
                     break
         if stop.is_set() and not simulated_s:
             raise CancelledError  # earlier files stay
-    sensor = emulator.parts.units[number]
-    wall_s = time.perf_counter() - began_s
+    return _summary(
+        emulator,
+        point_options.unit,
+        path,
+        returns,
+        (begin_s, simulated_s),
+        has_truth=truth,
+        wall_s=time.perf_counter() - began_s,
+        is_interrupted=stop.is_set(),
+    )
+
+
+def _summary(
+    emulator: Emulator,
+    unit: int,
+    path: Path,
+    returns: I8,
+    span_s: tuple[float, float],
+    *,
+    has_truth: bool,
+    wall_s: float,
+    is_interrupted: bool,
+) -> PointCloud:
+    """Return the contents of a written file.
+
+    Parameters
+    ----------
+    returns : points by return number (3,), in the order of `cloud.RETURN_NAMES`
+    span_s : begin of the run, and simulated seconds since
+    """
+    sensor = emulator.parts.units[emulator.number(unit)]
     beams = sensor.head.beams
+    begin_s, simulated_s = span_s
     return PointCloud(
         file=str(path),
         scene=emulator.name,
-        seed=scenario.seed,
-        unit=point_options.unit,
+        seed=emulator.scenario.seed,
+        unit=unit,
         sensor=sensor.section.model,
         beams=len(beams.elevation_deg),
         elevation_deg=(float(beams.elevation_deg.min()), float(beams.elevation_deg.max())),
@@ -114,12 +144,12 @@ def write_points(
         turn=turn_of(sensor.head, begin_s, begin_s + simulated_s),
         points=int(returns.sum()),
         returns=dict(zip(cloud.RETURN_NAMES, returns.tolist(), strict=True)),
-        truth=truth,
+        truth=has_truth,
         bytes=path.stat().st_size,
         simulated_s=simulated_s,
         wall_s=wall_s,
         real_time_factor=simulated_s / wall_s,
-        interrupted=stop.is_set(),
+        interrupted=is_interrupted,
     )
 
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,6 +135,35 @@ _AROUND = np.array([cos(np.arange(36) * np.pi / 36), sin(np.arange(36) * np.pi /
 """Directions (2, 36) in which crowns are measured."""
 
 
+class _Piece(NamedTuple):
+    """A part of the file of a model: vertices (v, 3) as in the file, and faces (f, 3)."""
+
+    part: PlantPart
+    vertices_m: F8
+    faces: Faces
+
+
+def _pieces_of(section: TreeModelFile) -> list[_Piece]:
+    """Read the parts of a model; GeometryError for a part that the file does not have, or without a stem."""
+    path = Path(section.file)
+    mesh = LOAD_MESH.load()(path, unit=section.unit, up=section.up)
+    part_of = {part.name: part.part for part in section.parts}
+    names = [name for name, _ in mesh.parts]
+    for name in part_of.keys() - set(names):
+        raise GeometryError(f"{path}: parts", f"found {name!r}", f"one of {', '.join(names)}")
+    pieces = [
+        _Piece(
+            PlantPart[part_of.get(name, "stem").upper()],
+            piece.vertices_m.astype(np.float64) + mesh.centre_m,
+            piece.faces,
+        )
+        for name, piece in mesh.parts
+    ]
+    if not any(piece.part in STEM_PARTS for piece in pieces):
+        raise GeometryError(f"{path}: parts", "no stem", "a part of the file that is the stem")
+    return pieces
+
+
 class TreeModel:
     """A tree model from the user, with its foot at the origin.
 
@@ -146,37 +175,29 @@ class TreeModel:
     def __init__(self, section: TreeModelFile, species: Species, season: Season) -> None:
         self.path = Path(section.file)
         self.species = species
-        mesh = LOAD_MESH.load()(self.path, unit=section.unit, up=section.up)
-        part_of = {part.name: part.part for part in section.parts}
-        names = [name for name, _ in mesh.parts]
-        for name in part_of.keys() - set(names):
-            raise GeometryError(f"{self.path}: parts", f"found {name!r}", f"one of {', '.join(names)}")
-        parts = [PlantPart[part_of.get(name, "stem").upper()] for name in names]
-        stems = [i for i, part in enumerate(parts) if part in STEM_PARTS]
-        if not stems:
-            raise GeometryError(f"{self.path}: parts", "no stem", "a part of the file that is the stem")
-        placed = [part.vertices_m.astype(np.float64) + mesh.centre_m for _, part in mesh.parts]
-        faces = [part.faces for _, part in mesh.parts]
-        low_m, high_m = (end([end(placed[i][:, 2]) for i in stems]) for end in (min, max))
+        sheds = species.foliage is not None and not species.foliage.is_borne(season)
+        pieces = _pieces_of(section)
+        stems = [piece for piece in pieces if piece.part in STEM_PARTS]
+        low_m = min(piece.vertices_m[:, 2].min() for piece in stems)
+        high_m = max(piece.vertices_m[:, 2].max() for piece in stems)
         ground_m = 0.0 if low_m <= 0.0 < high_m else low_m
-        self.height_m = float(max(vertices[:, 2].max() for vertices in placed)) - ground_m
-        self._stem = Cutter([placed[i] - [0.0, 0.0, ground_m] for i in stems], [faces[i] for i in stems])
+        self.height_m = float(max(piece.vertices_m[:, 2].max() for piece in pieces)) - ground_m
+        up_m = [piece.vertices_m - [0.0, 0.0, ground_m] for piece in stems]
+        self._stem = Cutter(up_m, [piece.faces for piece in stems])
         self._cuts = lru_cache(maxsize=_KEPT_CUTS)(self._stem.cut)
         foot_m = np.append(self._cut(_FOOT_SHARE * self.height_m).middle_m, ground_m)
         self._stem.vertices_m[:, :2] -= foot_m[:2]
         self._cuts.cache_clear()
         self._cut(BREAST_HEIGHT_M)
         self._profile_m = self._circles(low_m - ground_m, high_m - ground_m)
-        sheds = species.foliage is not None and not species.foliage.is_borne(season)
-        volumes_m3 = [
-            abs(volume_m3(_used_vertices(v - foot_m, f))) for v, f in zip(placed, faces, strict=True)
-        ]
-        self._stem_m3 = sum(volumes_m3[i] for i in stems)
-        self._wood_m3 = sum(v for v, part in zip(volumes_m3, parts, strict=True) if part != PlantPart.LEAF)
+        volumes_m3 = [abs(volume_m3(_used_vertices(each.vertices_m - foot_m, each.faces))) for each in pieces]
+        by_part = list(zip(pieces, volumes_m3, strict=True))
+        self._stem_m3 = sum(volume for piece, volume in by_part if piece.part in STEM_PARTS)
+        self._wood_m3 = sum(volume for piece, volume in by_part if piece.part != PlantPart.LEAF)
         rows = list[tuple[int, int, Mesh]]()
-        for part, vertices, own_faces in zip(parts, placed, faces, strict=True):
-            left = own_faces[:0] if sheds and part == PlantPart.LEAF else own_faces
-            rows += self._meshes(part, vertices - foot_m, left)
+        for piece in pieces:
+            left = piece.faces[:0] if sheds and piece.part == PlantPart.LEAF else piece.faces
+            rows += self._meshes(piece.part, piece.vertices_m - foot_m, left)
         self.parts, self.far_parts, self.meshes = zip(*rows, strict=True)
         """Parts of each mesh, for labels of points and for the far medium; branches of a stem part are a
         separate mesh."""
