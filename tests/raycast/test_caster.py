@@ -59,9 +59,9 @@ def test_what_fails_on_a_worker_is_raised_there(workers, monkeypatch):
     _, shape = lab.upright((10.0, -1.0, 1.0, -1.0, 1.0))
     monkeypatch.setattr(embree, "BUFFER_INDEX", 99)
     with pytest.raises(RunError, match=r"^Embree could not build a shape: invalid argument$"):
-        workers.submit(EmbreeMesh(shape_of(shape("all"))).scene, 0).result()
+        workers.submit(EmbreeMesh(shape_of(shape("all"))).build, [0]).result()
     monkeypatch.undo()
-    workers.submit(EmbreeMesh(shape_of(shape("all"))).scene, 0).result()
+    workers.submit(EmbreeMesh(shape_of(shape("all"))).build, [0]).result()
 
 
 def test_a_window_that_fails_leaves_nothing_behind(workers, monkeypatch):

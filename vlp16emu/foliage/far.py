@@ -203,7 +203,7 @@ class FarCaster(EmbreeCaster):
         begun = self._start_shapes(part)  # runs while the medium is put together
         medium = self.medium(window, tiles)
         near = self._instances(part, begun)
-        return FarGeometry(near, window.track_m, beyond if beyond.meshes else None, medium)
+        return FarGeometry(near, window.track_m, beyond if len(beyond.placement) else None, medium)
 
     def _is_near(self, window: TiledWindow) -> NDArray[np.bool_]:
         """Return a mask of the placements of `window.far` that light may meet before the medium."""

@@ -3,8 +3,7 @@
 import math
 import threading
 import weakref
-from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from typing import NamedTuple
 
@@ -61,24 +60,21 @@ class EmbreeMesh:
         for mesh, (vertices_m, triangles) in enumerate(self.faces):
             self.buffers[:, mesh, 0] = vertices_m.ctypes.data
             self.buffers[:, mesh, 1] = triangles.ctypes.data + triangles.strides[0] * self._begin[:-1, mesh]
-        self._scenes = dict[int, int]()
+        self.scenes = np.zeros(len(self.boxes_m), np.uint64)
+        """Addresses (pieces,) of the scenes that are built; 0 for the others."""
         self._building = threading.Lock()
 
-    def scene(self, piece: int) -> int:
-        """Return the address of the scene of a piece; build it at the first call.
+    def build(self, pieces: Iterable[int]) -> None:
+        """Build the scenes of pieces that have none yet.
 
         Raises RunError if Embree fails.
         """
         with self._building:
-            if piece not in self._scenes:
-                scene = self._build(self._begin[piece], self._begin[piece + 1])
-                rtc.check("build a shape")
-                self._scenes[piece] = scene
-            return self._scenes[piece]
-
-    def has(self, pieces: set[int]) -> bool:
-        """Return whether the scenes of all these pieces are built."""
-        return pieces <= self._scenes.keys()
+            for piece in pieces:
+                if not self.scenes[piece]:
+                    scene = self._build(self._begin[piece], self._begin[piece + 1])
+                    rtc.check("build a shape")
+                    self.scenes[piece] = scene
 
     def _build(self, begin: I8, stop: I8) -> int:
         lib = rtc.library()
@@ -206,7 +202,8 @@ class Instances:
 
     Parameters
     ----------
-    window, meshes : window, and a mesh for each placement
+    window : window
+    meshes : mesh of each of its shapes
     workers : threads that build pieces in parallel
 
     Raises RunError if a window lasts too long for Embree.
@@ -216,47 +213,38 @@ class Instances:
         self.window = window
         self.meshes = meshes
         self._workers = workers
-        counts = np.array([len(mesh.boxes_m) for mesh in meshes], np.int64)
-        self.placement = np.repeat(np.arange(len(meshes)), counts)  # (n,) placement of each piece
-        self.boxes_m = np.concatenate([np.zeros((0, 2, 3)), *(mesh.boxes_m for mesh in meshes)])
+        of_shape = np.array([len(mesh.boxes_m) for mesh in meshes], np.int64)
+        counts = of_shape[window.shape]
+        self.placement = np.repeat(np.arange(len(counts)), counts)  # (n,) placement of each piece
+        in_shape = np.arange(len(self.placement)) - np.repeat(np.cumsum(counts) - counts, counts)
+        shape = window.shape[self.placement]
+        self._first = np.cumsum(of_shape) - of_shape
+        self._slot = self._first[shape] + in_shape
+        """Place (n,) of each piece among the pieces of all shapes, of which each shape begins at `_first`."""
+        self.boxes_m = np.concatenate([np.zeros((0, 2, 3)), *(mesh.boxes_m for mesh in meshes)])[self._slot]
         """Boxes (n, 2, 3) of pieces, in coordinates of the shape."""
         self.motion = motion_of(window, self.placement, self.boxes_m)
-        self.buffers, self.row = _buffers(meshes, counts)
-        """Buffers (b, 2) as in `EmbreeMesh`, and the first row (n,) of each piece."""
-        self._piece = np.arange(len(self.placement)) - np.repeat(np.cumsum(counts) - counts, counts)
-        """Number (n,) of each piece in its mesh."""
+        tables = [mesh.buffers.reshape(-1, 2) for mesh in meshes]
+        self.buffers = np.concatenate([np.zeros((0, 2), np.uint64), *tables])  # (b, 2) as in `EmbreeMesh`
+        rows = np.array([len(table) for table in tables], np.int64)
+        each = np.array([mesh.buffers.shape[1] for mesh in meshes], np.int64)
+        self.row = (np.cumsum(rows) - rows)[shape] + in_shape * each[shape]
+        """First row (n,) of each piece in `buffers`."""
 
     def scene(self, kept: NDArray[np.bool_]) -> int:
         """Build the scene of selected pieces (n,) and return its address, valid for the life of this object.
 
         Raises RunError if Embree fails.
         """
-        wanted = defaultdict[EmbreeMesh, set[int]](set)
         numbers = np.flatnonzero(kept)
-        placed = self.placement[numbers].tolist()
-        meshes = [self.meshes[at] for at in placed]
-        pieces = self._piece[numbers].tolist()
-        for mesh, piece in zip(meshes, pieces, strict=True):
-            wanted[mesh].add(piece)
-        new = [mesh for mesh, of_mesh in wanted.items() if not mesh.has(of_mesh)]
-        list(self._workers.map(lambda mesh: [mesh.scene(piece) for piece in sorted(wanted[mesh])], new))
-        lib = rtc.library()
-        device = rtc.device()
+        slots = self._slot[numbers]
+        self._build(np.unique(slots))
+        scenes = np.concatenate([np.zeros(0, np.uint64), *(mesh.scenes for mesh in self.meshes)])[slots]
         scene, release = _new_scene(self)
-        transforms = relative_to_window(self.window).astype(np.float32)
-        moving = self._moving(kept)
-        first = transforms.ctypes.data
-        for number, at, mesh, piece in zip(numbers.tolist(), placed, meshes, pieces, strict=True):
-            geometry = lib.rtcNewGeometry(device, rtc.GEOMETRY_INSTANCE)
-            lib.rtcSetGeometryInstancedScene(geometry, mesh.scene(piece))
-            if number in moving:
-                _set_steps(geometry, moving[number])
-            else:
-                lib.rtcSetGeometryTransform(geometry, 0, rtc.FORMAT_FLOAT3X4_ROW_MAJOR, first + at * 48)
-            lib.rtcCommitGeometry(geometry)
-            lib.rtcAttachGeometryByID(scene, geometry, number)
-            lib.rtcReleaseGeometry(geometry)
-        lib.rtcCommitScene(scene)
+        transforms = relative_to_window(self.window)[self.placement[numbers]]
+        moves, steps = self._moving(numbers, transforms)
+        _attach(scene, rtc.device(), numbers, scenes, transforms.astype(np.float32), moves, steps)
+        rtc.library().rtcCommitScene(scene)
         try:
             rtc.check("build the window")
         except RunError:
@@ -264,42 +252,74 @@ class Instances:
             raise
         return scene
 
-    def _moving(self, kept: NDArray[np.bool_]) -> dict[int, F4]:
-        """Return window_T_shape (k, 3, 4) at all knots of each selected piece that moves."""
+    def _build(self, slots: I8) -> None:
+        """Build the scenes of pieces in these slots, in ascending order."""
+        mesh_of = np.searchsorted(self._first, slots, side="right") - 1
+        of_mesh = np.split(slots, np.flatnonzero(np.diff(mesh_of)) + 1) if len(slots) else []
+        wanted = [
+            (self.meshes[mesh], (own - self._first[mesh]).tolist())
+            for mesh, own in zip(np.unique(mesh_of).tolist(), of_mesh, strict=True)
+        ]
+        new = [(mesh, pieces) for mesh, pieces in wanted if not mesh.scenes[pieces].all()]
+        list(self._workers.map(lambda each: each[0].build(each[1]), new))
+
+    def _moving(self, numbers: I8, still: F8) -> tuple[I8, F4]:
+        """Return the steps of those pieces (m,) that move, with `window_T_shape` (m, 3, 4) at rest.
+
+        Returns
+        -------
+        the row (m,) of each piece among those that move, -1 if it does not; and `window_T_shape` (r, k, 3, 4)
+        at all knots
+        """
         motion = self.motion
-        numbers = np.flatnonzero(kept & (motion.shear != 0.0).any(axis=(0, 2)))
-        if not len(numbers):
-            return {}
-        still = relative_to_window(self.window)[self.placement[numbers]]
-        shear = motion.shear[:, numbers].astype(np.float64)
-        moved = shear_placements(still, motion.foot_m[numbers], shear)
-        by_piece = np.ascontiguousarray(moved.swapaxes(0, 1), np.float32)
-        return dict(zip(numbers.tolist(), by_piece, strict=True))
-
-
-def _buffers(meshes: Sequence[EmbreeMesh], counts: I8) -> tuple[U8, I8]:
-    """Concatenate buffers of the distinct meshes; return them and the first row of each piece."""
-    first = dict[int, int]()
-    tables = [np.zeros((0, 2), np.uint64)]
-    stop = 0
-    for mesh in meshes:
-        if id(mesh) not in first:
-            first[id(mesh)] = stop
-            tables.append(mesh.buffers.reshape(-1, 2))
-            stop += len(tables[-1])
-    begin = np.array([first[id(mesh)] for mesh in meshes], np.int64)
-    meshes_each = np.array([mesh.buffers.shape[1] for mesh in meshes], np.int64)
-    piece = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-    return np.concatenate(tables), np.repeat(begin, counts) + piece * np.repeat(meshes_each, counts)
+        moves = (motion.shear[:, numbers] != 0.0).any(axis=(0, 2))
+        row = np.where(moves, np.cumsum(moves) - 1, -1)
+        moved = numbers[moves]
+        if not len(moved):
+            return row, np.empty((0, 0, 3, 4), np.float32)
+        shear = motion.shear[:, moved].astype(np.float64)
+        steps = shear_placements(still[moves], motion.foot_m[moved], shear)
+        return row, np.ascontiguousarray(steps.swapaxes(0, 1), np.float32)
 
 
 _MOST_KNOTS = 129  # RTC_MAX_TIME_STEP_COUNT (Embree 4, rtcore_common.h)
 
 rtc.library()  # kernels of this and the casting modules link with it
+_new_geometry = types.ExternalFunction("rtcNewGeometry", types.uintp(types.uintp, types.int32))
+_set_scene = types.ExternalFunction("rtcSetGeometryInstancedScene", types.void(types.uintp, types.uintp))
 _set_count = types.ExternalFunction("rtcSetGeometryTimeStepCount", types.void(types.uintp, types.uint32))
 _set_transform = types.ExternalFunction(
     "rtcSetGeometryTransform", types.void(types.uintp, types.uint32, types.int32, types.uintp)
 )
+_commit = types.ExternalFunction("rtcCommitGeometry", types.void(types.uintp))
+_attach_as = types.ExternalFunction(
+    "rtcAttachGeometryByID", types.void(types.uintp, types.uintp, types.uint32)
+)
+_release = types.ExternalFunction("rtcReleaseGeometry", types.void(types.uintp))
+
+
+@array_kernel
+def _attach(scene: int, device: int, numbers: I8, scenes: U8, transforms: F4, moves: I8, steps: F4) -> None:
+    """Attach instances (m,) of scenes to a scene, each with its number.
+
+    Parameters
+    ----------
+    transforms : window_T_shape (m, 3, 4) of those at rest
+    moves, steps : as `Instances._moving` returns them
+    """
+    for i in range(len(numbers)):
+        geometry = _new_geometry(device, rtc.GEOMETRY_INSTANCE)
+        _set_scene(geometry, scenes[i])
+        if moves[i] < 0:
+            _set_transform(geometry, 0, rtc.FORMAT_FLOAT3X4_ROW_MAJOR, transforms[i].ctypes.data)
+        else:
+            knots = steps[moves[i]]
+            _set_count(geometry, len(knots))
+            for knot in range(len(knots)):
+                _set_transform(geometry, knot, rtc.FORMAT_FLOAT3X4_ROW_MAJOR, knots[knot].ctypes.data)
+        _commit(geometry)
+        _attach_as(scene, geometry, numbers[i])
+        _release(geometry)
 
 
 class InstanceMotion(NamedTuple):
@@ -352,13 +372,6 @@ def motion_of(window: Window, placement: I8, boxes_m: F8) -> InstanceMotion:
     over_m = np.divide(low_share, slope, out=np.zeros(len(row)), where=slope > 0)
     foot_m[moves] = low_m - over_m - window.origin_m[2]
     return InstanceMotion(sway.start_ns, sway.step_ns * (knots - 1), shear, foot_m)
-
-
-@array_kernel
-def _set_steps(geometry: int, transforms: F4) -> None:
-    _set_count(geometry, len(transforms))
-    for knot in range(len(transforms)):
-        _set_transform(geometry, knot, rtc.FORMAT_FLOAT3X4_ROW_MAJOR, transforms[knot].ctypes.data)
 
 
 @inline_kernel

@@ -215,8 +215,7 @@ class EmbreeCaster:
         return meshes
 
     def _instances(self, window: Window, started: Sequence[EmbreeMesh | Future[EmbreeMesh]]) -> Instances:
-        meshes = self._await_shapes(window, started)
-        return Instances(window, [meshes[shape] for shape in window.shape.tolist()], self._workers)
+        return Instances(window, self._await_shapes(window, started), self._workers)
 
     def _build_shape(self, key: ShapeKey, bends: bool) -> EmbreeMesh:
         name = self._world.shape_name(key)
