@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from threading import Event
 
-from vlp16emu.captures.capture import Capture, CapturedUnit, Datagram, searched, table_of
+from vlp16emu.captures.capture import Capture
+from vlp16emu.captures.units import CapturedUnit, data_rows
 from vlp16emu.packets.arrival import ArrivalRecord
-from vlp16emu.packets.layout import DATA_BYTES
 from vlp16emu.packets.table import PacketClock, ages_ns
 from vlp16emu.types import SensorModel
 
@@ -28,38 +28,11 @@ def arrivals_of(
 
     Raises CaptureError if the file is not a capture; CancelledError once `stop` is set.
     """
-    found = [_Arrivals(model) for _ in units]
-    for unit, datagram in searched(Capture(path, is_quiet=True), units, stop):
-        if unit is not None and len(datagram.payload) == DATA_BYTES:
-            found[unit].take(datagram)
-    return [of.record for of in found]
-
-
-class _Arrivals:
-    """Record of one unit's arrivals, which takes packets one by one."""
-
-    def __init__(self, model: SensorModel | None) -> None:
-        self._record = ArrivalRecord()
-        self._clock = PacketClock(model=model)
-        self._ages_ns = ages_ns(model)
-        self._held = list[Datagram]()
-
-    def take(self, datagram: Datagram) -> None:
-        """Take the next data packet of the unit."""
-        self._held.append(datagram)
-        if len(self._held) == _TOGETHER:
-            self._note()
-
-    def _note(self) -> None:
-        """Add the held packets to the record."""
-        table = table_of(self._held, self._clock)
-        lasts_ns = self._ages_ns[table["factory"], table["return_mode"]]
-        self._record.take(table["number"], table["sensor_ns"] + lasts_ns, table["arrival_ns"])
-        self._held = []
-
-    @property
-    def record(self) -> ArrivalRecord:
-        """Record of all packets that were taken."""
-        if self._held:
-            self._note()
-        return self._record
+    records = [ArrivalRecord() for _ in units]
+    clocks = [PacketClock(model=model) for _ in units]
+    lasts_ns = ages_ns(model)
+    for unit, rows in data_rows(Capture(path, is_quiet=True), units, _TOGETHER, stop):
+        table = rows.table(clocks[unit])
+        last_ns = table["sensor_ns"] + lasts_ns[table["factory"], table["return_mode"]]
+        records[unit].take(table["number"], last_ns, table["arrival_ns"])
+    return records

@@ -8,22 +8,17 @@ import logging
 import re
 import struct
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import CancelledError
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager
-from functools import partial
 from io import BufferedReader, RawIOBase
-from ipaddress import ip_address
-from itertools import repeat
 from pathlib import Path
 from threading import Event
-from typing import BinaryIO, NamedTuple, Protocol
+from typing import BinaryIO, Protocol
 
-import numpy as np
-
+from vlp16emu.captures.datagrams import Datagram, Datagrams, PlainBatch
 from vlp16emu.captures.records import EXPECTED, PCAP, Damage, Frames, pcap_frames
 from vlp16emu.captures.repeats import Repeats
-from vlp16emu.captures.runs import Frame, PlainDatagrams, Run, plain_datagrams
+from vlp16emu.captures.runs import ETHERNET, IP_AT, UDP_AT, Frame, Run, plain_datagrams
 from vlp16emu.doors import Part
 from vlp16emu.errors import CaptureError
 from vlp16emu.inputs import open_input
@@ -33,29 +28,19 @@ from vlp16emu.packets.layout import (
     BLOCK_FLAGS,
     BLOCKS_PER_PACKET,
     DATA_BYTES,
-    DATA_PAYLOAD,
     RETURN_MODE_BYTE,
 )
-from vlp16emu.packets.table import PacketClock, PacketTable, captured_table
 
 _log = logging.getLogger(__name__)
 _ENDING = re.compile(r"\.((pcap|pcapng|cap)\d*(\.(gz|bz2|xz|zst))?|bag(\.active)?|mcap|db3)$", re.IGNORECASE)
 
-_ETHERNET = 1
-_MAC_AT = {_ETHERNET: 6, 113: 6, 276: 12}
-"""Offset of the sender's address by link type: Ethernet, Linux cooked (SLL, SLL2). Source:
-www.tcpdump.org/linktypes.html."""
-_IP_AT = 14
-_UDP_AT = 34
-_UDP_START = struct.Struct(">3H")
-"""Offsets of both headers in a plain frame; source port, destination port and length of UDP (RFC 768)."""
+_UDP_START = struct.Struct(">3H")  # source port, destination port and length of UDP (RFC 768)
 _UNFRAGMENTED = b"\x40\0", b"\0\0"
 _TUNNELS = (4789).to_bytes(2), (6081).to_bytes(2)  # UDP ports of VXLAN and Geneve (RFC 7348, RFC 8926)
 _FLAG = BLOCK_FLAG.to_bytes(2, "little")
 _FLAGS = {flag.to_bytes(2, "little") for flag in (0, *BLOCK_FLAGS)}  # 0 of blocks that hold nothing
 _BAG_FILES = (".db3", ".mcap")  # of a folder of ROS 2, in order of their numbers
 _OTHERS = 32  # frames from one that is not plain on that are read one by one
-_MOST_HEADERS = 1024  # whose senders are remembered
 _OFTEN = 1000  # frames from one call for the progress to the next
 _MOST_DAMAGE = 100  # damaged parts that are reported
 _MOST_WARNINGS = 3  # of damaged parts
@@ -75,49 +60,6 @@ class UdpFinder(Protocol):
 
 UNWRAPPER = Part[Callable[[], UdpFinder]]("vlp16emu.extras.captures.links:Unwrapper")
 FRAMES = Part[Callable[[Path, BinaryIO], Frames]]("vlp16emu.extras.captures.containers:frames")
-
-
-class Datagram(NamedTuple):
-    """A captured UDP datagram; fragments are reassembled."""
-
-    number: int
-    """Frame number (of the last fragment), from 1, as in Wireshark; it counts on over the files of one
-    capture."""
-    stamp_ns: int  # UTC
-    captured_bytes: int  # Length of the frame in the file
-    wire_bytes: int  # Length of the frame on the wire
-    ip_offset: int  # Offset of the IP header in `header`; 14 on Ethernet without VLAN tag
-    source_port: int
-    destination_port: int
-    header: bytes  # Headers of link, IP and UDP
-    payload: bytes  # Payload as long as the UDP header says, or shorter if the frame was captured in part
-    link_type: int  # LINKTYPE_ value of tcpdump.org; 1 is Ethernet
-
-    @property
-    def source(self) -> bytes:
-        """IP address of the sender, 4 bytes, or 16 of IPv6."""
-        header = self.header
-        at = self.ip_offset
-        return header[at + 12 : at + 16] if header[at] >> 4 == 4 else header[at + 8 : at + 24]
-
-    @property
-    def mac(self) -> bytes:
-        """Address of the sender on the link, 6 bytes; empty if the capture has none."""
-        at = _MAC_AT.get(self.link_type)
-        return b"" if at is None else self.header[at : at + 6]
-
-    @property
-    def ip(self) -> bytes:
-        """IP header with its options or extensions."""
-        return self.header[self.ip_offset : -8]
-
-    @property
-    def identification(self) -> int:
-        """Identification field of the IPv4 header."""
-        return int.from_bytes(self.ip[4:6])
-
-
-_new_datagram = partial(tuple.__new__, Datagram)  # `Datagram._make` without its check of the length
 
 
 def is_capture_name(name: str | Path) -> bool:
@@ -176,6 +118,11 @@ class Capture:
         self._next_shown = 0
 
     def __iter__(self) -> Iterator[Datagram]:
+        for part in self.parts():
+            yield from part.datagrams() if isinstance(part, PlainBatch) else part
+
+    def parts(self) -> Iterator[Datagrams]:
+        """Yield the datagrams in parts, those of plain frames in columns."""
         shown = self._files if self._progress else ()
         sizes = [path.stat().st_size if path.is_file() else 0 for path in shown]
         for number, path in enumerate(self._files):
@@ -187,7 +134,7 @@ class Capture:
                     if isinstance(frame, Damage):
                         self._note_damage(path, frame)
                         continue
-                    yield from self._of_run(frame) if isinstance(frame, Run) else self._of_frame(frame)
+                    yield from self._of_run(frame) if isinstance(frame, Run) else (self._of_frame(frame),)
                     if self._progress and self.frames >= self._next_shown and sizes[number]:
                         self._next_shown = self.frames + _OFTEN
                         self._progress((sum(sizes[:number]) + file.raw.tell()) / sum(sizes))
@@ -215,42 +162,44 @@ class Capture:
         if len(self.damage) < _MOST_DAMAGE:
             self.damage.append(f"{path}: {found}" if len(self._files) > 1 else found)
 
-    def _of_frame(self, frame: Frame) -> Iterator[Datagram]:
-        """Yield the datagrams that a frame completes."""
+    def _of_frame(self, frame: Frame) -> list[Datagram]:
+        """Return the datagrams that a frame completes."""
         self.frames += 1
         found = self._datagram(frame)
-        if found is not None:
-            yield from self._new(_parts(found) if len(found.payload) > DATA_BYTES else (found,))
+        if found is None:
+            return []
+        return self._new(_parts(found) if len(found.payload) > DATA_BYTES else (found,))
 
-    def _of_run(self, run: Run) -> Iterator[Datagram]:
+    def _of_run(self, run: Run) -> Iterator[Datagrams]:
         """Yield the datagrams of a run of frames."""
         while frames := len(run.begin):
-            plain = plain_datagrams(run)
-            count = len(plain.end)
+            columns = plain_datagrams(run)
+            count = len(columns.end)
             if count:
-                datagrams = _datagrams(run.part(0, count), plain, self.frames)
+                batch = PlainBatch(run.part(0, count), columns, self.frames + 1)
                 self.frames += count
-                self._cut_short += int(plain.is_cut_short.sum())
-                is_new = self._keeps_repeats or self._repeats.take_new(datagrams, plain.key)
-                yield from datagrams if is_new else self._new(datagrams)
+                self._cut_short += int(columns.is_cut_short.sum())
+                is_new = self._keeps_repeats or self._repeats.take_new(batch)
+                yield batch if is_new else self._new(batch.datagrams())
             end = min(count + _OTHERS, frames)
             for place in range(count, end):
-                yield from self._of_frame(run.frame(place))
+                yield self._of_frame(run.frame(place))
             run = run.part(end, frames)
 
-    def _new(self, datagrams: Iterable[Datagram]) -> Iterator[Datagram]:
-        """Yield datagrams without repeats, which are counted."""
-        for datagram in datagrams:
-            if self._keeps_repeats or not self._repeats.take(datagram):
-                yield datagram
-            else:
-                self.repeated += 1
+    def _new(self, datagrams: Iterable[Datagram]) -> list[Datagram]:
+        """Return datagrams without repeats, which are counted."""
+        if self._keeps_repeats:
+            return list(datagrams)
+        every = list(datagrams)
+        new = [datagram for datagram in every if not self._repeats.take(datagram)]
+        self.repeated += len(every) - len(new)
+        return new
 
     def _datagram(self, frame: Frame) -> Datagram | None:
         """Parse one frame; None if it completes no UDP datagram."""
         _, link_type, wire_bytes, content, is_suspect = frame
-        at = _IP_AT
-        body = _UDP_AT
+        at = IP_AT
+        body = UDP_AT
         if not _is_plain(link_type, content):
             if self._unwrapper is None and UNWRAPPER.is_installed:
                 self._unwrapper = UNWRAPPER.load()()
@@ -272,28 +221,13 @@ class Capture:
         return Datagram(self.frames, frame.stamp_ns, *lengths, at, *ports, *parts, link_type)
 
 
-def _datagrams(run: Run, plain: PlainDatagrams, frames: int) -> list[Datagram]:
-    """Return the datagrams in plain frames that come after `frames` others."""
-    count = len(run.begin)
-    begin = run.begin.tolist()
-    payload = (run.begin + _UDP_AT + 8).tolist()
-    columns = (
-        *(range(frames + 1, frames + count + 1), run.stamp_ns.tolist()),
-        *(run.length.tolist(), run.wire_bytes.tolist(), repeat(_IP_AT, count)),
-        *(plain.source_port.tolist(), plain.destination_port.tolist()),
-        *(run.cut(begin, payload), run.cut(payload, plain.end.tolist())),
-        repeat(run.link_type, count),
-    )
-    return list(map(_new_datagram, zip(*columns, strict=True)))
-
-
 def _is_plain(link_type: int, frame: bytes) -> bool:
     """Return whether a frame is complete UDP over IPv4, as nearly all are.
 
     It has no IP options, VLAN tags or tunnel.
     """
     return (
-        link_type == _ETHERNET
+        link_type == ETHERNET
         and frame[12:15] == b"\x08\x00\x45"
         and frame[23:24] == b"\x11"
         and frame[20:22] in _UNFRAGMENTED
@@ -351,60 +285,3 @@ def _first_ns(path: Path) -> int:
     with _opened(path, takes_pipes=False) as file:
         first = next(_frames(path, file), None)
     return first.stamp_ns if isinstance(first, Frame) else 0
-
-
-class CapturedUnit(NamedTuple):
-    """A sensor, identified by its address and data port.
-
-    If two sensors share these, the MAC address identifies them too.
-    """
-
-    source: bytes  # IP address, 4 bytes, or 16 of IPv6
-    data_port: int
-    position_ports: tuple[int, ...]  # Ports of its position packets; none if none were captured
-    mac: bytes = b""  # 6 bytes; empty if address and port are enough
-
-    def __str__(self) -> str:
-        return f"{ip_address(self.source)}:{self.data_port}{'@' + self.mac.hex(':') if self.mac else ''}"
-
-    def owns(self, datagram: Datagram) -> bool:
-        """Return whether this unit has sent a datagram."""
-        port = datagram.destination_port
-        is_ours = datagram.source == self.source and (port == self.data_port or port in self.position_ports)
-        return is_ours and (not self.mac or datagram.mac == self.mac)
-
-
-def by_unit(
-    datagrams: Iterable[Datagram], units: Sequence[CapturedUnit | None]
-) -> Iterator[tuple[int | None, Datagram]]:
-    """Yield each datagram with the index of the unit that has sent it, None for others.
-
-    A unit None has sent all.
-    """
-    indices = dict[tuple[int, int, bytes], int | None]()
-    for datagram in datagrams:
-        # Data packets of a sensor have one header.
-        sender = datagram.link_type, datagram.ip_offset, datagram.header
-        if sender not in indices:
-            owners = (i for i, unit in enumerate(units) if unit is None or unit.owns(datagram))
-            if len(indices) == _MOST_HEADERS:
-                indices.clear()
-            indices[sender] = next(owners, None)
-        yield indices[sender], datagram
-
-
-def searched(
-    capture: Capture, units: Sequence[CapturedUnit | None], stop: Event | None
-) -> Iterator[tuple[int | None, Datagram]]:
-    """Yield datagrams as `by_unit` before anything is written; CancelledError once `stop` is set."""
-    for found in by_unit(capture, units):
-        if stop is not None and stop.is_set():
-            raise CancelledError
-        yield found
-
-
-def table_of(datagrams: Sequence[Datagram], clock: PacketClock) -> PacketTable:
-    """Return the table of one or more data packets that follow those which `clock` has converted."""
-    number, arrival_ns = np.array([(each.number, each.stamp_ns) for each in datagrams], np.int64).T
-    payloads = np.frombuffer(b"".join([each.payload for each in datagrams]), DATA_PAYLOAD)
-    return captured_table(number, arrival_ns, payloads, clock)

@@ -6,7 +6,9 @@ from threading import Event
 from typing import NamedTuple
 
 from vlp16emu.captures.arrivals import arrivals_of
-from vlp16emu.captures.capture import Capture, CapturedUnit, Datagram, searched, table_of
+from vlp16emu.captures.capture import Capture
+from vlp16emu.captures.datagrams import Datagram, table_of
+from vlp16emu.captures.units import CapturedUnit, searched
 from vlp16emu.errors import InputError, PacketError
 from vlp16emu.packets.arrival import ArrivalRecord
 from vlp16emu.packets.decode import decode_position

@@ -9,8 +9,10 @@ from threading import Event
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.captures.capture import Capture, CapturedUnit, Datagram, by_unit, table_of
+from vlp16emu.captures.capture import Capture
+from vlp16emu.captures.datagrams import Datagram, PacketBuffer, PacketRows, PlainBatch
 from vlp16emu.captures.tally import Duration, ModeTurns, Scans
+from vlp16emu.captures.units import CapturedUnit, owner_of, owners_in
 from vlp16emu.errors import CaptureError, PacketError
 from vlp16emu.packets import layout
 from vlp16emu.packets.decode import (
@@ -118,9 +120,9 @@ class CaptureReader:
         from a VLP-16.
         """
         for held in self._chunks():
-            table = table_of(held, self.clock)
+            table = held.table(self.clock)
             faults = faults_in(table, self._factory, self._model)
-            sound = np.ones(len(held), np.bool_)
+            sound = np.ones(len(table), np.bool_)
             sound[[fault.packet for fault in faults]] = False
             if faults and not self._passes_over:
                 sound[faults[0].packet :] = False
@@ -131,7 +133,7 @@ class CaptureReader:
             # If all packets are faulty the capture is not from this sensor: skipping them would give an empty
             # result.
             if faults and not (self._passes_over and self._packets):
-                where = f"{self._path}: frame {held[faults[0].packet].number}: {faults[0].what}"
+                where = f"{self._path}: frame {held.number[faults[0].packet]}: {faults[0].what}"
                 raise PacketError(where, *faults[0][2:])
         if not self._packets:
             raise self._capture.no_data()
@@ -185,27 +187,50 @@ class CaptureReader:
             repeats=self._capture.repeated,
         )
 
-    def _chunks(self) -> Iterator[list[Datagram]]:
+    def _chunks(self) -> Iterator[PacketRows]:
         """Collect data packets into chunks; packets before an error are yielded before it is raised."""
-        held: list[Datagram] = []
+        buffer = PacketBuffer(_CHUNK)
         try:
-            for unit, datagram in by_unit(self._capture, [self._unit]):
-                if unit is None:
-                    continue
-                if len(datagram.payload) != layout.DATA_BYTES:
-                    self._note_other(datagram)
-                    continue
-                self.first_stamp_ns = self.first_stamp_ns or datagram.stamp_ns
-                held.append(datagram)
-                if len(held) == _CHUNK:
-                    yield held
-                    held = []
+            for part in self._capture.parts():
+                if isinstance(part, PlainBatch):
+                    self._take_batch(part, buffer)
+                else:
+                    for datagram in part:
+                        self._take(datagram, buffer)
+                yield from buffer.chunks()
         except (CaptureError, PacketError):
-            if held:
-                yield held
+            yield from buffer.rest()
             raise
-        if held:
-            yield held
+        yield from buffer.rest()
+
+    def _take(self, datagram: Datagram, buffer: PacketBuffer) -> None:
+        """Take a datagram: a data packet of the unit into the buffer, and note others."""
+        if owner_of(datagram, [self._unit]) is None:
+            return
+        if len(datagram.payload) == layout.DATA_BYTES:
+            self.first_stamp_ns = self.first_stamp_ns or datagram.stamp_ns
+            buffer.take(datagram)
+        else:
+            self._note_other(datagram.number, datagram.payload)
+
+    def _take_batch(self, batch: PlainBatch, buffer: PacketBuffer) -> None:
+        """Take a batch, as `_take` does."""
+        is_own = owners_in(batch, [self._unit]) == 0
+        is_data = batch.payload_bytes == layout.DATA_BYTES
+        rows = np.flatnonzero(is_own & is_data)
+        fault: PacketError | None = None
+        for row in np.flatnonzero(is_own & ~is_data).tolist():
+            try:
+                self._note_other(batch.first + row, batch.payload(row))
+            except PacketError as error:
+                fault = error
+                rows = rows[rows < row]
+                break
+        if len(rows):
+            self.first_stamp_ns = self.first_stamp_ns or int(batch.run.stamp_ns[rows[0]])
+            buffer.take_rows(PacketRows.of_batch(batch, rows))
+        if fault is not None:
+            raise fault
 
     def _count(self, table: PacketTable) -> None:
         """Note what the summary needs."""
@@ -229,17 +254,17 @@ class CaptureReader:
         self._packets += len(table)
         self._factory = int(table["factory"][0])
 
-    def _note_other(self, datagram: Datagram) -> None:
-        if len(datagram.payload) != layout.POSITION_BYTES:
+    def _note_other(self, number: int, payload: bytes) -> None:
+        if len(payload) != layout.POSITION_BYTES:
             self._others += 1
             return
         self._positions += 1
         try:
-            self._gps = decode_position(datagram.payload)
+            self._gps = decode_position(payload)
         except PacketError as error:
             if self._passes_over:
                 return
-            where = f"{self._path}: frame {datagram.number}: {error.where}"
+            where = f"{self._path}: frame {number}: {error.where}"
             raise PacketError(where, error.found, error.expected) from None
 
     def _ranges_m(self) -> dict[str, float]:

@@ -1,7 +1,6 @@
 """Repeated packets of a capture, found among the latest ones of all senders."""
 
 from collections import deque
-from collections.abc import Sequence
 from itertools import compress
 from typing import TYPE_CHECKING
 
@@ -12,7 +11,7 @@ from vlp16emu.packets.layout import BLOCK_FLAG, DATA_BYTES, POSITION_BYTES
 from vlp16emu.types import I8
 
 if TYPE_CHECKING:
-    from vlp16emu.captures.capture import Datagram
+    from vlp16emu.captures.datagrams import Datagram, PlainBatch
 
 _RECENT = 512
 """Packets among which a repeat is found: 0.7 s of one sensor. Bridges, bonds and `-i any` repeat within
@@ -29,28 +28,34 @@ class Repeats:
 
     def __init__(self) -> None:
         self._latest = deque["Datagram"](maxlen=_RECENT)
+        self._batches = deque["PlainBatch"]()
+        """Later packets than those: the latest batches, whose datagrams are not made yet."""
         # Each is made from the latest packets where it is None.
         self._known: set[_Identity] | None = None
         self._keys: I8 | None = None
 
-    def take_new(self, datagrams: Sequence["Datagram"], key: I8) -> bool:
-        """Take packets if their keys show that none is a repeat; return whether they were taken.
-
-        Parameters
-        ----------
-        key : (n,) as in `PlainDatagrams`
-        """
+    def take_new(self, batch: "PlainBatch") -> bool:
+        """Take packets if their keys show that none is a repeat; return whether they were taken."""
         if self._keys is None:
             self._keys = np.array([_key_of(datagram) for datagram in self._latest], np.int64)
-        is_packet = key != 0
-        keys = np.concatenate([self._keys, key[is_packet]])
+        key = batch.columns.key
+        keys = np.concatenate([self._keys, key[key != 0]])
         ordered = np.sort(keys)
         if (ordered[1:] == ordered[:-1]).any():
             return False
         self._keys = keys[-_RECENT:]
-        self._latest.extend(datagrams if is_packet.all() else compress(datagrams, is_packet.tolist()))
+        self._batches.append(batch)
+        later = sum(np.count_nonzero(each.columns.key) for each in self._batches)
+        while later - np.count_nonzero(self._batches[0].columns.key) >= _RECENT:
+            later -= np.count_nonzero(self._batches.popleft().columns.key)
         self._known = None
         return True
+
+    def _make_latest(self) -> None:
+        """Make the datagrams of the batches."""
+        for batch in self._batches:
+            self._latest.extend(compress(batch.datagrams(), batch.columns.key.tolist()))
+        self._batches.clear()
 
     def take(self, datagram: "Datagram") -> bool:
         """Take a packet, and return whether it is a repeat; what is no packet of a sensor is none."""
@@ -59,6 +64,7 @@ class Repeats:
         if not is_data and len(payload) != POSITION_BYTES:
             return False
         if self._known is None:
+            self._make_latest()
             self._known = {_identity(each) for each in self._latest}
         identity = _identity(datagram)
         if identity in self._known:

@@ -17,9 +17,11 @@ _MOST_RECORDS = 4096  # in a run
 _FLAG_LOW = BLOCK_FLAG & 0xFF
 _FLAG_HIGH = BLOCK_FLAG >> 8
 ETHERNET = 1  # link type. Source: www.tcpdump.org/linktypes.html
-_IP_AT = 14
-_UDP_AT = 34
-_PAYLOAD_AT = 42
+IP_AT = 14
+SOURCE_AT = 26
+UDP_AT = 34
+PAYLOAD_AT = 42
+"""Offsets in a plain frame of IP header, sender's address, UDP header and payload."""
 _IPV4_WITHOUT_OPTIONS = 0x080045  # type of Ethernet, version and length of the header (RFC 791)
 _UDP_NUMBER = 17
 _DONT_FRAGMENT = 0x4000
@@ -247,23 +249,23 @@ def _plain_frames(content: U1, begin: I8, length: I8, wire_bytes: I8, columns: I
     """Write the columns of `PlainDatagrams` (5, n) up to the first other frame; return their number."""
     for i in range(len(begin)):
         at = begin[i]
-        if length[i] < _PAYLOAD_AT:
+        if length[i] < PAYLOAD_AT:
             return i
-        ethernet = (_u2(content, at + 12) << 8) | np.int64(content[at + _IP_AT])
+        ethernet = (_u2(content, at + 12) << 8) | np.int64(content[at + IP_AT])
         flags = _u2(content, at + 20)
         if ethernet != _IPV4_WITHOUT_OPTIONS or content[at + 23] != _UDP_NUMBER:
             return i
-        port = _u2(content, at + _UDP_AT + 2)
+        port = _u2(content, at + UDP_AT + 2)
         if flags not in (0, _DONT_FRAGMENT) or port in (_VXLAN, _GENEVE):
             return i
-        udp_bytes = _u2(content, at + _UDP_AT + 4)
-        end = _UDP_AT + udp_bytes if udp_bytes else length[i]
-        payload_bytes = min(end, length[i]) - _PAYLOAD_AT
+        udp_bytes = _u2(content, at + UDP_AT + 4)
+        end = UDP_AT + udp_bytes if udp_bytes else length[i]
+        payload_bytes = min(end, length[i]) - PAYLOAD_AT
         if payload_bytes > DATA_BYTES:
             return i
-        columns[0, i] = _u2(content, at + _UDP_AT)
+        columns[0, i] = _u2(content, at + UDP_AT)
         columns[1, i] = port
-        columns[2, i] = at + max(min(end, length[i]), _PAYLOAD_AT)
+        columns[2, i] = at + max(min(end, length[i]), PAYLOAD_AT)
         columns[3, i] = 1 if end > length[i] and length[i] < wire_bytes[i] else 0
         columns[4, i] = _key(content, at, payload_bytes)
     return len(begin)
@@ -272,12 +274,12 @@ def _plain_frames(content: U1, begin: I8, length: I8, wire_bytes: I8, columns: I
 @inline_kernel
 def _key(content: U1, at: int | np.int64, payload_bytes: int | np.int64) -> np.int64:
     """Return the key of the packet in a plain frame, as in `PlainDatagrams`."""
-    payload = at + _PAYLOAD_AT
+    payload = at + PAYLOAD_AT
     if payload_bytes == POSITION_BYTES:
         stamp = payload + POSITION_STAMP_AT
     elif payload_bytes == DATA_BYTES and content[payload] == _FLAG_LOW and content[payload + 1] == _FLAG_HIGH:
         stamp = payload + DATA_STAMP_AT
     else:
         return np.int64(0)
-    address = _u4(content, at + 26, True)
+    address = _u4(content, at + SOURCE_AT, True)
     return (address << 20) ^ (_u2(content, at + 36) << 33) ^ _u4(content, stamp, False) | 1 << 62

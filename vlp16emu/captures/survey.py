@@ -1,49 +1,54 @@
 """One pass over a capture before it is read: its sensors."""
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import CancelledError
 from pathlib import Path
 from threading import Event
 
 import numpy as np
 
-from vlp16emu.captures.capture import Capture, CapturedUnit, Datagram, searched
+from vlp16emu.captures.capture import Capture
+from vlp16emu.captures.datagrams import Datagram, PacketRows, PlainBatch
+from vlp16emu.captures.units import CapturedUnit
 from vlp16emu.errors import InputError
 from vlp16emu.packets.layout import BLOCK_FLAG, DATA_BYTES, DATA_PAYLOAD, POSITION_BYTES, SPLIT_PRODUCTS
+from vlp16emu.types import I8
 
 _STRAY = 0.02
 """Smallest share of the data packets of the busiest unit that counts as a unit; fewer are an accident."""
 _NAMED = 16  # units listed in an error line; as many as a rig may have
 _TOGETHER = 1000  # datagrams of a sender that are noted at once
-_MOST_HEADERS = 1024  # whose senders are remembered
 
 
 class _Sender:
     """Datagrams as long as data packets, from one sender to one port."""
 
-    def __init__(self, datagram: Datagram) -> None:
-        self.first = datagram
-        self.last = datagram.number
+    def __init__(self, first: int) -> None:
+        self.first = first  # number of its first frame
+        self.last = first
         self.packets = 0  # datagrams that begin as Velodyne data packets do
         self._held = list[Datagram]()
 
     def take(self, datagram: Datagram) -> None:
-        """Take one more."""
+        """Take one more, to be noted later."""
         self._held.append(datagram)
         if len(self._held) == _TOGETHER:
-            self.note()
+            self.note_held()
 
-    def note(self) -> None:
-        """Note what is held of the latest ones."""
-        held = self._held
-        if not held:
-            return
-        fields = np.frombuffer(b"".join([each.payload for each in held]), DATA_PAYLOAD)
+    def note_held(self) -> None:
+        """Note the datagrams that were taken."""
+        if self._held:
+            self.note(PacketRows.of(self._held))
+            self._held = []
+
+    def note(self, rows: PacketRows) -> None:
+        """Note what follows from more datagrams."""
+        fields = rows.payloads.reshape(-1).view(DATA_PAYLOAD)
         is_first = fields["blocks"]["flag"][:, :2] == BLOCK_FLAG
         is_first[:, 1] |= np.isin(fields["factory"], SPLIT_PRODUCTS)
         self.packets += int(is_first.all(axis=1).sum())
-        self.last = held[-1].number
-        self._held = []
+        self.last = int(rows.number[-1])
 
 
 class Survey:
@@ -74,22 +79,35 @@ class Survey:
         self._find_units()
 
     def _read(self, stop: Event | None) -> None:
-        of_header = dict[tuple[int, int, bytes], _Sender]()  # data packets of a sensor have one header
-        for _, datagram in searched(self._capture, (), stop):
-            size = len(datagram.payload)
-            if size == DATA_BYTES:
-                header = datagram.link_type, datagram.ip_offset, datagram.header
-                if (sender := of_header.get(header)) is None:
-                    key = datagram.source, datagram.destination_port, datagram.mac
-                    sender = self._senders.setdefault(key, _Sender(datagram))
-                    if len(of_header) == _MOST_HEADERS:
-                        of_header.clear()
-                    of_header[header] = sender
-                sender.take(datagram)
-            elif size == POSITION_BYTES:
-                self._position[datagram.source].add(datagram.destination_port)
+        for part in self._capture.parts():
+            if stop is not None and stop.is_set():
+                raise CancelledError
+            if isinstance(part, PlainBatch):
+                self._take_batch(part)
+            else:
+                for datagram in part:
+                    self._take(datagram)
         for sender in self._senders.values():
-            sender.note()
+            sender.note_held()
+
+    def _take(self, datagram: Datagram) -> None:
+        """Note a datagram."""
+        size = len(datagram.payload)
+        if size == DATA_BYTES:
+            key = datagram.source, datagram.destination_port, datagram.mac
+            self._senders.setdefault(key, _Sender(datagram.number)).take(datagram)
+        elif size == POSITION_BYTES:
+            self._position[datagram.source].add(datagram.destination_port)
+
+    def _take_batch(self, batch: PlainBatch) -> None:
+        """Note the datagrams of a batch, those of each sender at once."""
+        for (mac, source, port), rows in _by_sender(batch, DATA_BYTES):
+            numbers = batch.number[rows]
+            sender = self._senders.setdefault((source, port, mac), _Sender(int(numbers[0])))
+            sender.note_held()
+            sender.note(PacketRows.of_batch(batch, rows))
+        for (_, source, port), _ in _by_sender(batch, POSITION_BYTES):
+            self._position[source].add(port)
 
     def _find_units(self) -> None:
         streams: dict[tuple[bytes, int], dict[bytes, _Sender]] = defaultdict(dict)
@@ -156,13 +174,25 @@ def chosen_unit(
     return Survey(path, stop).chosen(unit, where=where)
 
 
+def _by_sender(batch: PlainBatch, size: int) -> Iterator[tuple[tuple[bytes, bytes, int], I8]]:
+    """Yield MAC address, IP address and port of the senders of payloads of a size, with their rows (m,)."""
+    rows = np.flatnonzero(batch.payload_bytes == size)
+    senders = batch.senders(rows)
+    while len(rows):
+        is_own = (senders == senders[0]).all(axis=1)
+        sender = senders[0].tobytes()
+        yield (sender[:6], sender[6:10], int.from_bytes(sender[10:])), rows[is_own]
+        rows = rows[~is_own]
+        senders = senders[~is_own]
+
+
 def _macs(senders: dict[bytes, _Sender], least: float) -> Iterable[bytes]:
     """Return the MAC addresses of sensors that send at the same time.
 
     It is empty if one sensor replaces another.
     """
     busy = {mac: sender for mac, sender in senders.items() if sender.packets >= least}
-    firsts = [sender.first.number for sender in busy.values()]
+    firsts = [sender.first for sender in busy.values()]
     if len(busy) > 1 and max(firsts) < min(sender.last for sender in busy.values()):
         return sorted(busy)
     return [b""]

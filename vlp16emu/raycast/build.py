@@ -220,7 +220,7 @@ class Instances:
         shape = window.shape[self.placement]
         self._first = np.cumsum(of_shape) - of_shape
         self._slot = self._first[shape] + in_shape
-        """Place (n,) of each piece among the pieces of all shapes, of which each shape begins at `_first`."""
+        """Place (n,) of each piece among the pieces of all shapes; those of a shape begin at `_first`."""
         self.boxes_m = np.concatenate([np.zeros((0, 2, 3)), *(mesh.boxes_m for mesh in meshes)])[self._slot]
         """Boxes (n, 2, 3) of pieces, in coordinates of the shape."""
         self.motion = motion_of(window, self.placement, self.boxes_m)

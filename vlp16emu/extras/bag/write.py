@@ -15,7 +15,8 @@ from threading import Event
 from typing import TYPE_CHECKING
 
 from vlp16emu.captures import Capture, CaptureReader, Survey, UnitClock, by_unit, unit_clocks
-from vlp16emu.captures.capture import CapturedUnit, Datagram
+from vlp16emu.captures.datagrams import Datagram
+from vlp16emu.captures.units import CapturedUnit
 from vlp16emu.engine import Engine
 from vlp16emu.errors import CaptureError, InputError, PacketError
 from vlp16emu.extras.bag.bag_file import LATEST_NS, BagFile, check_bag

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.captures import CaptureReader, Survey, packet_clock
-from vlp16emu.captures.capture import CapturedUnit
+from vlp16emu.captures.units import CapturedUnit
 from vlp16emu.elementary import matmul, matvec
 from vlp16emu.errors import InputError, TrajectoryError
 from vlp16emu.extras.clouds import cloud

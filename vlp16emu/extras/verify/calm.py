@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.captures.capture import Datagram
+from vlp16emu.captures.datagrams import Datagram
 from vlp16emu.extras.verify.frames import PAYLOAD_BYTES, PORT, STAMP_AT
 from vlp16emu.types import I8, PacketKind
 

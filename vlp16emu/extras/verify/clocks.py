@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.captures.capture import Datagram
+from vlp16emu.captures.datagrams import Datagram
 from vlp16emu.extras.verify.calm import CalmRun
 from vlp16emu.extras.verify.frames import (
     HOUR_US,

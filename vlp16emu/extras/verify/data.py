@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.captures.capture import Datagram
+from vlp16emu.captures.datagrams import Datagram
 from vlp16emu.extras.verify.clocks import LEAP_SECOND, SILENCE_US, ClockWatch, GpsGains
 from vlp16emu.extras.verify.frames import (
     HOUR_US,

@@ -15,7 +15,7 @@ import dpkt
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.captures.capture import Datagram
+from vlp16emu.captures.datagrams import Datagram
 from vlp16emu.packets import layout
 from vlp16emu.packets.frames import DATA_PORT, DATA_TTL, POSITION_PORT, POSITION_TTL
 from vlp16emu.packets.table import wrap_hour

@@ -7,8 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from vlp16emu.captures.capture import Capture, CapturedUnit, Datagram, by_unit, table_of
+from vlp16emu.captures.capture import Capture
+from vlp16emu.captures.datagrams import Datagram, table_of
 from vlp16emu.captures.survey import chosen_unit
+from vlp16emu.captures.units import CapturedUnit, parts_by_unit
 from vlp16emu.errors import CaptureError
 from vlp16emu.extras.verify.calm import LONGEST, CalmRun, calm_run
 from vlp16emu.extras.verify.clocks import SILENCE_US, GpsGains, HostClock
@@ -100,12 +102,14 @@ def verify_units(
     checks = [_Check(Findings(limit_per_rule), chunk_packets) for _ in units]
     capture = Capture(path, repeats=True, progress=progress)
     held: list[list[Datagram]] = [[] for _ in units]
-    for unit, datagram in by_unit(capture, units):
+    for unit, datagrams in parts_by_unit(capture, units):
         if unit is not None:
-            held[unit].append(datagram)
-            if len(held[unit]) == LONGEST:
-                checks[unit].take(held[unit])
-                held[unit] = []
+            own = held[unit]
+            own += datagrams
+            whole = len(own) // LONGEST * LONGEST
+            for first in range(0, whole, LONGEST):
+                checks[unit].take(own[first : first + LONGEST])
+            held[unit] = own[whole:]
     for check, left in zip(checks, held, strict=True):
         check.take(left)
     return [check.finish(path, capture) for check in checks]
