@@ -25,7 +25,7 @@ from vlp16emu.returns.echoes import (
     gather,
     highest_peak,
 )
-from vlp16emu.returns.lost import MEAN_CODE, STATE, UNEVENNESS, Sight, lose, raised_code
+from vlp16emu.returns.lost import AREA, MEAN_CODE, STATE, UNEVENNESS, Sight, lose, raised_code
 from vlp16emu.returns.noise import (
     NO_RETURN_KNOTS,
     REFLECTIVITY_TAIL,
@@ -196,6 +196,7 @@ def _detect(
         if i % block == 0:
             before[:] = 0.0
             before[:, MEAN_CODE] = -1.0
+            before[:, AREA] = np.inf
         if _draws_noise(constants):
             normal_pairs(constants.seed, _RANGE_NOISE, n, noise[0], noise[1])
         if errors.parity.shape[1] > 0:
