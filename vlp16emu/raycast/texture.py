@@ -54,6 +54,7 @@ _PHASE_PER_ROW = 0.618034
 # Fresnel reflectance at normal incidence for a refractive index of 1.5, as of paint, varnish and wax
 _COAT = 0.04
 _TEXTURE = ZERO + Purpose.TEXTURE
+_ALONE = 3  # columns of looks for texture alone
 _Known = tuple[I8, F8]
 """Last cells (4, L, 3) hit by each laser, and their draws (4, L): patch and area, of texture and of
 relief."""
@@ -79,18 +80,26 @@ def add_texture(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: 
     rays = (hits.count, hits.range_m, hits.surface, hits.cos_incidence)
     lasers = hits.count.shape[1]
     known = np.full((4, lasers, 3), np.iinfo(np.int64).min), np.empty((4, lasers))
-    _texture(firings.origin_m, firings.direction, rays, looks, seed, known)
+    if looks.shape[1] > _ALONE:
+        _texture(firings.origin_m, firings.direction, rays, looks, seed, known)
+    else:
+        most = int(hits.count.sum(axis=1, dtype=np.int64).max(initial=0))
+        room = np.empty((2, most), np.float32), np.empty(most)
+        _texture_alone(firings.origin_m, firings.direction, rays, looks, seed, known, room)
 
 
 @once_per_array
 def _looks_of(surfaces: NDArray[np.void]) -> F4 | None:
-    """Return the looks (m, 6) of surfaces as `_texture` takes them; None if all are even and matt."""
-    if not any(surfaces[name].any() for name in ("texture", "shading", "relief_m", "roughness")):
+    """Return the looks of surfaces as `_texture` takes them, or `_texture_alone`; None if all are even and matt."""
+    is_alone = not any(surfaces[name].any() for name in ("shading", "relief_m", "roughness"))
+    if is_alone and not surfaces["texture"].any():
         return None
     per_m = np.where(surfaces["part"] == PlantPart.NONE, 1.0 / _GRID_M, 1.0 / _BARK_GRID_M).astype(np.float32)
+    columns = [surfaces["texture"], surfaces["reflectance"], per_m]
+    if is_alone:
+        return np.stack(columns, axis=1)
     steep = np.divide(1.0, surfaces["roughness"], out=np.zeros_like(per_m), where=surfaces["roughness"] > 0.0)
-    of_table = [surfaces[name] for name in ("texture", "reflectance", "relief_m")]
-    return np.stack([*of_table, per_m, steep * steep, surfaces["shading"]], axis=1)
+    return np.stack([*columns, surfaces["relief_m"], steep * steep, surfaces["shading"]], axis=1)
 
 
 @kernel
@@ -101,7 +110,7 @@ def _texture(
 
     Parameters
     ----------
-    looks : (m, 6) texture, reflectance, relief, patches per metre, inverse square of the roughness, and
+    looks : (m, 6) texture, reflectance, patches per metre, relief, inverse square of the roughness, and
         shading of each surface, in one line of the cache
     """
     (count, range_m, met, cosine) = rays
@@ -118,17 +127,14 @@ def _texture(
                 at_m = np.float64(range_m[ray])
                 texture = looks[row, 0]
                 reflectance = looks[row, 1]
-                relief_m = looks[row, 2]
-                per_m = looks[row, 3]
+                per_m = looks[row, 2]
+                relief_m = looks[row, 3]
                 slope = max(np.float64(cosine[ray]), _FLATTEST)
                 steepness = np.float64(looks[row, 4])
                 if texture != 0.0:
                     if abs(range_m[ray] - patch_m) > _SAME_M:
                         patch_m = at_m
-                        drawn, strength = _draw_patch(
-                            seed, np.float64(per_m), origin_m, direction, i, j, at_m, 0, known
-                        )
-                        patch = _SPREAD * (2.0 * drawn - 1.0) * strength
+                        patch = _patch(seed, per_m, origin_m, direction, i, j, at_m, known)
                     slant = 0.5 + 0.5 / slope
                     more = texture * slant * patch
                     cosine[ray] *= np.float32(_factor(more, reflectance))
@@ -159,6 +165,60 @@ def _texture(
                     range_m[ray] += (
                         relief_m * _STANDING_OUT * (square * square * even) * (_EVEN + _UNEVEN * strength)
                     )
+
+
+@kernel
+def _texture_alone(
+    origin_m: F8,
+    direction: F8,
+    rays: tuple[U2, F4, U4, F4],
+    looks: F4,
+    seed: int,
+    known: _Known,
+    room: tuple[F4, F8],
+) -> None:
+    """Multiply cosines by the texture as `_texture` does, where no surface has relief, gloss or shading.
+
+    A firing sequence at a time: first the patches of its sub-rays, then their factors, several at once.
+
+    Parameters
+    ----------
+    looks : (m, 3) the first columns
+    room : scratch for the sub-rays of a sequence: texture and reflectance (2, n), and patch (n,)
+    """
+    (count, range_m, met, cosine) = rays
+    (of_surface, patches) = room
+    stop = np.uint64(0)
+    for i in range(count.shape[0]):
+        first = stop
+        for j in range(count.shape[1]):
+            start, stop = stop, stop + np.uint64(count[i, j])
+            patch_m = -np.inf
+            patch = 0.0
+            for ray in range(start, stop):
+                is_hit = range_m[ray] < np.inf
+                row = met[ray] if is_hit else np.uint32(0)
+                texture = looks[row, 0] if is_hit else np.float32(0.0)
+                if (texture != 0.0) & (abs(range_m[ray] - patch_m) > _SAME_M):
+                    patch_m = np.float64(range_m[ray])
+                    patch = _patch(seed, looks[row, 2], origin_m, direction, i, j, patch_m, known)
+                of_surface[0, ray - first] = texture
+                of_surface[1, ray - first] = looks[row, 1]
+                patches[ray - first] = patch
+        for ray in range(stop - first):
+            slope = max(np.float64(cosine[first + ray]), _FLATTEST)
+            slant = 0.5 + 0.5 / slope
+            more = of_surface[0, ray] * slant * patches[ray]
+            cosine[first + ray] *= np.float32(_factor(more, of_surface[1, ray]))
+
+
+@inline_kernel
+def _patch(
+    seed: int, per_m: float, origin_m: F8, direction: F8, i: int, j: int, at_m: float, known: _Known
+) -> float:
+    """Return the texture of a patch of variance one, at a range along a pulse (i, j)."""
+    drawn, strength = _draw_patch(seed, np.float64(per_m), origin_m, direction, i, j, at_m, 0, known)
+    return _SPREAD * (2.0 * drawn - 1.0) * strength
 
 
 @inline_kernel
