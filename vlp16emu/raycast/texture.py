@@ -55,9 +55,12 @@ _PHASE_PER_ROW = 0.618034
 _COAT = 0.04
 _TEXTURE = ZERO + Purpose.TEXTURE
 _ALONE = 3  # columns of looks for texture alone
+_KNOWN_BITS = 10
+_MIX_COUNTER = np.uint64(0x9E3779B97F4A7C15)
+_MIX_LANE = np.uint64(0xC2B2AE3D27D4EB4F)
 _Known = tuple[I8, F8]
-"""Last cells (4, L, 3) hit by each laser, and their draws (4, L): patch and area, of texture and of
-relief."""
+"""Cells (2**`_KNOWN_BITS`, 2) that were hit last, as counters of their draws, and the draws (2**`_KNOWN_BITS`,):
+patches and areas, each at a place by its hash. Pulses side by side hit the same ones, in turns."""
 
 
 def add_texture(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: int) -> None:
@@ -78,8 +81,7 @@ def add_texture(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: 
     if looks is None:
         return
     rays = (hits.count, hits.range_m, hits.surface, hits.cos_incidence)
-    lasers = hits.count.shape[1]
-    known = np.full((4, lasers, 3), np.iinfo(np.int64).min), np.empty((4, lasers))
+    known = np.full((1 << _KNOWN_BITS, 2), -1), np.empty(1 << _KNOWN_BITS)
     if looks.shape[1] > _ALONE:
         _texture(firings.origin_m, firings.direction, rays, looks, seed, known)
     else:
@@ -158,7 +160,7 @@ def _texture(
                     while finer * at_m < _RELIEF_FROM_M and finer < _FINEST:
                         finer *= 2.0
                     drawn, strength = _draw_patch(
-                        seed, finer / _RELIEF_GRID_M, origin_m, direction, i, j, at_m, 2, known
+                        seed, finer / _RELIEF_GRID_M, origin_m, direction, i, j, at_m, known
                     )
                     even = 2.0 * drawn - 1.0
                     square = even * even
@@ -217,7 +219,7 @@ def _patch(
     seed: int, per_m: float, origin_m: F8, direction: F8, i: int, j: int, at_m: float, known: _Known
 ) -> float:
     """Return the texture of a patch of variance one, at a range along a pulse (i, j)."""
-    drawn, strength = _draw_patch(seed, np.float64(per_m), origin_m, direction, i, j, at_m, 0, known)
+    drawn, strength = _draw_patch(seed, np.float64(per_m), origin_m, direction, i, j, at_m, known)
     return _SPREAD * (2.0 * drawn - 1.0) * strength
 
 
@@ -254,7 +256,6 @@ def _draw_patch(
     i: int,
     j: int,
     at_m: float,
-    slot: int,
     known: _Known,
 ) -> tuple[float, float]:
     """Draw a number in [0, 1) for the patch at a range along a pulse (i, j), and the contrast of its area.
@@ -267,21 +268,22 @@ def _draw_patch(
     u = np.int64(math.floor(x + fold(0.37 * y + 0.61 * z) + 0.4 * fold(2.3 * z - 1.7 * y)))
     v = np.int64(math.floor(y + fold(0.53 * z - 0.41 * x) + 0.4 * fold(1.9 * x + 2.1 * z)))
     w = np.int64(math.floor(z + fold(0.43 * x + 0.57 * y) + 0.4 * fold(1.6 * y - 2.2 * x)))
-    drawn = _draw_cell(seed, u, v, w, slot, j, known)
-    share = _draw_cell(seed, u >> _CELL_BITS, v >> _CELL_BITS, w >> _CELL_BITS, slot + 1, j, known)
+    drawn = _draw_cell(seed, u, v, w, 0, known)
+    share = _draw_cell(seed, u >> _CELL_BITS, v >> _CELL_BITS, w >> _CELL_BITS, 1, known)
     return drawn, _STRENGTH[np.int64(share * len(_STRENGTH))]
 
 
 @inline_kernel
-def _draw_cell(seed: int, u: np.int64, v: np.int64, w: np.int64, slot: int, j: int, known: _Known) -> float:
-    """Draw the number of a cell, unless the last pulse of laser j hit it too."""
+def _draw_cell(seed: int, u: np.int64, v: np.int64, w: np.int64, of_area: int, known: _Known) -> float:
+    """Draw the number of a patch, or with 1 of an area, unless it is known."""
     cells, values = known
-    if cells[slot, j, 0] != u or cells[slot, j, 1] != v or cells[slot, j, 2] != w:
-        cells[slot, j, 0] = u
-        cells[slot, j, 1] = v
-        cells[slot, j, 2] = w
-        of_whole = slot & 1
-        lane = (w << 1 | of_whole) & 0xFFFFFFFF
-        first, second = uniform_pair(seed, _TEXTURE, (u & 0xFFFFFFFF) | (v << 32), lane)
-        values[slot, j] = second if of_whole else first
-    return values[slot, j]
+    counter = (u & 0xFFFFFFFF) | (v << 32)
+    lane = (w << 1 | of_area) & 0xFFFFFFFF
+    mixed = np.uint64(counter) * _MIX_COUNTER + np.uint64(lane) * _MIX_LANE
+    place = mixed >> np.uint64(64 - _KNOWN_BITS)
+    if cells[place, 0] != counter or cells[place, 1] != lane:
+        cells[place, 0] = counter
+        cells[place, 1] = lane
+        first, second = uniform_pair(seed, _TEXTURE, counter, lane)
+        values[place] = second if of_area else first
+    return values[place]
