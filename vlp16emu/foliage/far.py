@@ -60,8 +60,8 @@ def _ground(
         corners_m = tile.ground_m[FINER:-FINER, FINER:-FINER] - window.origin_m[2]
         ground_m[x : x + len(corners_m), y : y + len(corners_m)] = corners_m
         sides[x : x + len(tile.sides), y : y + len(tile.sides)] = tile.sides
-    steps_m = map(np.float32, greatest_steps_m(ground_m, _NO_GROUND_M / 2))
-    steepest = float(hypot(*steps_m) * FINER / VOXEL_M)
+    steps_m = np.array(greatest_steps_m(ground_m, float(_NO_GROUND_M) / 2), np.float32)
+    steepest = float(hypot(steps_m[0], steps_m[1]) * FINER / VOXEL_M)
     facing = next(iter(tiles.values())).facing  # the same for all tiles
     return Ground(ground_m, surface, float(corner_m[0]), float(corner_m[1]), steepest, sides, facing)
 

@@ -145,7 +145,7 @@ def greatest_steps_m(height_m: F4, lowest_m: float) -> tuple[float, float]:
 
     Heights below `lowest_m` are unknown.
     """
-    along_x = along_y = f4(0.0)
+    along_x = along_y = 0.0
     rows = np.uint64(height_m.shape[0])
     columns = np.uint64(height_m.shape[1])
     one = np.uint64(1)
@@ -154,7 +154,7 @@ def greatest_steps_m(height_m: F4, lowest_m: float) -> tuple[float, float]:
             here = height_m[i, j]
             if here > lowest_m:
                 if i + one < rows and height_m[i + one, j] > lowest_m:
-                    along_x = max(along_x, abs(height_m[i + one, j] - here))
+                    along_x = max(along_x, np.float64(abs(height_m[i + one, j] - here)))
                 if j + one < columns and height_m[i, j + one] > lowest_m:
-                    along_y = max(along_y, abs(height_m[i, j + one] - here))
+                    along_y = max(along_y, np.float64(abs(height_m[i, j + one] - here)))
     return along_x, along_y

@@ -243,7 +243,9 @@ class Instances:
         scenes = np.array([mesh.scene(piece) for mesh, piece in zip(meshes, pieces, strict=True)], np.uint64)
         scene, release = _new_scene(self)
         transforms = relative_to_window(self.window).astype(np.float32)
-        _attach(scene, rtc.device(), numbers, scenes, self.placement[numbers], transforms, *self._moving(numbers))
+        _attach(
+            scene, rtc.device(), numbers, scenes, self.placement[numbers], transforms, *self._moving(numbers)
+        )
         rtc.library().rtcCommitScene(scene)
         try:
             rtc.check("build the window")
@@ -253,9 +255,9 @@ class Instances:
         return scene
 
     def _moving(self, numbers: I8) -> tuple[I8, F4]:
-        """Return the rows (n,) of moving pieces in the second array, -1 at rest, and window_T_shape (m, k, 3, 4).
+        """Return where pieces (n,) stand among those that move, -1 at rest, and what moves (m, k, 3, 4).
 
-        The latter has the transforms of each of them at all knots.
+        The latter is window_T_shape of each moving piece at all knots.
         """
         motion = self.motion
         moves = (motion.shear[:, numbers] != 0.0).any(axis=(0, 2))

@@ -59,7 +59,7 @@ _KNOWN_BITS = 10
 _MIX_COUNTER = np.uint64(0x9E3779B97F4A7C15)
 _MIX_LANE = np.uint64(0xC2B2AE3D27D4EB4F)
 _Known = tuple[I8, F8]
-"""Cells (2**`_KNOWN_BITS`, 2) that were hit last, as counters of their draws, and the draws (2**`_KNOWN_BITS`,):
+"""Cells (n, 2) that were hit last, as counters of their draws, and the draws (n,), n = 2**`_KNOWN_BITS`:
 patches and areas, each at a place by its hash. Pulses side by side hit the same ones, in turns."""
 
 
@@ -92,7 +92,7 @@ def add_texture(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: 
 
 @once_per_array
 def _looks_of(surfaces: NDArray[np.void]) -> F4 | None:
-    """Return the looks of surfaces as `_texture` takes them, or `_texture_alone`; None if all are even and matt."""
+    """Return looks as `_texture` or `_texture_alone` takes them; None if all surfaces are even and matt."""
     is_alone = not any(surfaces[name].any() for name in ("shading", "relief_m", "roughness"))
     if is_alone and not surfaces["texture"].any():
         return None
@@ -249,14 +249,7 @@ def _shade(origin_m: F8, direction: F8, i: int, j: int, at_m: float, phase: floa
 
 @inline_kernel
 def _draw_patch(
-    seed: int,
-    per_m: float,
-    origin_m: F8,
-    direction: F8,
-    i: int,
-    j: int,
-    at_m: float,
-    known: _Known,
+    seed: int, per_m: float, origin_m: F8, direction: F8, i: int, j: int, at_m: float, known: _Known
 ) -> tuple[float, float]:
     """Draw a number in [0, 1) for the patch at a range along a pulse (i, j), and the contrast of its area.
 

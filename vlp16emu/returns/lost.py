@@ -24,8 +24,8 @@ from vlp16emu.trig import ZERO, fold
 from vlp16emu.types import F4, F8, U1, U4
 
 STATE = 11
-MEAN_CODE, _RANGE_M, _ROUGH, _CHANGE, _WAS_LOST, UNEVENNESS, _CODE, AREA, _AREA_V, _AREA_W, _AREA_DRAWN = range(
-    STATE
+MEAN_CODE, _RANGE_M, _ROUGH, _CHANGE, _WAS_LOST, UNEVENNESS, _CODE, AREA, _AREA_V, _AREA_W, _AREA_DRAWN = (
+    range(STATE)
 )
 """Columns of the state of a laser, as in `lose`; range noise follows the unevenness."""
 _EDGE = ZERO + Purpose.NO_RETURN
@@ -183,8 +183,8 @@ def lose(
         errors, and the number of its nodes; one node has no step
     before : (L, STATE) state of each laser: mean code, -1 for none, last range, mean change of range, mean
         change of code over the last code, at most 1, 1 if its last pulse was lost, mean change of code over
-        the mean code in more pulses, at most `range.most_change`, the last code, and the last area whose spots
-        were drawn, infinity for none, with its number
+        the mean code in more pulses, at most `range.most_change`, the last code, and the last area whose
+        spots were drawn, infinity for none, with its number
     """
     (seed, dual, sheet, near_lost, no_return) = unit
     rays, sight = pulses
@@ -333,9 +333,7 @@ def spot_rate(rates: LossRates, code: float, range_m: float, gloss: float, near_
 
 
 @inline_kernel
-def _is_in_spot(
-    rate: float, place: tuple[int, Sight, int, float, float], laser: int, before: F8
-) -> bool:
+def _is_in_spot(rate: float, place: tuple[int, Sight, int, float, float], laser: int, before: F8) -> bool:
     """Return True if a laser loses its records at the place of a pulse, for a share of lost records.
 
     Cells of the world have the size of some records at their range. A few areas, of many cells, have spots;
@@ -366,8 +364,8 @@ def _is_in_spot(
 def _spot_m(range_m: float) -> float:
     """Return the size of a spot: the least one doubled until it is that of `_SPOT_RAD`, without a loop."""
     least = np.float64(_SPOT_RAD * _NEAREST_SPOT_M).view(np.int64)
-    above = max(np.float64(_SPOT_RAD * range_m).view(np.int64) - least, 0)
-    return np.int64(least + ((above + _MANTISSA >> 52) << 52)).view(np.float64)
+    doublings = max(np.float64(_SPOT_RAD * range_m).view(np.int64) - least + _MANTISSA >> 52, np.int64(0))
+    return np.int64(least + (doublings << 52)).view(np.float64)
 
 
 @inline_kernel
