@@ -183,7 +183,7 @@ class Firings:
     @classmethod
     def rays(cls, t_ns: int, origin_m: F8, direction: F8) -> Self:
         """Make rays without a sensor, all at one instant; origins and directions broadcast to (k, L, 3)."""
-        origin_m, direction = (np.ascontiguousarray(of) for of in np.broadcast_arrays(origin_m, direction))
+        origin_m, direction = (np.array(of, order="C") for of in np.broadcast_arrays(origin_m, direction))
         shape = direction.shape[:2]
         angle_deg = np.zeros(shape)
         n = np.zeros(shape[0], np.int64)

@@ -10,6 +10,7 @@ from raycast import lab
 
 from vlp16emu.foliage import far as room
 from vlp16emu.foliage.far import FarCaster
+from vlp16emu.foliage.ground import greatest_steps_m
 from vlp16emu.raycast.near import EmbreeGeometry
 from vlp16emu.types import NO_SURFACE, SURFACE, Mesh, PlantPart, Semantic, Window
 
@@ -76,6 +77,17 @@ def test_bent_stems_from_afar_are_those_of_the_mesh(workers, both):
     ours, true, straight = (cast(scene, *around(40_000, AT_M[0])) for scene in scenes)
     stem, _ = stems_alike(worlds[0].window(AT_M), ours, true, same_share=0.985, high_m=0.03)
     assert (straight.surface == true.surface)[stem].mean() < 0.9
+
+
+def test_the_steepest_ground_is_between_known_heights():
+    """The greatest steps along both axes are those of all neighbours with known heights; 0 without any."""
+    height_m = np.random.default_rng(1).normal(0.0, 3.0, (30, 40)).astype(np.float32)
+    unknown = np.random.default_rng(2).random((30, 40)) < 0.3
+    height_m[unknown] = -1e6
+    known_x, known_y = ~unknown[1:] & ~unknown[:-1], ~unknown[:, 1:] & ~unknown[:, :-1]
+    expected = np.abs(np.diff(height_m, axis=0))[known_x].max(), np.abs(np.diff(height_m))[known_y].max()
+    assert greatest_steps_m(height_m, -5e5) == expected
+    assert greatest_steps_m(np.full((3, 3), -1e6, np.float32), -5e5) == (0.0, 0.0)
 
 
 def test_the_ground_from_afar_is_that_of_the_mesh(both):

@@ -116,6 +116,30 @@ def test_a_sub_ray_that_meets_nothing_stays_so():
     assert varied.range_m[1:].tolist() == [np.inf, 12.0]
 
 
+def test_texture_alone_is_that_beside_other_looks():
+    """Cosines are the same to the last bit whether or not another surface, which nothing meets, has relief
+    and is processed with all looks; also where sub-rays of a pulse meet nothing."""
+    rng = np.random.default_rng(5)
+    firings, _ = pulses(rng.uniform(-FAR_M, FAR_M, (500, 3)))
+    count = rng.integers(1, 12, (500, 1)).astype(np.uint16)
+    n = int(count.sum())
+    range_m = rng.uniform(2.0, 40.0, n).astype(np.float32)
+    met = rng.integers(0, 3, n).astype(np.uint32)
+    range_m[rng.random(n) < 0.1] = np.inf
+    met[np.isinf(range_m)] = 0xFFFFFFFF
+    cosine = np.where(np.isinf(range_m), 0.0, rng.uniform(0.0, 1.0, n)).astype(np.float32)
+    surfaces = np.zeros(4, SURFACE)
+    surfaces["texture"], surfaces["reflectance"] = (0.1, 0.0, 0.3, 0.0), (0.4, 0.2, 0.95, 0.0)
+    surfaces["part"] = (PlantPart.NONE, PlantPart.LEAF, PlantPart.STEM, PlantPart.NONE)
+    hits = Hits(count, range_m, met, cosine)
+    alone = textured(firings, hits, surfaces, 3)
+    with_relief = surfaces.copy()
+    with_relief["relief_m"][3] = 0.01
+    assert (alone.cos_incidence != cosine).any()
+    assert alone.cos_incidence.tobytes() == textured(firings, hits, with_relief, 3).cos_incidence.tobytes()
+    assert (alone.range_m == range_m).all()
+
+
 def test_relief_moves_what_is_met(places_m):
     """Ranges on a surface with relief are off by it, one sigma, with mean 0, alike within 1 cm and not at
     0.5 m; brightness stays."""

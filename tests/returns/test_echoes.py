@@ -10,8 +10,8 @@ from returns.kit import detector, firings, table
 from vlp16emu.packets import DATA_PAYLOAD, DISTANCE_LSB_M
 from vlp16emu.packets.data import data_payloads
 from vlp16emu.returns.detect import detect
-from vlp16emu.returns.echoes import AMPLITUDE, COLUMNS, RANGE, find_peaks
-from vlp16emu.types import Hits, ReturnMode, SensorModel
+from vlp16emu.returns.echoes import AMPLITUDE, COLUMNS, RANGE, SubRays, find_peaks, gather
+from vlp16emu.types import NO_SURFACE, Hits, ReturnMode, SensorModel
 
 SIGMA_M = 0.299792458 / 2 * 6.0 / 2.3548200450309493
 STEP_M = 0.001
@@ -91,6 +91,46 @@ def test_peaks_come_in_order_of_range():
     for _ in range(50):
         got_m, _ = found(rng.uniform(1, 30, 20), rng.uniform(0.1, 1, 20))
         assert (np.diff(got_m) > 0).all()
+
+
+def nodes_by_definition(range_m, light, reach_m):
+    """Ranges and energies of nodes: each takes the sub-rays near the first one left, in their order."""
+    left = np.flatnonzero(np.isfinite(range_m))
+    found = []
+    while len(left):
+        first_m = np.float64(range_m[left[0]])
+        energy = moment = 0.0
+        near = np.abs(np.float64(range_m[left]) - first_m) <= reach_m
+        for ray in left[near]:
+            energy += light[ray]
+            moment += light[ray] * (np.float64(range_m[ray]) - first_m)
+        found.append((first_m + moment / energy, energy))
+        left = left[~near]
+    return found
+
+
+def test_sub_rays_are_summed_into_nodes_in_their_order():
+    """Nodes of one to twelve sub-rays, eight of which are summed side by side, are those of the definition to
+    the last bit, with sub-rays that meet nothing among them."""
+    rng = np.random.default_rng(2)
+    constants = detector().constants
+    reflectance = rng.uniform(0.0, 1.0, 5).astype(np.float32)
+    for _ in range(2000):
+        n = int(rng.choice([1, 5, 8, 8, 8, 8, 9, 12]))
+        range_m = rng.choice(rng.uniform(1.0, 60.0, 3), n) + rng.uniform(0.0, 0.2, n)
+        range_m = np.where(rng.random(n) < 0.2, np.inf, range_m).astype(np.float32)
+        met = np.where(np.isinf(range_m), NO_SURFACE, rng.integers(0, 5, n)).astype(np.uint32)
+        cosine = rng.uniform(0.0, 1.0, n).astype(np.float32)
+        nodes = np.empty((COLUMNS, n + 1))
+        found = gather(
+            constants, SubRays(np.array([[n]], np.uint16), range_m, met, cosine, reflectance), 0, n, nodes
+        )
+        light = np.float64(reflectance[np.minimum(met, 4)]) * np.float64(cosine) + 1e-9
+        expected = nodes_by_definition(range_m, light, 0.075)
+        at_m = np.array([at for at, _ in expected])
+        amplitude = np.array([max(energy / n, 1e-9) / (at * at) for at, energy in expected])
+        assert nodes[RANGE, :found].tobytes() == at_m.tobytes()
+        assert nodes[AMPLITUDE, :found].tobytes() == amplitude.tobytes()
 
 
 def test_two_equal_pulses_part_at_two_sigmas():

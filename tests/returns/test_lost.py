@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from returns.kit import ELEVATION_DEG, LASERS, detector, firings, table
 
+from vlp16emu.kernels.compiler import kernel
 from vlp16emu.returns import Noise
 from vlp16emu.returns.detect import detect
-from vlp16emu.returns.lost import loss_rates
+from vlp16emu.returns.lost import _NEAREST_SPOT_M, _SPOT_RAD, _spot_m, loss_rates
 from vlp16emu.types import NO_SURFACE, Hits, PlantPart, Semantic
 
 LOSSES = {"unit_spread": 0.15, "records_lost": 1.0, "no_return_reflectivity": True, "no_return_level": 5.0}
@@ -59,6 +60,26 @@ def test_a_calm_wall_is_whole_where_it_is_not_dark_or_near():
     assert 0.004 < shares[2] < 0.03
     assert 0.001 < shares[3] < 0.02
     assert shares[4] < 0.1 * shares[2]
+
+
+@kernel
+def spots_m(range_m, out):
+    for n in range(len(range_m)):
+        out[n] = _spot_m(range_m[n])
+
+
+def test_spots_double_until_they_are_as_wide_as_the_angle():
+    """The size of a spot is the least one, doubled until it is no smaller than its angle at the range."""
+    range_m = np.concatenate(
+        [0.5 * 2.0 ** np.arange(9.0), np.random.default_rng(1).uniform(0.1, 130.0, 5000)]
+    )
+    found = np.empty(len(range_m))
+    spots_m(range_m, found)
+    for at_m, size_m in zip(range_m, found, strict=True):
+        expected = _SPOT_RAD * _NEAREST_SPOT_M
+        while expected < _SPOT_RAD * at_m:
+            expected *= 2.0
+        assert size_m == expected
 
 
 def test_spots_have_a_place():

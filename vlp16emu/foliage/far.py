@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import hypot, norm
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.cloud import Cloud, Library, cloud_of
+from vlp16emu.foliage.ground import greatest_steps_m
 from vlp16emu.foliage.lanes import Ground, Medium, Stems, empty_lanes
 from vlp16emu.foliage.leaves import room_for_leaves
 from vlp16emu.foliage.march import Passage, march_lines, march_pulses
@@ -59,10 +60,8 @@ def _ground(
         corners_m = tile.ground_m[FINER:-FINER, FINER:-FINER] - window.origin_m[2]
         ground_m[x : x + len(corners_m), y : y + len(corners_m)] = corners_m
         sides[x : x + len(tile.sides), y : y + len(tile.sides)] = tile.sides
-    known = ground_m > _NO_GROUND_M / 2
-    along_x = np.abs(np.diff(ground_m, axis=0))[known[1:] & known[:-1]]
-    along_y = np.abs(np.diff(ground_m, axis=1))[known[:, 1:] & known[:, :-1]]
-    steepest = float(hypot(along_x.max(initial=0.0), along_y.max(initial=0.0)) * FINER / VOXEL_M)
+    steps_m = np.array(greatest_steps_m(ground_m, float(_NO_GROUND_M) / 2), np.float32)
+    steepest = float(hypot(steps_m[0], steps_m[1]) * FINER / VOXEL_M)
     facing = next(iter(tiles.values())).facing  # the same for all tiles
     return Ground(ground_m, surface, float(corner_m[0]), float(corner_m[1]), steepest, sides, facing)
 

@@ -8,7 +8,8 @@ from vlp16emu.elementary import exp
 from vlp16emu.foliage.lanes import Ground, Pulse
 from vlp16emu.foliage.tiles import SIDE_CODES, SIDE_ROW_BIT
 from vlp16emu.foliage.voxel import BRICK, FINER, QUANTILES, VOXEL_M
-from vlp16emu.kernels.compiler import inline_kernel
+from vlp16emu.kernels.compiler import inline_kernel, kernel
+from vlp16emu.types import F4
 
 f4 = np.float32
 u4 = np.uint32
@@ -136,3 +137,24 @@ def _over_ground(ground: Ground, ray: _Ray, at_m: np.float32) -> _Slope:
         gy = h01 - h00
     height = h00 + gx * s + gy * t
     return z + dz * at_m - height, gx * f4(FINER / VOXEL_M), gy * f4(FINER / VOXEL_M)
+
+
+@kernel
+def greatest_steps_m(height_m: F4, lowest_m: float) -> tuple[float, float]:
+    """Return the greatest steps along x and y between neighbours of heights (m, n), 0 if there is none.
+
+    Heights below `lowest_m` are unknown.
+    """
+    along_x = along_y = 0.0
+    rows = np.uint64(height_m.shape[0])
+    columns = np.uint64(height_m.shape[1])
+    one = np.uint64(1)
+    for i in range(rows):
+        for j in range(columns):
+            here = height_m[i, j]
+            if here > lowest_m:
+                if i + one < rows and height_m[i + one, j] > lowest_m:
+                    along_x = max(along_x, np.float64(abs(height_m[i + one, j] - here)))
+                if j + one < columns and height_m[i, j + one] > lowest_m:
+                    along_y = max(along_y, np.float64(abs(height_m[i, j + one] - here)))
+    return along_x, along_y

@@ -5,10 +5,8 @@ Ground is a grid, stems are cones, and foliage is voxels in bricks.
 
 from typing import NamedTuple
 
-import llvmlite.ir
 import numpy as np
 
-from vlp16emu.kernels.compiler import NumbaObject, numba
 from vlp16emu.raycast.kernel import COSINE, DIRECTION, LANES, ORIGIN, RANGE, ROW
 from vlp16emu.types import F4, F8, U4, U8
 
@@ -124,27 +122,3 @@ def empty_lanes() -> Lanes:
         np.zeros(AHEAD, np.uint32),
         np.zeros(AHEAD, np.uint64),
     )
-
-
-@numba.extending.intrinsic
-def lowest_bit(typingctx: NumbaObject, word: NumbaObject) -> NumbaObject:
-    """Find the lowest bit of a word that is not 0."""
-
-    def codegen(
-        context: NumbaObject, builder: NumbaObject, signature: NumbaObject, args: NumbaObject
-    ) -> NumbaObject:
-        return builder.cttz(args[0], llvmlite.ir.Constant(llvmlite.ir.IntType(1), 1))
-
-    return numba.types.uint64(numba.types.uint64), codegen
-
-
-@numba.extending.intrinsic
-def count_bits(typingctx: NumbaObject, word: NumbaObject) -> NumbaObject:
-    """Count the bits of a word."""
-
-    def codegen(
-        context: NumbaObject, builder: NumbaObject, signature: NumbaObject, args: NumbaObject
-    ) -> NumbaObject:
-        return builder.ctpop(args[0])
-
-    return numba.types.uint64(numba.types.uint64), codegen

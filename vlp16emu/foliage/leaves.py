@@ -20,7 +20,7 @@ import numpy as np
 from llvmlite import ir
 
 from vlp16emu.elementary import exp
-from vlp16emu.foliage.lanes import Lanes, Medium, Pulse, lowest_bit
+from vlp16emu.foliage.lanes import Lanes, Medium, Pulse
 from vlp16emu.foliage.voxel import (
     COLUMNS,
     KIND_BIT,
@@ -34,6 +34,7 @@ from vlp16emu.foliage.voxel import (
     VOXEL_M,
 )
 from vlp16emu.kernels.compiler import NumbaObject, inline_kernel, kernel, numba
+from vlp16emu.kernels.eight import lowest_bit
 from vlp16emu.raycast.kernel import COSINE, LANES
 from vlp16emu.types import F4, U1, U4, U8
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vlp16emu.foliage.ground import meet_ground
-from vlp16emu.foliage.lanes import AHEAD, Lanes, Medium, Pulse, count_bits, lowest_bit
+from vlp16emu.foliage.lanes import AHEAD, Lanes, Medium, Pulse
 from vlp16emu.foliage.leaves import (
     LeavesMet,
     Weights,
@@ -26,6 +26,7 @@ from vlp16emu.foliage.leaves import (
 from vlp16emu.foliage.stems import StemsAhead, StemsLeft, find_stems_ahead, meet_stems
 from vlp16emu.foliage.voxel import BRICK, GROUND, LEAVES, VOXEL_M
 from vlp16emu.kernels.compiler import array_kernel, inline_kernel, kernel
+from vlp16emu.kernels.eight import count_bits, lowest_bit
 from vlp16emu.raycast.adaptive import RayBudget
 from vlp16emu.raycast.beam import FARTHEST, ROUND, reach_of
 from vlp16emu.raycast.kernel import (

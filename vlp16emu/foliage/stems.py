@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import hypot
-from vlp16emu.foliage.lanes import AT, FACING, HEIGHT, Pulse, Stems, lowest_bit
+from vlp16emu.foliage.lanes import AT, FACING, HEIGHT, Pulse, Stems
 from vlp16emu.kernels.compiler import inline_kernel, kernel
+from vlp16emu.kernels.eight import lowest_bit
 from vlp16emu.raycast.build import knot_at
 from vlp16emu.raycast.kernel import AXES_TIME, COSINE, DIRECTION, LANES, ORIGIN, RANGE
 from vlp16emu.types import F4, F8, I4, I8, U1, U4

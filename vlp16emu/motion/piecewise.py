@@ -132,8 +132,8 @@ def fill_poses(
             for angle in range(3):
                 for n in range(count):
                     cosine[angle, n], sine[angle, n] = cos_sin(q[3 + angle, n])
-        for n in range(count):
-            i = which[done + n]
+        for n in range(np.uint64(count)):  # signed indices might count from the end
+            i = np.uint64(which[np.uint64(done) + n])
             for axis in range(3):
                 world_p_body_m[i, axis] = q[axis, n]
             if powers.shape[1] == _ANGLES:

@@ -54,9 +54,13 @@ _PHASE_PER_ROW = 0.618034
 # Fresnel reflectance at normal incidence for a refractive index of 1.5, as of paint, varnish and wax
 _COAT = 0.04
 _TEXTURE = ZERO + Purpose.TEXTURE
+_ALONE = 3  # columns of looks for texture alone
+_KNOWN_BITS = 10
+_MIX_COUNTER = np.uint64(0x9E3779B97F4A7C15)
+_MIX_LANE = np.uint64(0xC2B2AE3D27D4EB4F)
 _Known = tuple[I8, F8]
-"""Last cells (4, L, 3) hit by each laser, and their draws (4, L): patch and area, of texture and of
-relief."""
+"""Cells (n, 2) that were hit last, as counters of their draws, and the draws (n,), n = 2**`_KNOWN_BITS`:
+patches and areas, each at a place by its hash. Pulses side by side hit the same ones, in turns."""
 
 
 def add_texture(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: int) -> None:
@@ -77,20 +81,27 @@ def add_texture(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: 
     if looks is None:
         return
     rays = (hits.count, hits.range_m, hits.surface, hits.cos_incidence)
-    lasers = hits.count.shape[1]
-    known = np.full((4, lasers, 3), np.iinfo(np.int64).min), np.empty((4, lasers))
-    _texture(firings.origin_m, firings.direction, rays, looks, seed, known)
+    known = np.full((1 << _KNOWN_BITS, 2), -1), np.empty(1 << _KNOWN_BITS)
+    if looks.shape[1] > _ALONE:
+        _texture(firings.origin_m, firings.direction, rays, looks, seed, known)
+    else:
+        most = int(hits.count.sum(axis=1, dtype=np.int64).max(initial=0))
+        room = np.empty((2, most), np.float32), np.empty(most)
+        _texture_alone(firings.origin_m, firings.direction, rays, looks, seed, known, room)
 
 
 @once_per_array
 def _looks_of(surfaces: NDArray[np.void]) -> F4 | None:
-    """Return the looks (m, 6) of surfaces as `_texture` takes them; None if all are even and matt."""
-    if not any(surfaces[name].any() for name in ("texture", "shading", "relief_m", "roughness")):
+    """Return looks as `_texture` or `_texture_alone` takes them; None if all surfaces are even and matt."""
+    is_alone = not any(surfaces[name].any() for name in ("shading", "relief_m", "roughness"))
+    if is_alone and not surfaces["texture"].any():
         return None
     per_m = np.where(surfaces["part"] == PlantPart.NONE, 1.0 / _GRID_M, 1.0 / _BARK_GRID_M).astype(np.float32)
+    columns = [surfaces["texture"], surfaces["reflectance"], per_m]
+    if is_alone:
+        return np.stack(columns, axis=1)
     steep = np.divide(1.0, surfaces["roughness"], out=np.zeros_like(per_m), where=surfaces["roughness"] > 0.0)
-    of_table = [surfaces[name] for name in ("texture", "reflectance", "relief_m")]
-    return np.stack([*of_table, per_m, steep * steep, surfaces["shading"]], axis=1)
+    return np.stack([*columns, surfaces["relief_m"], steep * steep, surfaces["shading"]], axis=1)
 
 
 @kernel
@@ -101,7 +112,7 @@ def _texture(
 
     Parameters
     ----------
-    looks : (m, 6) texture, reflectance, relief, patches per metre, inverse square of the roughness, and
+    looks : (m, 6) texture, reflectance, patches per metre, relief, inverse square of the roughness, and
         shading of each surface, in one line of the cache
     """
     (count, range_m, met, cosine) = rays
@@ -118,17 +129,14 @@ def _texture(
                 at_m = np.float64(range_m[ray])
                 texture = looks[row, 0]
                 reflectance = looks[row, 1]
-                relief_m = looks[row, 2]
-                per_m = looks[row, 3]
+                per_m = looks[row, 2]
+                relief_m = looks[row, 3]
                 slope = max(np.float64(cosine[ray]), _FLATTEST)
                 steepness = np.float64(looks[row, 4])
                 if texture != 0.0:
                     if abs(range_m[ray] - patch_m) > _SAME_M:
                         patch_m = at_m
-                        drawn, strength = _draw_patch(
-                            seed, np.float64(per_m), origin_m, direction, i, j, at_m, 0, known
-                        )
-                        patch = _SPREAD * (2.0 * drawn - 1.0) * strength
+                        patch = _patch(seed, per_m, origin_m, direction, i, j, at_m, known)
                     slant = 0.5 + 0.5 / slope
                     more = texture * slant * patch
                     cosine[ray] *= np.float32(_factor(more, reflectance))
@@ -152,13 +160,67 @@ def _texture(
                     while finer * at_m < _RELIEF_FROM_M and finer < _FINEST:
                         finer *= 2.0
                     drawn, strength = _draw_patch(
-                        seed, finer / _RELIEF_GRID_M, origin_m, direction, i, j, at_m, 2, known
+                        seed, finer / _RELIEF_GRID_M, origin_m, direction, i, j, at_m, known
                     )
                     even = 2.0 * drawn - 1.0
                     square = even * even
                     range_m[ray] += (
                         relief_m * _STANDING_OUT * (square * square * even) * (_EVEN + _UNEVEN * strength)
                     )
+
+
+@kernel
+def _texture_alone(
+    origin_m: F8,
+    direction: F8,
+    rays: tuple[U2, F4, U4, F4],
+    looks: F4,
+    seed: int,
+    known: _Known,
+    room: tuple[F4, F8],
+) -> None:
+    """Multiply cosines by the texture as `_texture` does, where no surface has relief, gloss or shading.
+
+    A firing sequence at a time: first the patches of its sub-rays, then their factors, several at once.
+
+    Parameters
+    ----------
+    looks : (m, 3) the first columns
+    room : scratch for the sub-rays of a sequence: texture and reflectance (2, n), and patch (n,)
+    """
+    (count, range_m, met, cosine) = rays
+    (of_surface, patches) = room
+    stop = np.uint64(0)
+    for i in range(count.shape[0]):
+        first = stop
+        for j in range(count.shape[1]):
+            start, stop = stop, stop + np.uint64(count[i, j])
+            patch_m = -np.inf
+            patch = 0.0
+            for ray in range(start, stop):
+                is_hit = range_m[ray] < np.inf
+                row = met[ray] if is_hit else np.uint32(0)
+                texture = looks[row, 0] if is_hit else np.float32(0.0)
+                if (texture != 0.0) & (abs(range_m[ray] - patch_m) > _SAME_M):
+                    patch_m = np.float64(range_m[ray])
+                    patch = _patch(seed, looks[row, 2], origin_m, direction, i, j, patch_m, known)
+                of_surface[0, ray - first] = texture
+                of_surface[1, ray - first] = looks[row, 1]
+                patches[ray - first] = patch
+        for ray in range(stop - first):
+            slope = max(np.float64(cosine[first + ray]), _FLATTEST)
+            slant = 0.5 + 0.5 / slope
+            more = of_surface[0, ray] * slant * patches[ray]
+            cosine[first + ray] *= np.float32(_factor(more, of_surface[1, ray]))
+
+
+@inline_kernel
+def _patch(
+    seed: int, per_m: float, origin_m: F8, direction: F8, i: int, j: int, at_m: float, known: _Known
+) -> float:
+    """Return the texture of a patch of variance one, at a range along a pulse (i, j)."""
+    drawn, strength = _draw_patch(seed, np.float64(per_m), origin_m, direction, i, j, at_m, known)
+    return _SPREAD * (2.0 * drawn - 1.0) * strength
 
 
 @inline_kernel
@@ -187,15 +249,7 @@ def _shade(origin_m: F8, direction: F8, i: int, j: int, at_m: float, phase: floa
 
 @inline_kernel
 def _draw_patch(
-    seed: int,
-    per_m: float,
-    origin_m: F8,
-    direction: F8,
-    i: int,
-    j: int,
-    at_m: float,
-    slot: int,
-    known: _Known,
+    seed: int, per_m: float, origin_m: F8, direction: F8, i: int, j: int, at_m: float, known: _Known
 ) -> tuple[float, float]:
     """Draw a number in [0, 1) for the patch at a range along a pulse (i, j), and the contrast of its area.
 
@@ -207,21 +261,22 @@ def _draw_patch(
     u = np.int64(math.floor(x + fold(0.37 * y + 0.61 * z) + 0.4 * fold(2.3 * z - 1.7 * y)))
     v = np.int64(math.floor(y + fold(0.53 * z - 0.41 * x) + 0.4 * fold(1.9 * x + 2.1 * z)))
     w = np.int64(math.floor(z + fold(0.43 * x + 0.57 * y) + 0.4 * fold(1.6 * y - 2.2 * x)))
-    drawn = _draw_cell(seed, u, v, w, slot, j, known)
-    share = _draw_cell(seed, u >> _CELL_BITS, v >> _CELL_BITS, w >> _CELL_BITS, slot + 1, j, known)
+    drawn = _draw_cell(seed, u, v, w, 0, known)
+    share = _draw_cell(seed, u >> _CELL_BITS, v >> _CELL_BITS, w >> _CELL_BITS, 1, known)
     return drawn, _STRENGTH[np.int64(share * len(_STRENGTH))]
 
 
 @inline_kernel
-def _draw_cell(seed: int, u: np.int64, v: np.int64, w: np.int64, slot: int, j: int, known: _Known) -> float:
-    """Draw the number of a cell, unless the last pulse of laser j hit it too."""
+def _draw_cell(seed: int, u: np.int64, v: np.int64, w: np.int64, of_area: int, known: _Known) -> float:
+    """Draw the number of a patch, or with 1 of an area, unless it is known."""
     cells, values = known
-    if cells[slot, j, 0] != u or cells[slot, j, 1] != v or cells[slot, j, 2] != w:
-        cells[slot, j, 0] = u
-        cells[slot, j, 1] = v
-        cells[slot, j, 2] = w
-        of_whole = slot & 1
-        lane = (w << 1 | of_whole) & 0xFFFFFFFF
-        first, second = uniform_pair(seed, _TEXTURE, (u & 0xFFFFFFFF) | (v << 32), lane)
-        values[slot, j] = second if of_whole else first
-    return values[slot, j]
+    counter = (u & 0xFFFFFFFF) | (v << 32)
+    lane = (w << 1 | of_area) & 0xFFFFFFFF
+    mixed = np.uint64(counter) * _MIX_COUNTER + np.uint64(lane) * _MIX_LANE
+    place = mixed >> np.uint64(64 - _KNOWN_BITS)
+    if cells[place, 0] != counter or cells[place, 1] != lane:
+        cells[place, 0] = counter
+        cells[place, 1] = lane
+        first, second = uniform_pair(seed, _TEXTURE, counter, lane)
+        values[place] = second if of_area else first
+    return values[place]

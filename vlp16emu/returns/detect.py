@@ -25,7 +25,7 @@ from vlp16emu.returns.echoes import (
     gather,
     highest_peak,
 )
-from vlp16emu.returns.lost import MEAN_CODE, STATE, UNEVENNESS, Sight, lose, raised_code
+from vlp16emu.returns.lost import AREA, MEAN_CODE, STATE, UNEVENNESS, Sight, lose, raised_code
 from vlp16emu.returns.noise import (
     NO_RETURN_KNOTS,
     REFLECTIVITY_TAIL,
@@ -132,13 +132,14 @@ def detect(
 
 @once_per_array
 def _columns_of(surfaces: NDArray[np.void]) -> tuple[F4, U4]:
-    """Return reflectance and sheet number (m,) of each surface.
+    """Return reflectance and sheet number (m,) of each surface; one reflectance if there is none.
 
     All tiles of the ground are one sheet without gaps; plants have 0.
     """
     number = np.where(surfaces["semantic"] == Semantic.GROUND, 1, np.arange(2, len(surfaces) + 2))
     sheet = np.where(surfaces["part"] == PlantPart.NONE, number, 0).astype(np.uint32)
-    return surfaces["reflectance"].copy(), sheet
+    reflectance = surfaces["reflectance"].copy() if len(surfaces) else np.zeros(1, np.float32)
+    return reflectance, sheet
 
 
 class _Errors(NamedTuple):
@@ -196,6 +197,7 @@ def _detect(
         if i % block == 0:
             before[:] = 0.0
             before[:, MEAN_CODE] = -1.0
+            before[:, AREA] = np.inf
         if _draws_noise(constants):
             normal_pairs(constants.seed, _RANGE_NOISE, n, noise[0], noise[1])
         if errors.parity.shape[1] > 0:

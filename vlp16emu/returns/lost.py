@@ -23,8 +23,10 @@ from vlp16emu.sensor.laws import law, span
 from vlp16emu.trig import ZERO, fold
 from vlp16emu.types import F4, F8, U1, U4
 
-STATE = 7
-MEAN_CODE, _RANGE_M, _ROUGH, _CHANGE, _WAS_LOST, UNEVENNESS, _CODE = range(STATE)
+STATE = 11
+MEAN_CODE, _RANGE_M, _ROUGH, _CHANGE, _WAS_LOST, UNEVENNESS, _CODE, AREA, _AREA_V, _AREA_W, _AREA_DRAWN = (
+    range(STATE)
+)
 """Columns of the state of a laser, as in `lose`; range noise follows the unevenness."""
 _EDGE = ZERO + Purpose.NO_RETURN
 _SPOT = ZERO + Purpose.LOSS_SPOT
@@ -54,6 +56,7 @@ _SPOT_RAD = law("spot.least_rad")
 _SPOTS_ACROSS_BITS = int(law("spot.across_bits"))
 _DENSITY = law("spot.density")
 _NEAREST_SPOT_M = 0.5  # range below which spots no longer become smaller: no unit has a return there
+_MANTISSA = (1 << 52) - 1
 _LASER_BITS = 24  # bits of a cell's number beside which the laser is written
 
 # Raised codes of records without a range.
@@ -180,7 +183,8 @@ def lose(
         errors, and the number of its nodes; one node has no step
     before : (L, STATE) state of each laser: mean code, -1 for none, last range, mean change of range, mean
         change of code over the last code, at most 1, 1 if its last pulse was lost, mean change of code over
-        the mean code in more pulses, at most `range.most_change`, and the last code
+        the mean code in more pulses, at most `range.most_change`, the last code, and the last area whose
+        spots were drawn, infinity for none, with its number
     """
     (seed, dual, sheet, near_lost, no_return) = unit
     rays, sight = pulses
@@ -250,7 +254,8 @@ def _lose_pulse(
     jump = calm * loss_at_step(rates, last, code)
     sure = jump + calm * follows * rates.again
     gloss = calm * rates.gloss if is_uneven else 0.0
-    if lost >= sure and not _is_in_spot(spot_rate(rates, code, range_m, gloss, place[4]), place, laser):
+    rate = spot_rate(rates, code, range_m, gloss, place[4])
+    if lost >= sure and not _is_in_spot(rate, place, laser, before):
         if is_single or lost >= sure + calm * rates.step:
             return
         share = second_surface_share(*pulse[1:])
@@ -328,18 +333,17 @@ def spot_rate(rates: LossRates, code: float, range_m: float, gloss: float, near_
 
 
 @inline_kernel
-def _is_in_spot(rate: float, place: tuple[int, Sight, int, float, float], laser: int) -> bool:
+def _is_in_spot(rate: float, place: tuple[int, Sight, int, float, float], laser: int, before: F8) -> bool:
     """Return True if a laser loses its records at the place of a pulse, for a share of lost records.
 
     Cells of the world have the size of some records at their range. A few areas, of many cells, have spots;
-    there a cell has one with the probability `spot.density`. Folds make the borders of cells irregular.
+    there a cell has one with the probability `spot.density`. Folds make the borders of cells irregular. Most
+    pulses are in the area of the one before, whose number is in the state of the laser.
     """
     if rate <= 0.0:
         return False
     (seed, sight, row, at_m, _) = place
-    size_m = _SPOT_RAD * _NEAREST_SPOT_M
-    while size_m < _SPOT_RAD * at_m:
-        size_m *= 2.0
+    size_m = _spot_m(at_m)
     x = (sight.origin_m[row, laser, 0] + at_m * sight.direction[row, laser, 0]) / size_m
     y = (sight.origin_m[row, laser, 1] + at_m * sight.direction[row, laser, 1]) / size_m
     z = (sight.origin_m[row, laser, 2] + at_m * sight.direction[row, laser, 2]) / size_m
@@ -347,8 +351,21 @@ def _is_in_spot(rate: float, place: tuple[int, Sight, int, float, float], laser:
     v = np.int64(math.floor(y + fold(0.53 * z - 0.41 * x)))
     w = np.int64(math.floor(z + fold(0.43 * x + 0.57 * y)))
     across = _SPOTS_ACROSS_BITS
-    drawn = _draw_cell(seed, u >> across, v >> across, (w >> across) << 1 | 1, laser)
-    return drawn * _DENSITY < rate and _draw_cell(seed, u, v, w << 1, laser) < _DENSITY
+    area_u, area_v, area_w = u >> across, v >> across, w >> across
+    if before[AREA] != area_u or before[_AREA_V] != area_v or before[_AREA_W] != area_w:
+        before[AREA] = area_u
+        before[_AREA_V] = area_v
+        before[_AREA_W] = area_w
+        before[_AREA_DRAWN] = _draw_cell(seed, area_u, area_v, area_w << 1 | 1, laser)
+    return before[_AREA_DRAWN] * _DENSITY < rate and _draw_cell(seed, u, v, w << 1, laser) < _DENSITY
+
+
+@inline_kernel
+def _spot_m(range_m: float) -> float:
+    """Return the size of a spot: the least one doubled until it is that of `_SPOT_RAD`, without a loop."""
+    least = np.float64(_SPOT_RAD * _NEAREST_SPOT_M).view(np.int64)
+    doublings = max(np.float64(_SPOT_RAD * range_m).view(np.int64) - least + _MANTISSA >> 52, np.int64(0))
+    return np.int64(least + (doublings << 52)).view(np.float64)
 
 
 @inline_kernel

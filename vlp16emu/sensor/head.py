@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vlp16emu.kernels.compiler import array_kernel, inline_kernel
+from vlp16emu.kernels.compiler import array_kernel
 from vlp16emu.sensor.beams import BeamTable
 from vlp16emu.sensor.clock import Clock
 from vlp16emu.sensor.rotor import Rotor
@@ -78,13 +78,6 @@ class Head:
         )
 
 
-@inline_kernel
-def turn(R: F8, vector: F8, out: F8) -> None:
-    """Compute out = R vector, each (3,) and R (3, 3); for use in kernels."""
-    for a in range(3):
-        out[a] = R[a, 0] * vector[0] + R[a, 1] * vector[1] + R[a, 2] * vector[2]
-
-
 @array_kernel
 def _aim(
     azimuth_deg: F8,
@@ -104,7 +97,6 @@ def _aim(
     """
     count, lasers = azimuth_deg.shape
     moving = len(world_p_body_m) > 1
-    body = np.empty(3)
     cosine = np.empty(lasers)
     sine = np.empty(lasers)
     flat = np.empty(lasers)
@@ -114,23 +106,19 @@ def _aim(
     for i in range(count):
         for j in range(lasers):  # four at once
             cosine[j], sine[j] = cos_sin(math.radians(azimuth_deg[i, j]) + offset_rad[j])
-        for j in range(lasers):
-            n = i * lasers + j if moving else 0
-            R, p = world_R_body[n], world_p_body_m[n]
+        for j in range(np.uint64(lasers)):  # signed indices might count from the end
+            n = np.uint64(i) * np.uint64(lasers) + j if moving else np.uint64(0)
+            R = world_R_body[n]
             c = cosine[j]
             s = sine[j]
-            body[0] = flat[j] * c
-            body[1] = -flat[j] * s
-            body[2] = up[j]
-            turn(R, body, direction[i, j])
-            if len(beam_axis):
-                body[0] = -s
-                body[1] = -c
-                body[2] = 0.0
-                turn(R, body, beam_axis[i, j])
+            x, y, z = flat[j] * c, -flat[j] * s, up[j]
             for a in range(3):
+                direction[i, j, a] = R[a, 0] * x + R[a, 1] * y + R[a, 2] * z
                 # The spin axis is the body's z axis, also if the mount turns the head about it.
-                origin_m[i, j, a] = p[a] + R[a, 2] * offset_m[j]
+                origin_m[i, j, a] = world_p_body_m[n, a] + R[a, 2] * offset_m[j]
+            if len(beam_axis):
+                for a in range(3):
+                    beam_axis[i, j, a] = R[a, 0] * -s + R[a, 1] * -c + R[a, 2] * 0.0
 
 
 @array_kernel
