@@ -97,7 +97,7 @@ def detect(
     exact_m = np.zeros(shape if truth else (0, 0, 3), np.float32)
     most_nodes = int(hits.count.max(initial=1)) + 1  # the air's own echo is one more
     peaks = np.empty((COLUMNS, _PEAKS_PER_NODE * most_nodes))
-    of_lasers = np.zeros((4, lasers)), np.zeros((lasers, STATE)), np.zeros(lasers)
+    of_lasers = np.zeros((3, lasers)), np.zeros((lasers, STATE)), np.zeros(lasers)
     room = np.empty((COLUMNS, most_nodes)), peaks, np.empty(3, np.int64), *of_lasers
     reflectance, sheet = _columns_of(surfaces)
     rays = SubRays(hits.count, hits.range_m, hits.surface, hits.cos_incidence, reflectance)
@@ -233,7 +233,6 @@ def _detect(
                     if chosen[column] >= 0:
                         exact_m[i, j, column] = peaks[RANGE, chosen[column]]
             noise[2, j] = at_m
-            noise[3, j] = lit
         if constants.lost.step + constants.lost.dark > 0.0:
             dual = not constants.strongest_only
             unit = constants.seed, dual, errors.sheet, errors.near_lost, errors.no_return
