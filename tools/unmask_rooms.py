@@ -20,7 +20,7 @@ DUST = (1e-5, 1e-2)
 BLACK = (0.004, 0.04)
 """Limits of the reflectance of black things. Codes 1 to 5 are about equally frequent on real captures."""
 WHITE = (0.8, 0.95)
-PRINTS = 6
+PRINTS = 9
 """Prints on a board are fewer: black or white patches, which real captures have in many rings."""
 MOST_PAINT = (0.15, 0.35)
 """Limits of the roughness of paint and varnish."""
@@ -47,8 +47,8 @@ class Room:
         self.poles: list[Thing] = []
         for wall in self.drawn.permutation(4)[: self.drawn.integers(1, 4)]:
             self._windows(int(wall))
-        self._hang(14)
-        self._furnish(32)
+        self._hang(24)
+        self._furnish(40)
         self._shelve(12)
         self._stand_up(18)
         self._partition()
