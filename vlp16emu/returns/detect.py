@@ -34,7 +34,7 @@ from vlp16emu.returns.noise import (
     with_heavy_tails,
 )
 from vlp16emu.returns.settings import DetectorConstants
-from vlp16emu.returns.strength import at_range, change_parities, count_of, strength, with_parity
+from vlp16emu.returns.strength import at_range, change_parities, count_of, faint_m, strength, with_parity
 from vlp16emu.sensor.laws import law
 from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, I8, U1, U4, Firings, Hits, PlantPart, Returns, Semantic
@@ -390,17 +390,19 @@ def _measure(
     if constants.heavy_tails:
         other_noise = with_heavy_tails(other_noise, REFLECTIVITY_TAIL)
     counts = sigma * other_noise
+    eighths, gain_at_range = at_range(by_range, range_m)
+    gain = own_gain * gain_at_range
+    percent = 100.0 * reflectance
+    code = max(percent * gain + counts, 0.0)
+    exact = strength(min(code, 100.0), eighths)
     if constants.range_noise_m > 0.0:
         measured_m += range_noise * _white_m(constants, laser_errors, reflectance, amplitude)
     if measured_m > constants.max_range_m:
         return np.float32(0.0), np.uint8(0)
     if not measured_m >= constants.min_range_m:
         measured_m = 0.0
-    eighths, gain_at_range = at_range(by_range, range_m)
-    gain = own_gain * gain_at_range
-    percent = 100.0 * reflectance
-    code = max(percent * gain + counts, 0.0)
-    exact = strength(min(code, 100.0), eighths)
+    elif eighths > 0.0:
+        measured_m = min(measured_m + faint_m(exact, range_m), constants.max_range_m)
     if parity.shape[0] > 0 and measured_m > 0.0:
         count = count_of(counts_of_code, code)
         measured_m = with_parity(parity, changed, count, measured_m, constants.max_range_m)

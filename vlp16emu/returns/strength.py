@@ -45,6 +45,8 @@ PARITIES = _BLOCK * (1 + int(max(span("strength.counts_of_units")) * _COUNTS_OF_
 _PARITY = ZERO + Purpose.DISTANCE_PARITY
 _KEPT = int(law("strength.kept_sequences"))
 _CHANGES_LANE = 1 << 12  # lane of the random numbers of changes, beside the laser
+_FAINT_M = 1e-3 * law("range.faint_mm")
+_FAINT_UNTIL_M, _FAINT_FROM_M = span("range.faint_near_m")
 _RANGE_LSB_PER_M = 500.0  # of a packet: 2 mm
 _M_PER_RANGE_LSB = 0.002
 
@@ -224,6 +226,14 @@ def in_steps(code: float, exact: float, eighths: float) -> float:
     if eighths < 1.0 or code >= _DIFFUSE:
         return code
     return min(np.floor(max(np.floor(exact + 0.5), 1.0) * eighths * (1.0 / _PER_CODE)), _DIFFUSE)
+
+
+@inline_kernel
+def faint_m(exact: float, range_m: float) -> float:
+    """Return by how much an echo is measured too far because it is faint, from its strength as in `strength`."""
+    near = max(_FAINT_FROM_M / max(range_m, _FAINT_UNTIL_M), 1.0)
+    close = near / max(np.floor(exact + 0.5), 1.0)
+    return _FAINT_M * close * close
 
 
 @inline_kernel
