@@ -47,6 +47,7 @@ _KEPT = int(law("strength.kept_sequences"))
 _CHANGES_LANE = 1 << 12  # lane of the random numbers of changes, beside the laser
 _FAINT_M = 1e-3 * law("range.faint_mm")
 _FAINT_UNTIL_M, _FAINT_FROM_M = span("range.faint_near_m")
+_COARSE_PER_M = 1e3 / law("range.coarse_mm")
 _RANGE_LSB_PER_M = 500.0  # of a packet: 2 mm
 _M_PER_RANGE_LSB = 0.002
 
@@ -229,11 +230,15 @@ def in_steps(code: float, exact: float, eighths: float) -> float:
 
 
 @inline_kernel
-def faint_m(exact: float, range_m: float) -> float:
-    """Return by how much an echo is measured too far because it is faint, from its strength as in `strength`."""
+def with_faintness(range_m: float, exact: float) -> float:
+    """Return the range that is measured of an echo, from its strength as in `strength`.
+
+    A faint one is measured too far, and one that is below the least strength in coarse steps.
+    """
     near = max(_FAINT_FROM_M / max(range_m, _FAINT_UNTIL_M), 1.0)
     close = near / max(np.floor(exact + 0.5), 1.0)
-    return _FAINT_M * close * close
+    measured_m = range_m + _FAINT_M * close * close
+    return np.ceil(measured_m * _COARSE_PER_M) / _COARSE_PER_M if exact < 0.5 else measured_m
 
 
 @inline_kernel
