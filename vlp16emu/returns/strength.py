@@ -8,7 +8,6 @@ of 4 mm, plus a correction in steps of 2 mm from a table by laser and count of t
 change as a whole from time to time. Sources: the laws `strength` of `vlp16emu/sensor/laws.toml`.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +25,7 @@ EIGHTHS = 0  # columns of `Strength.by_range`
 GAIN = 1
 _KNOTS = 32  # of a laser's gain
 _OF_UNIT = 1 << 16  # number of a draw of the unit that no laser has
-_UNEVEN_LANE = 1 << 15  # lane of the unevenness of factors, shared by all lasers; that of each is behind it
+_UNEVEN_LANE = 1 << 15  # lane of the unevenness of the factors of the first laser
 _PER_CODE = 8.0  # parts of a code in which its factor is an integer
 _MOST_EIGHTHS = round(_PER_CODE * span("strength.limits")[1])
 _FACTORS = np.append(_PER_CODE, np.arange(1.0, _MOST_EIGHTHS + 2))  # eighths; every code is sent for none
@@ -127,9 +126,8 @@ def _unevenness(seed: int, lasers: int, unit_spread: float, at_m: F8) -> F8:
     """Draw by what the factors of a unit's lasers deviate from smooth ones at ranges (n,), (lasers, n)."""
     least, most = span("strength.uneven")
     drawn = float(uniform(seed, Purpose.STRENGTH, 6 + 2 * lasers, 1, _OF_UNIT)[0]) if unit_spread > 0.0 else 0.5
-    spread = (least + (most - least) * drawn) / math.sqrt(2.0)
-    shared = _wave(seed, _UNEVEN_LANE, at_m)
-    return exp(spread * np.stack([shared + _wave(seed, _UNEVEN_LANE + 1 + i, at_m) for i in range(lasers)]))
+    waves = [_wave(seed, _UNEVEN_LANE + laser, at_m) for laser in range(lasers)]
+    return exp((least + (most - least) * drawn) * np.stack(waves))
 
 
 def _wave(seed: int, lane: int, at_m: F8) -> F8:
