@@ -16,10 +16,10 @@ SENSOR_M = 1.2
 PANE = {"reflectance": 1e-5, "roughness": 0.05}
 """Finish of clean glass: it returns what falls on it straight, and nothing else."""
 DUST = (1e-5, 1e-2)
-"""Limits of the reflectance of panes. Behind windows of real captures single faint returns are from the glass."""
+"""Limits of the reflectance of panes; on real captures windows send single faint returns."""
 BLACK = (0.0005, 0.04)
-"""Limits of the reflectance of black things. Codes 1 to 5 are about equally frequent on real captures, and next
-to what has no return codes of 1 and 2 are the most frequent."""
+"""Limits of the reflectance of black things. Codes 1 to 5 are about equally frequent on real captures, and
+next to what has no return codes of 1 and 2 are the most frequent."""
 WHITE = (0.8, 0.95)
 PRINTS = 9
 """Prints on a board are fewer: black or white patches, which real captures have in many rings."""
@@ -163,7 +163,8 @@ class Room:
             for _ in range(self.drawn.integers(PRINTS) if i > 0 else 0):
                 left, top = self.drawn.uniform(-0.4, 0.4, 2) * size[:2]
                 part = self.drawn.uniform(0.1, 0.5, 2) * size[:2]
-                ink = {"reflectance": round(self._between(*(BLACK if self.drawn.random() < 0.6 else WHITE)), 4)}
+                limits = BLACK if self.drawn.random() < 0.6 else WHITE
+                ink = {"reflectance": round(self._between(*limits), 4)}
                 patch = self._on_wall(wall, along + left, up + top, (float(part[0]), float(part[1]), 0.024))
                 self._box("print", *patch, ink)
 

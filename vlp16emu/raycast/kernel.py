@@ -411,8 +411,8 @@ def _light_of(hits: RayHits, reflectance: F4, begin: np.uint64) -> np.float32:
     for lane in range(np.uint64(ROUND)):
         at = begin + lane
         if hits.surface[at] != NONE:
-            own_m = hits.range_m[at]
-            light += reflectance[hits.surface[at]] * hits.cos_incidence[at] / max(own_m * own_m, _LEAST_SQUARED)
+            squared = max(hits.range_m[at] * hits.range_m[at], _LEAST_SQUARED)
+            light += reflectance[hits.surface[at]] * hits.cos_incidence[at] / squared
     return light
 
 

@@ -34,7 +34,14 @@ from vlp16emu.returns.noise import (
     with_heavy_tails,
 )
 from vlp16emu.returns.settings import DetectorConstants
-from vlp16emu.returns.strength import at_range, change_parities, count_of, strength, with_faintness, with_parity
+from vlp16emu.returns.strength import (
+    at_range,
+    change_parities,
+    count_of,
+    strength,
+    with_faintness,
+    with_parity,
+)
 from vlp16emu.sensor.laws import law
 from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, I8, U1, U4, Firings, Hits, PlantPart, Returns, Semantic

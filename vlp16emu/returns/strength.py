@@ -1,11 +1,11 @@
 """Strength of an echo as an integer of the receiver: steps of reflectivity codes, and parity of ranges.
 
 A code is the strength times an integer of eighths that depends on the laser and the range, without its
-fraction: at 9/8 the codes 8, 17, 26 ... are missing, at 20/8 only 2, 5, 7, 10 ... are sent. The least strength
-is 1, so code 0 is sent only where the factor is below one. Lasers receive about the same strength from one
-surface, so the gain of a laser follows this factor. A range is twice a count
-of 4 mm, plus a correction in steps of 2 mm from a table by laser and count of the receiver, which some lasers
-change as a whole from time to time. Sources: the laws `strength` of `vlp16emu/sensor/laws.toml`.
+fraction: at 9/8 the codes 8, 17, 26 ... are missing, at 20/8 only 2, 5, 7, 10 ... are sent. The least
+strength is 1, so code 0 is sent only where the factor is below one. Lasers receive about the same strength
+from one surface, so the gain of a laser follows this factor. A range is twice a count of 4 mm, plus a
+correction in steps of 2 mm from a table by laser and count of the receiver, which some lasers change as a
+whole from time to time. Sources: the laws `strength` and `range` of `vlp16emu/sensor/laws.toml`.
 """
 
 from typing import NamedTuple
@@ -123,9 +123,11 @@ def _changed(seed: int, lasers: int) -> F8:
 
 
 def _unevenness(seed: int, lasers: int, unit_spread: float, at_m: F8) -> F8:
-    """Draw by what the factors of a unit's lasers deviate from smooth ones at ranges (n,), (lasers, n)."""
+    """Draw the factors by which those of a unit's lasers deviate from smooth ones, (lasers, n), by range."""
     least, most = span("strength.uneven")
-    drawn = float(uniform(seed, Purpose.STRENGTH, 6 + 2 * lasers, 1, _OF_UNIT)[0]) if unit_spread > 0.0 else 0.5
+    drawn = 0.5
+    if unit_spread > 0.0:
+        drawn = float(uniform(seed, Purpose.STRENGTH, 6 + 2 * lasers, 1, _OF_UNIT)[0])
     waves = [_wave(seed, _UNEVEN_LANE + laser, at_m) for laser in range(lasers)]
     return exp((least + (most - least) * drawn) * np.stack(waves))
 
