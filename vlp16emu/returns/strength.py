@@ -90,7 +90,8 @@ def strength_of(
     by_range[..., GAIN] = exp(gain_spread * np.stack(waves))
     if far_step > 0.0:
         factors = np.stack([_factors(seed, laser, far_step, unit_spread, at) for laser in range(lasers)])
-        factors = np.clip(factors * _unevenness(seed, lasers, unit_spread, at), *span("strength.limits"))
+        least, most = span("strength.limits")
+        factors = np.clip(factors * _unevenness(seed, lasers, unit_spread, at), least, most)
         by_range[..., EIGHTHS] = _PER_CODE * factors
         by_range[..., GAIN] *= _gains(seed, factors, unit_spread)
     parity = _parities(seed, lasers) if has_counts else np.zeros((lasers, 0), np.uint8)
