@@ -360,7 +360,6 @@ def settle(
     row = batch.row
     met = batch.surface
     light = batch.light
-    left = 0
     range_m = hits.range_m
     surface = hits.surface
     cosine = hits.cos_incidence
@@ -388,16 +387,25 @@ def settle(
                 first_met[to + lane] = surface[at + lane]
             light[q] = _light_of(hits, reflectance, at)
         batch.have[q] = total
-    needs_more = total < budget.max_rays
-    for t in range(todo if needs_more else ZERO):
+    return _queue_again(cast, budget, todo, total) if total < budget.max_rays else 0
+
+
+@inline_kernel
+def _queue_again(cast: Cast, budget: RayBudget, todo: int, total: int) -> int:
+    """Queue again the pulses among the first `todo` that need more than `total` rays; return their number."""
+    batch = cast.batch
+    hits = batch.hits
+    room = batch.scratch.shape[1]
+    left = 0
+    for t in range(todo):
         q = batch.todo[t]
-        if budget.adaptive and not is_beside_outline(light, budget, q):
+        if budget.adaptive and not is_beside_outline(batch.light, budget, q):
             begin = q * room
             stop = begin + total
-            ranges = range_m[begin:stop]
-            surfaces = surface[begin:stop]
-            cosines = cosine[begin:stop]
-            if enough(ranges, surfaces, cosines, reflectance, budget, batch.scratch):
+            ranges = hits.range_m[begin:stop]
+            surfaces = hits.surface[begin:stop]
+            cosines = hits.cos_incidence[begin:stop]
+            if enough(ranges, surfaces, cosines, cast.near.reflectance, budget, batch.scratch):
                 continue
         batch.todo[left] = q
         left += 1
