@@ -14,7 +14,15 @@ Thing = dict[str, object]
 Array = np.ndarray
 SENSOR_M = 1.2
 PANE = {"reflectance": 1e-5, "roughness": 0.05}
-"""Finish of glass: it returns what falls on it straight, and nothing else."""
+"""Finish of clean glass: it returns what falls on it straight, and nothing else."""
+DUST = (1e-5, 1e-2)
+"""Limits of the reflectance of panes; on real captures windows send single faint returns."""
+BLACK = (0.0005, 0.04)
+"""Limits of the reflectance of black things. Codes 1 to 5 are about equally frequent on real captures, and
+next to what has no return codes of 1 and 2 are the most frequent."""
+WHITE = (0.8, 0.95)
+PRINTS = 9
+"""Prints on a board are fewer: black or white patches, which real captures have in many rings."""
 MOST_PAINT = (0.15, 0.35)
 """Limits of the roughness of paint and varnish."""
 
@@ -40,10 +48,10 @@ class Room:
         self.poles: list[Thing] = []
         for wall in self.drawn.permutation(4)[: self.drawn.integers(1, 4)]:
             self._windows(int(wall))
-        self._hang(14)
-        self._furnish(22)
+        self._hang(24)
+        self._furnish(40)
         self._shelve(12)
-        self._stand_up(10)
+        self._stand_up(18)
         self._partition()
         self._box("cabinet", (0.0, 0.0, 0.55), (0.9, 0.6, 1.1), self._finish(0.1))
 
@@ -64,13 +72,17 @@ class Room:
             _setting("poles", self.poles),
         ]
 
+    def _between(self, low: float, high: float) -> float:
+        """Draw a number between two limits, uniform in its logarithm."""
+        return float(low * (high / low) ** self.drawn.random())
+
     def _finish(self, rough_m: float = 0.0) -> Thing:
-        """Draw a finish; one of eight things is black, one white, half have a coat, all a texture."""
+        """Draw a finish; a fifth of things are black, an eighth white, half have a coat, all a texture."""
         kind = self.drawn.random()
         grey = 0.03 * 30.0 ** self.drawn.random()
-        reflectance = self.drawn.uniform(0.01, 0.04) if kind < 0.12 else grey
+        reflectance = self._between(*BLACK) if kind < 0.2 else grey
         out: Thing = {
-            "reflectance": round(float(self.drawn.uniform(0.8, 0.95) if kind > 0.88 else reflectance), 4)
+            "reflectance": round(float(self.drawn.uniform(*WHITE) if kind > 0.88 else reflectance), 4)
         }
         if self.drawn.random() < 0.5:
             out["roughness"] = round(float(self.drawn.uniform(*MOST_PAINT)), 3)
@@ -120,9 +132,10 @@ class Room:
         start = self.drawn.uniform(-reach + 0.1, max(reach - count * wide - 0.1, -reach + 0.2))
         sill, tall = self.drawn.uniform(0.7, 1.1), self.drawn.uniform(0.9, 1.8)
         frame = self._finish()
+        glass = {**PANE, "reflectance": round(self._between(*DUST), 6), "shading": 0.3, "texture": 0.1}
         for i in range(count):
             middle = start + (i + 0.5) * wide
-            self._box("pane", *self._on_wall(wall, middle, sill + tall / 2, (wide, tall, 0.02)), PANE)
+            self._box("pane", *self._on_wall(wall, middle, sill + tall / 2, (wide, tall, 0.02)), glass)
             for edge in (middle - wide / 2, middle + wide / 2):
                 self._box("frame", *self._on_wall(wall, edge, sill + tall / 2, (0.07, tall, 0.07)), frame)
         self._box(
@@ -147,6 +160,13 @@ class Room:
             plate = {"retroreflection_cd_lx_m2": round(float(4.0 * 20.0 ** self.drawn.random()), 1)}
             size = (0.4, 0.12, 0.02) if i == 0 else (float(wide), float(tall), 0.02)
             self._box("board", *self._on_wall(wall, along, up, size), plate if i == 0 else self._finish())
+            for _ in range(self.drawn.integers(PRINTS) if i > 0 else 0):
+                left, top = self.drawn.uniform(-0.4, 0.4, 2) * size[:2]
+                part = self.drawn.uniform(0.1, 0.5, 2) * size[:2]
+                limits = BLACK if self.drawn.random() < 0.6 else WHITE
+                ink = {"reflectance": round(self._between(*limits), 4)}
+                patch = self._on_wall(wall, along + left, up + top, (float(part[0]), float(part[1]), 0.024))
+                self._box("print", *patch, ink)
 
     def _shelve(self, count: int) -> None:
         """Add shelves on walls: rows of books and folders side by side, each of one brightness."""

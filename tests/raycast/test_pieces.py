@@ -179,7 +179,7 @@ def test_pieces_are_left_out_without_loss(workers, monkeypatch, model):
         )
         firings = lab.rays(np.broadcast_to(track_m[0] + 0.3, direction.shape), direction)
         hits, of_whole = (each.cast(firings, np.zeros(1), 60.0, *beam) for each in (scene, whole))
-        assert np.isfinite(hits.range_m).mean() > 0.3
+        assert np.isfinite(hits.range_m).mean() > 0.25
         lab.assert_same_bits(hits, of_whole)
         assert (scene._near is built) == (np.abs(rise).max() < 0.31)
     assert not built.steep

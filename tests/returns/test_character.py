@@ -10,7 +10,7 @@ from scipy import stats
 from vlp16emu.returns import Noise
 from vlp16emu.returns.detect import detect
 from vlp16emu.returns.noise import gain, no_return_reflectivity, sent_codes
-from vlp16emu.returns.strength import EIGHTHS, GAIN, at_range, count_of, in_steps, strength
+from vlp16emu.returns.strength import EIGHTHS, GAIN, at_range, count_of, in_steps, strength, with_faintness
 from vlp16emu.sensor.laws import span
 
 
@@ -131,7 +131,7 @@ def test_codes_have_steps_by_laser_and_range():
         sent[range_m] = np.array([np.bincount(of, minlength=101)[15:35] > 0 for of in codes.T])
     shares = [sent[range_m].mean() for range_m in sent]
     assert 0.3 < shares[0] < 0.75
-    assert 0.88 < shares[1] <= 1.0
+    assert 0.8 < shares[1] <= 1.0
     assert 0.4 < shares[2] < 0.75
     assert len(np.unique(sent[12.0], axis=0)) > 4
     dark = wall(noise | {"reflectivity_noise": 0.8}, 3000, range_m=12.0, reflectance=0.02).reflectivity[
@@ -359,3 +359,36 @@ def test_noise_grows_where_brightness_is_uneven():
             for hits in (one, two)
         ]
         assert np.mean(spread[1] / spread[0]) == pytest.approx(factor, rel=0.1)
+
+
+def test_the_least_strength_is_one():
+    """However dark a wall is, a laser sends the code of strength 1 and no less: 0 only where its factor is
+    below one."""
+    noise = {"reflectivity_far_step": 1.8, "reflectivity_noise": 0.2}
+    for range_m in (0.8, 2.0, 12.0):
+        least = np.floor(eighths_at(noise, range_m) / 8.0)
+        codes = wall(noise, 200, range_m=range_m, reflectance=0.002).reflectivity[..., 0]
+        assert (codes == least).all()
+
+
+def eighths_at(noise, range_m):
+    """Factor of each laser at a range, in eighths, by interpolation."""
+    by_range = detector(noise).strength.by_range[..., 0]
+    at = 16.0 * range_m
+    return np.floor([np.interp(at, np.arange(by_range.shape[1]), of) + 0.5 for of in by_range])
+
+
+def test_faint_echoes_are_ranged_too_far():
+    """By 11 mm at strength 1, a quarter of it at 2, more below 1.4 m; below strength 1 in steps of 32 mm."""
+
+    def excess_mm(range_m, strength):
+        return 1e3 * (with_faintness(range_m, strength) - range_m)
+
+    assert excess_mm(3.0, 1.0) == pytest.approx(11.0)
+    assert excess_mm(3.0, 2.0) == pytest.approx(2.75)
+    assert excess_mm(3.0, 40.0) < 0.01
+    assert excess_mm(0.7, 2.0) == pytest.approx(11.0)
+    assert excess_mm(0.5, 2.0) == pytest.approx(11.0)
+    coarse = 1e3 * np.array([with_faintness(range_m, 0.2) for range_m in np.linspace(2.0, 2.2, 400)])
+    assert np.abs(coarse / 32.0 - np.rint(coarse / 32.0)).max() < 1e-9
+    assert len(np.unique(coarse)) in (7, 8)

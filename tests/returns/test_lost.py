@@ -219,3 +219,16 @@ def test_an_ideal_unit_loses_nothing():
     """All rates are 0 unless records are lost, so that nothing is drawn."""
     assert set(detector().constants.lost) == {0.0}
     assert set(loss_rates(5, Noise(preset="typical"))) == {0.0}
+
+
+def test_smaller_steps_of_range_lose_fewer_records():
+    """Of pulses that meet two surfaces with half of their light each, the unit's share from 0.4 m on, in
+    proportion below, and none below 0.03 m; and some that follow a lost one."""
+    unit = LOSSES | {"spots_lost": 0.0}
+    rates = loss_rates(1, Noise(preset="ideal", **unit))
+    for step_m, share in ((0.02, 0.0), (0.1, 0.25), (0.2, 0.5), (0.4, 1.0), (1.2, 1.0)):
+        range_m = np.broadcast_to([3.0, 3.0 + step_m], (3600, LASERS, 2))
+        reflectance = 0.5, 0.5 * (3.0 + step_m) ** 2 / 9.0
+        gone = lost(seen(table(*reflectance), range_m, [0, 1], unit)).mean()
+        alone = share * rates.step
+        assert 0.96 * alone <= gone <= 1.04 * alone / (1.0 - rates.again)

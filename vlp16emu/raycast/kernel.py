@@ -35,6 +35,10 @@ ORIGIN, DIRECTION, RANGE, COSINE, ROW = (LANES * row for row in (0, 3, 6, 7, 8))
 """Offsets of rows of lanes in `Batch.row`, and its length."""
 _RANGE = np.uint64(RANGE)
 _COSINE = np.uint64(COSINE)
+_OUTLINE_FACTOR = np.float32(16.0)
+"""Light of a pulse over that of its neighbour, and over the threshold, from which a sixteenth of its light is
+seen beside it: as much as a pulse may have that eight rays miss."""
+_LEAST_SQUARED = np.float32(1e-12)  # smallest squared range, in m2
 AXES_TIME = 12  # place of the pulse's time in a row of `Batch.axes_row`
 
 
@@ -77,6 +81,7 @@ class Batch(NamedTuple):
     missed: NDArray[np.bool_]  # (n,) mask of pulses with rays that meet nothing near
     todo: I8  # (n,) numbers of the pulses to cast
     have: I8  # (n,) number of sub-rays of each
+    light: F4  # (n,) sum of the amplitudes of the first round of each, in m-2
     hits: RayHits  # (n m,) hits of these, pulse by pulse; m is a multiple of eight
     scratch: F8  # (2, m) for sorting
 
@@ -94,6 +99,7 @@ def batch_of(pulses: int, max_rays: int) -> Batch:
         np.zeros(pulses, np.bool_),
         np.arange(pulses),
         np.zeros(pulses, np.int64),
+        np.zeros(pulses, np.float32),
         RayHits(np.empty(n, np.float32), np.empty(n, np.uint32), np.empty(n, np.float32)),
         np.empty((2, max_rays)),
     )
@@ -353,7 +359,7 @@ def settle(
     hits = batch.hits
     row = batch.row
     met = batch.surface
-    left = 0
+    light = batch.light
     range_m = hits.range_m
     surface = hits.surface
     cosine = hits.cos_incidence
@@ -379,18 +385,62 @@ def settle(
                 first_m[to + lane] = range_m[at + lane]
                 first_cosine[to + lane] = cosine[at + lane]
                 first_met[to + lane] = surface[at + lane]
+            light[q] = _light_of(hits, reflectance, at)
         batch.have[q] = total
-        needs_more = total < budget.max_rays
-        if needs_more and budget.adaptive:
+    return _queue_again(cast, budget, todo, total) if total < budget.max_rays else 0
+
+
+@inline_kernel
+def _queue_again(cast: Cast, budget: RayBudget, todo: int, total: int) -> int:
+    """Queue again the pulses among the first `todo` that need more than `total` rays; return their number."""
+    batch = cast.batch
+    hits = batch.hits
+    room = batch.scratch.shape[1]
+    left = 0
+    for t in range(todo):
+        q = batch.todo[t]
+        if budget.adaptive and not is_beside_outline(batch.light, budget, q):
+            begin = q * room
             stop = begin + total
-            ranges = range_m[begin:stop]
-            surfaces = surface[begin:stop]
-            cosines = cosine[begin:stop]
-            needs_more = not enough(ranges, surfaces, cosines, reflectance, budget, batch.scratch)
-        if needs_more:
-            batch.todo[left] = q
-            left += 1
+            ranges = hits.range_m[begin:stop]
+            surfaces = hits.surface[begin:stop]
+            cosines = hits.cos_incidence[begin:stop]
+            if enough(ranges, surfaces, cosines, cast.near.reflectance, budget, batch.scratch):
+                continue
+        batch.todo[left] = q
+        left += 1
     return left
+
+
+@inline_kernel
+def _light_of(hits: RayHits, reflectance: F4, begin: np.uint64) -> np.float32:
+    """Return the sum of the amplitudes of a round of hits, as if each ray were the whole pulse, in m-2."""
+    light = np.float32(0.0)
+    for lane in range(np.uint64(ROUND)):
+        at = begin + lane
+        if hits.surface[at] != NONE:
+            squared = max(hits.range_m[at] * hits.range_m[at], _LEAST_SQUARED)
+            light += reflectance[hits.surface[at]] * hits.cos_incidence[at] / squared
+    return light
+
+
+@inline_kernel
+def is_beside_outline(light: F4, budget: RayBudget, q: int) -> bool:
+    """Return True if pulse q is just beside the outline of something that is brighter than what it meets.
+
+    The first round of the pulse before or after it, of the eight firings of its laser, has far more light, so
+    much that what the faint edge of the beam adds may be seen.
+
+    Parameters
+    ----------
+    light : (n,) sum of the amplitudes of the first round of each pulse
+    """
+    brightest = light[q]
+    if q % PACKET > 0:
+        brightest = max(brightest, light[q - 1])
+    if q % PACKET < PACKET - 1:
+        brightest = max(brightest, light[q + 1])
+    return bool(brightest > _OUTLINE_FACTOR * max(light[q], ROUND * budget.threshold))
 
 
 @array_kernel

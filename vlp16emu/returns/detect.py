@@ -34,7 +34,14 @@ from vlp16emu.returns.noise import (
     with_heavy_tails,
 )
 from vlp16emu.returns.settings import DetectorConstants
-from vlp16emu.returns.strength import at_range, change_parities, count_of, strength, with_parity
+from vlp16emu.returns.strength import (
+    at_range,
+    change_parities,
+    count_of,
+    strength,
+    with_faintness,
+    with_parity,
+)
 from vlp16emu.sensor.laws import law
 from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, I8, U1, U4, Firings, Hits, PlantPart, Returns, Semantic
@@ -97,7 +104,7 @@ def detect(
     exact_m = np.zeros(shape if truth else (0, 0, 3), np.float32)
     most_nodes = int(hits.count.max(initial=1)) + 1  # the air's own echo is one more
     peaks = np.empty((COLUMNS, _PEAKS_PER_NODE * most_nodes))
-    of_lasers = np.zeros((4, lasers)), np.zeros((lasers, STATE)), np.zeros(lasers)
+    of_lasers = np.zeros((3, lasers)), np.zeros((lasers, STATE)), np.zeros(lasers)
     room = np.empty((COLUMNS, most_nodes)), peaks, np.empty(3, np.int64), *of_lasers
     reflectance, sheet = _columns_of(surfaces)
     rays = SubRays(hits.count, hits.range_m, hits.surface, hits.cos_incidence, reflectance)
@@ -235,7 +242,6 @@ def _detect(
                     if chosen[column] >= 0:
                         exact_m[i, j, column] = peaks[RANGE, chosen[column]]
             noise[2, j] = at_m
-            noise[3, j] = lit
         if constants.lost.step + constants.lost.dark > 0.0:
             dual = not constants.strongest_only
             unit = constants.seed, dual, errors.sheet, errors.near_lost, errors.no_return
@@ -393,17 +399,19 @@ def _measure(
     if constants.heavy_tails:
         other_noise = with_heavy_tails(other_noise, REFLECTIVITY_TAIL)
     counts = sigma * other_noise
+    eighths, gain_at_range = at_range(by_range, range_m)
+    gain = own_gain * gain_at_range
+    percent = 100.0 * reflectance
+    code = max(percent * gain + counts, 0.0)
+    exact = strength(min(code, 100.0), eighths)
     if constants.range_noise_m > 0.0:
         measured_m += range_noise * _white_m(constants, laser_errors, reflectance, amplitude)
     if measured_m > constants.max_range_m:
         return np.float32(0.0), np.uint8(0)
     if not measured_m >= constants.min_range_m:
         measured_m = 0.0
-    eighths, gain_at_range = at_range(by_range, range_m)
-    gain = own_gain * gain_at_range
-    percent = 100.0 * reflectance
-    code = max(percent * gain + counts, 0.0)
-    exact = strength(min(code, 100.0), eighths)
+    elif eighths > 0.0:
+        measured_m = min(with_faintness(measured_m, exact), constants.max_range_m)
     if parity.shape[0] > 0 and measured_m > 0.0:
         count = count_of(counts_of_code, code)
         measured_m = with_parity(parity, changed, count, measured_m, constants.max_range_m)

@@ -21,7 +21,7 @@ from vlp16emu.returns.echoes import SubRays
 from vlp16emu.returns.settings import LossRates, Noise
 from vlp16emu.sensor.laws import law, span
 from vlp16emu.trig import ZERO, fold
-from vlp16emu.types import F4, F8, U1, U4
+from vlp16emu.types import F4, F8, NO_SURFACE, U1, U4
 
 STATE = 11
 MEAN_CODE, _RANGE_M, _ROUGH, _CHANGE, _WAS_LOST, UNEVENNESS, _CODE, AREA, _AREA_V, _AREA_W, _AREA_DRAWN = (
@@ -40,6 +40,7 @@ _ROUGH_GAIN = law("loss.rough_gain")
 _ROUGH_M = law("loss.rough_m")
 _MOST_ROUGH_M = law("loss.most_rough_m")
 _RANGE_STEP_M = law("loss.range_step_m")
+_LEAST_STEP_M = law("loss.least_step_m")
 _BLACK_CODE = law("loss.black_code")
 _NEAR_M = law("loss.near_m")
 _ODD_ALONE = law("loss.odd_alone")
@@ -121,16 +122,23 @@ def _between(limits: Sequence[float], draw: float) -> float:
 
 
 @inline_kernel
-def second_surface_share(rays: SubRays, sheet: U4, start: int, stop: int) -> float:
-    """Return the share of the light of sub-rays that is a range step away from the brightest one.
+def step_share(rays: SubRays, sheet: U4, start: int, stop: int) -> float:
+    """Return the rate of loss of a pulse that meets a step of range, over the greatest one.
 
-    Sub-rays are start .. stop - 1. A sheet without gaps, such as the ground (`sheet`, by surface; 0 for
-    none), has no step at any slope.
+    With half of its light from each of two surfaces it is 1, and 4 s (1 - s) with the share s from the
+    fainter one; less, in proportion, where their ranges differ by less than `loss.range_step_m`. Sub-rays are
+    start .. stop - 1. A sheet without gaps, such as the ground (`sheet`, by surface; 0 for none), has no step
+    at any slope.
     """
     _, range_m, met, cosine, reflectance = rays
-    brightest = at_m = total = beyond_step = 0.0
+    brightest = at_m = total = beyond_step = weighted = 0.0
     surface = met[start]
+    is_one = surface == NO_SURFACE or sheet[surface] != 0
     for ray in range(np.uint64(start), np.uint64(stop)):  # signed indices might count from the end
+        is_one &= met[ray] == surface
+    if is_one:
+        return 0.0
+    for ray in range(np.uint64(start), np.uint64(stop)):
         if range_m[ray] < np.inf:
             light = (
                 np.float64(reflectance[met[ray]]) * cosine[ray] / (np.float64(range_m[ray]) * range_m[ray])
@@ -148,9 +156,11 @@ def second_surface_share(rays: SubRays, sheet: U4, start: int, stop: int) -> flo
                 np.float64(reflectance[met[ray]]) * cosine[ray] / (np.float64(range_m[ray]) * range_m[ray])
             )
             total += light
-            if abs(range_m[ray] - at_m) > _RANGE_STEP_M and (sheet_met == 0 or sheet[met[ray]] != sheet_met):
+            step_m = abs(range_m[ray] - at_m)
+            if step_m > _LEAST_STEP_M and (sheet_met == 0 or sheet[met[ray]] != sheet_met):
                 beyond_step += light
-    return beyond_step / total if total > 0.0 else 0.0
+                weighted += light * min(step_m * (1.0 / _RANGE_STEP_M), 1.0)
+    return 4.0 * weighted / total * (1.0 - beyond_step / total) if total > 0.0 else 0.0
 
 
 @inline_kernel
@@ -176,11 +186,11 @@ def lose(
 
     Parameters
     ----------
-    unit : seed of the unit, whether it sends two returns, sheets as in `second_surface_share`, share of near
+    unit : seed of the unit, whether it sends two returns, sheets as in `step_share`, share of near
         records that each laser loses, and its code of a record without range
     row, first_ray : number of the sequence among the pulses, and of its first sub-ray
-    met : (4, L) normal numbers of each pulse, whose last digits decide on losses at steps, its range before
-        errors, and the number of its nodes; one node has no step
+    met : (3, L) normal numbers of each pulse, whose last digits decide on losses at steps, and its range
+        before errors
     before : (L, STATE) state of each laser: mean code, -1 for none, last range, mean change of range, mean
         change of code over the last code, at most 1, 1 if its last pulse was lost, mean change of code over
         the mean code in more pulses, at most `range.most_change`, the last code, and the last area whose
@@ -192,7 +202,7 @@ def lose(
     for laser in range(distance_m.shape[0]):
         start, stop = stop, stop + int(rays.counts[row, laser])
         noise = met[0, laser], met[1, laser]
-        pulse = met[3, laser] < 2.0, rays, sheet, start, stop
+        pulse = stop - start < 2, rays, sheet, start, stop
         place = seed, sight, row, met[2, laser], near_lost[laser]
         _lose_pulse(
             rates,
@@ -225,7 +235,7 @@ def _lose_pulse(
 
     Parameters
     ----------
-    pulse : True for a single node, and its sub-rays as in `second_surface_share`
+    pulse : True for a single ray, which has no step, and its sub-rays as in `step_share`
     place : seed of the unit, pulses and row of this one, its range before errors, and the share of near
         records that its laser loses
     before : (STATE,) state of the laser
@@ -258,8 +268,7 @@ def _lose_pulse(
     if lost >= sure and not _is_in_spot(rate, place, laser, before):
         if is_single or lost >= sure + calm * rates.step:
             return
-        share = second_surface_share(*pulse[1:])
-        if lost >= sure + calm * rates.step * 4.0 * share * (1.0 - share):
+        if lost >= sure + calm * rates.step * step_share(*pulse[1:]):
             return
     before[_WAS_LOST] = 1.0
     choice = _fraction(noise[1] * _DIGITS)

@@ -1,10 +1,11 @@
 """Strength of an echo as an integer of the receiver: steps of reflectivity codes, and parity of ranges.
 
 A code is the strength times an integer of eighths that depends on the laser and the range, without its
-fraction: at 9/8 the codes 8, 17, 26 ... are missing, at 20/8 only 0, 2, 5, 7, 10 ... are sent. Lasers receive
-about the same strength from one surface, so the gain of a laser follows this factor. A range is twice a count
-of 4 mm, plus a correction in steps of 2 mm from a table by laser and count of the receiver, which some lasers
-change as a whole from time to time. Sources: the laws `strength` of `vlp16emu/sensor/laws.toml`.
+fraction: at 9/8 the codes 8, 17, 26 ... are missing, at 20/8 only 2, 5, 7, 10 ... are sent. The least
+strength is 1, so code 0 is sent only where the factor is below one. Lasers receive about the same strength
+from one surface, so the gain of a laser follows this factor. A range is twice a count of 4 mm, plus a
+correction in steps of 2 mm from a table by laser and count of the receiver, which some lasers change as a
+whole from time to time. Sources: the laws `strength` and `range` of `vlp16emu/sensor/laws.toml`.
 """
 
 from typing import NamedTuple
@@ -24,11 +25,12 @@ EIGHTHS = 0  # columns of `Strength.by_range`
 GAIN = 1
 _KNOTS = 32  # of a laser's gain
 _OF_UNIT = 1 << 16  # number of a draw of the unit that no laser has
+_UNEVEN_LANE = 1 << 15  # lane of the unevenness of the factors of the first laser
 _PER_CODE = 8.0  # parts of a code in which its factor is an integer
-_MOST_EIGHTHS = round(_PER_CODE * law("strength.most_near"))
-_FACTORS = np.maximum(np.arange(_MOST_EIGHTHS + 2), int(_PER_CODE))  # eighths; every code is sent for none
+_MOST_EIGHTHS = round(_PER_CODE * span("strength.limits")[1])
+_FACTORS = np.append(_PER_CODE, np.arange(1.0, _MOST_EIGHTHS + 2))  # eighths; every code is sent for none
 _STRENGTH_PER_CODE = _PER_CODE / _FACTORS
-_TRUNCATED = (0.5 - 0.5 * np.gcd(_FACTORS, int(_PER_CODE)) / _PER_CODE) * _STRENGTH_PER_CODE
+_TRUNCATED = (0.5 - 0.5 * np.gcd(_FACTORS.astype(int), int(_PER_CODE)) / _PER_CODE) * _STRENGTH_PER_CODE
 """Strengths of a code by the factor in eighths, and those that truncation takes on average."""
 NEXT = np.uint64(1)  # on an unsigned index; signed ones might count from the end
 _DIFFUSE = 100.0
@@ -42,6 +44,9 @@ PARITIES = _BLOCK * (1 + int(max(span("strength.counts_of_units")) * _COUNTS_OF_
 _PARITY = ZERO + Purpose.DISTANCE_PARITY
 _KEPT = int(law("strength.kept_sequences"))
 _CHANGES_LANE = 1 << 12  # lane of the random numbers of changes, beside the laser
+_FAINT_M = 1e-3 * law("range.faint_mm")
+_FAINT_UNTIL_M, _FAINT_FROM_M = span("range.faint_near_m")
+_COARSE_PER_M = 1e3 / law("range.coarse_mm")
 _RANGE_LSB_PER_M = 500.0  # of a packet: 2 mm
 _M_PER_RANGE_LSB = 0.002
 
@@ -81,9 +86,12 @@ def strength_of(
     has_ranges = far_step > 0.0 or gain_spread > 0.0
     by_range = np.zeros((lasers, _BINS if has_ranges else 0, 2))
     at = np.maximum(np.arange(by_range.shape[1]), 1) / _BINS_PER_M
-    by_range[..., GAIN] = exp(np.stack([_wave(seed, laser, gain_spread, at) for laser in range(lasers)]))
+    waves = [_wave(seed, 1 + laser, at) for laser in range(lasers)]
+    by_range[..., GAIN] = exp(gain_spread * np.stack(waves))
     if far_step > 0.0:
         factors = np.stack([_factors(seed, laser, far_step, unit_spread, at) for laser in range(lasers)])
+        least, most = span("strength.limits")
+        factors = np.clip(factors * _unevenness(seed, lasers, unit_spread, at), least, most)
         by_range[..., EIGHTHS] = _PER_CODE * factors
         by_range[..., GAIN] *= _gains(seed, factors, unit_spread)
     parity = _parities(seed, lasers) if has_counts else np.zeros((lasers, 0), np.uint8)
@@ -115,15 +123,28 @@ def _changed(seed: int, lasers: int) -> F8:
     return np.where(changes, share, 0.0)
 
 
-def _wave(seed: int, laser: int, spread: float, at_m: F8) -> F8:
-    """Return a smooth random function of the logarithm of ranges (n,), between knots a quarter apart."""
-    knots = normal(seed, Purpose.STRENGTH, 0, _KNOTS, 1 + laser)
+def _unevenness(seed: int, lasers: int, unit_spread: float, at_m: F8) -> F8:
+    """Draw the factors by which those of a unit's lasers deviate from smooth ones, (lasers, n), by range."""
+    least, most = span("strength.uneven")
+    drawn = 0.5
+    if unit_spread > 0.0:
+        drawn = float(uniform(seed, Purpose.STRENGTH, 6 + 2 * lasers, 1, _OF_UNIT)[0])
+    waves = [_wave(seed, _UNEVEN_LANE + laser, at_m) for laser in range(lasers)]
+    return exp((least + (most - least) * drawn) * np.stack(waves))
+
+
+def _wave(seed: int, lane: int, at_m: F8) -> F8:
+    """Return a smooth random function, of variance one, of the logarithm of ranges (n,).
+
+    It is interpolated between knots.
+    """
+    knots = normal(seed, Purpose.STRENGTH, 0, _KNOTS, lane)
     place = log(at_m * _BINS_PER_M) / law("strength.knot_e_folds")
     knot = np.minimum(place.astype(np.int64), len(knots) - 2)
     fraction = place - knot
     value = (1.0 - fraction) * knots[knot] + fraction * knots[knot + 1]
     even = (1.0 - fraction) * (1.0 - fraction) + fraction * fraction
-    return np.asarray(spread * value / np.sqrt(even))
+    return np.asarray(value / np.sqrt(even))
 
 
 def _factors(seed: int, laser: int, far_step: float, unit_spread: float, at_m: F8) -> F8:
@@ -140,7 +161,7 @@ def _factors(seed: int, laser: int, far_step: float, unit_spread: float, at_m: F
     near_m, coarse_m, far_m = span("strength.ranges_m")
     below = np.clip(log(fine_m / at_m) / log(np.array(fine_m / near_m)), 0.0, 1.0)
     beyond = np.clip(log(at_m / coarse_m) / log(np.array(far_m / coarse_m)), 0.0, 1.0)
-    near = min(max(near, fine), law("strength.most_near"))
+    near = max(near, fine)
     far = min(max(far, fine), law("strength.most_far"))
     return np.asarray(fine * exp(below * log(np.array(near / fine)) + beyond * log(np.array(far / fine))))
 
@@ -200,10 +221,25 @@ def strength(code: float, eighths: float) -> float:
 
 @inline_kernel
 def in_steps(code: float, exact: float, eighths: float) -> float:
-    """Return the code of the strength nearest to `exact`, that of `code`; the brightest code has no step."""
-    if eighths < _PER_CODE or code >= _DIFFUSE:
+    """Return the code of the strength nearest to `exact`, that of `code`; the brightest code has no step.
+
+    What is received has a strength of at least 1.
+    """
+    if eighths < 1.0 or code >= _DIFFUSE:
         return code
-    return min(np.floor(np.floor(exact + 0.5) * eighths * (1.0 / _PER_CODE)), _DIFFUSE)
+    return min(np.floor(max(np.floor(exact + 0.5), 1.0) * eighths * (1.0 / _PER_CODE)), _DIFFUSE)
+
+
+@inline_kernel
+def with_faintness(range_m: float, exact: float) -> float:
+    """Return the range that is measured of an echo, from its strength as in `strength`.
+
+    A faint one is measured too far, and one that is below the least strength in coarse steps.
+    """
+    near = max(_FAINT_FROM_M / max(range_m, _FAINT_UNTIL_M), 1.0)
+    close = near / max(np.floor(exact + 0.5), 1.0)
+    measured_m = range_m + _FAINT_M * close * close
+    return np.ceil(measured_m * _COARSE_PER_M) / _COARSE_PER_M if exact < 0.5 else measured_m
 
 
 @inline_kernel
