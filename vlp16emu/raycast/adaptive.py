@@ -6,8 +6,8 @@ estimates fall as 1/n with the number of sub-rays, rays are spent best if the la
 the same, estimate / n = constant, and the mean error falls as the root of that constant. Second, the
 detection of the strongest echo: if it is near the detection threshold, and its sub-rays leave its amplitude
 less certain than the receiver's own noise does, another round decides about lost or invented echoes. Besides,
-a pulse beside the outline of something much brighter has all its rays (`kernel.is_beside_outline`): eight of
-them miss the faint edge of the beam, by which surfaces of real units end in one or two dark records.
+a pulse beside the outline of something much brighter has 24 rays at least (`kernel.is_beside_outline`): eight
+of them miss the faint edge of the beam, by which surfaces of real units end in one or two dark records.
 """
 
 import math
