@@ -29,7 +29,7 @@ from vlp16emu.trees import Table, Tree
 
 DEEPEST = 100  # greatest nesting of tables and lists, and number of names in a dotted key
 _DEEP_KEY = re.compile(
-    rf"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{DEEPEST}}}""", re.ASCII
+    rf"""(?<![\w-])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){{{DEEPEST}}}""", re.ASCII
 )
 """A dotted key that is too deep: parsing time grows with the square of its names."""
 _LONG_NUMBER = re.compile(r"\b0[xob][0-9a-fA-F_]{3500}")

@@ -37,10 +37,10 @@ _SMALLEST_M = 0.001
 # trimesh's own `process` and `validate` drop faces with a NaN without a word, and faces below 1e-8 units.
 _FLAT = 1e-7  # height over longest side below which a triangle is a line: the resolution of single precision
 _OBJ_BAD_FACE = re.compile(
-    rb"^f[ \t]+(?:\S++(?:[ \t]+\S++)?[ \t]*\r?$|(?:[^\s0]\S*+[ \t]+)*+0)", re.MULTILINE
+    rb"^f[ \t]+(?:\S+(?!\S)(?:[ \t]+\S+(?!\S))?[ \t]*\r?$|(?:[^\s0]\S*[ \t]+)*0)", re.MULTILINE
 )
 """A face of an OBJ file that trimesh would skip: fewer than three corners, or a corner 0 (they count from
-1)."""
+1). Without possessive quantifiers, which match wrongly in Python 3.11.2 (python/cpython issue 106052)."""
 _OBJ_ODD_LINE = re.compile(rb"^(?:[ \t]+[vf]|[vf][^\r\n#\t]*[#\t])[^\r\n]*", re.MULTILINE)
 """A vertex or face with a tab, a comment or leading blanks, which trimesh would skip or refuse."""
 _OBJ_COMMENT = re.compile(rb"^[ \t]*#[^\r\n]*", re.MULTILINE)
