@@ -379,7 +379,8 @@ def eighths_at(noise, range_m):
 
 
 def test_faint_echoes_are_ranged_too_far():
-    """By 11 mm at strength 1, a quarter of it at 2, more below 1.4 m; below strength 1 in steps of 32 mm."""
+    """Faint echoes are 11 mm too far at strength 1, a quarter of it at 2, and more below 1.4 m; those below
+    strength 1 come in steps of 32 mm."""
 
     def excess_mm(range_m, strength):
         return 1e3 * (with_faintness(range_m, strength) - range_m)

@@ -110,7 +110,7 @@ def nodes_by_definition(range_m, light, reach_m):
 
 
 def test_sub_rays_are_summed_into_nodes_in_their_order():
-    """Nodes of one to twelve sub-rays, eight of which are summed side by side, are those of the definition to
+    """Nodes of one to twelve sub-rays, where eight are summed side by side, are those of the definition to
     the last bit, with sub-rays that meet nothing among them."""
     rng = np.random.default_rng(2)
     constants = detector().constants
