@@ -222,8 +222,8 @@ def test_an_ideal_unit_loses_nothing():
 
 
 def test_smaller_steps_of_range_lose_fewer_records():
-    """Of pulses that meet two surfaces with half of their light each, the unit's share from 0.4 m on, in
-    proportion below, and none below 0.03 m; and some that follow a lost one."""
+    """Pulses with half of their light on each of two surfaces are lost by the unit's rate from 0.4 m on, in
+    proportion to the step below that, and not at all below 0.03 m; some more follow a lost one."""
     unit = LOSSES | {"spots_lost": 0.0}
     rates = loss_rates(1, Noise(preset="ideal", **unit))
     for step_m, share in ((0.02, 0.0), (0.1, 0.25), (0.2, 0.5), (0.4, 1.0), (1.2, 1.0)):

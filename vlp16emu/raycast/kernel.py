@@ -388,7 +388,8 @@ def settle(
                 first_m[to + lane] = range_m[at + lane]
                 first_cosine[to + lane] = cosine[at + lane]
                 first_met[to + lane] = surface[at + lane]
-            light[q] = _light_of(hits, reflectance, at)
+            if budget.adaptive:
+                light[q] = _light_of(hits, reflectance, at)
         batch.have[q] = total
     return _queue_again(cast, budget, todo, total) if total < budget.max_rays else 0
 
@@ -402,8 +403,8 @@ def _queue_again(cast: Cast, budget: RayBudget, todo: int, total: int) -> int:
     left = 0
     for t in range(todo):
         q = batch.todo[t]
-        needs_edge = total < _OUTLINE_RAYS and is_beside_outline(batch.light, budget, q)
-        if budget.adaptive and not needs_edge:
+        has_edge = total >= _OUTLINE_RAYS
+        if budget.adaptive and (has_edge or not is_beside_outline(batch.light, budget, q)):
             begin = q * room
             stop = begin + total
             ranges = hits.range_m[begin:stop]
