@@ -24,9 +24,9 @@ from vlp16emu.units import S_NS
 
 LOST_NS = S_NS  # time without a pose after which poses count as lost
 
-_AHEAD_NS = 1_000_000
-"""Time before its first pulse at which a step is computed: some packets need it, and each is due after its
-last pulse."""
+_AHEAD_NS = 500_000
+"""Time before its first pulse at which a step is computed. Its first packet is due 1.3 ms after that pulse,
+and a step takes 0.4 to 1.4 ms with one ray (`tools/loop`)."""
 _BASE_NS = 20_000_000
 """Rates are computed from poses at least this far apart, if there are any: noise of 1 mm then gives 0.07
 m/s."""
