@@ -512,6 +512,45 @@ def test_a_damaged_block_of_pcapng_costs_a_block(tmp_path, order, at, size, left
     assert len(capture.damage) == 1
 
 
+def mixed_pcapng(random, order):
+    """Write frames of several link types, resolutions of stamps, check sequences and kinds of blocks."""
+    content = block(order, 0x0A0D0D0A, struct.pack(f"{order}IHHq", 0x1A2B3C4D, 1, 0, -1))
+    for link_type, resolution, check_bytes in (
+        (1, 6, 0),
+        (1, 9, 0),
+        (1, 0x80 | 20, 0),
+        (113, 6, 0),
+        (1, 6, 4),
+    ):
+        options = struct.pack(f"{order}HHBxxxHHBxxx", 9, 1, resolution, 13, 1, check_bytes)
+        content += block(order, 1, struct.pack(f"{order}HHI", link_type, 0, 0) + options)
+    for number in range(300):
+        frame = NUMBERED[number % len(NUMBERED)]
+        stamp = 1_700_000_000_000_000 + number
+        wire_bytes = len(frame) + int(random.choice([0, 0, 4, -6]))
+        numbers = random.integers(6), stamp >> 32, stamp & 0xFFFFFFFF, len(frame), wire_bytes
+        kind = random.choice([6, 6, 6, 6, 6, 6, 3, 5])
+        content += block(order, kind, struct.pack(f"{order}5I", *numbers) + frame)
+    return bytearray(content)
+
+
+@pytest.mark.parametrize("order", "<>")
+@pytest.mark.parametrize("damaged", range(6))
+def test_blocks_of_pcapng_in_runs_are_those_that_are_read_one_by_one(tmp_path, monkeypatch, order, damaged):
+    """Mixed frames, some of them damaged, are the same whether a kernel walks over their blocks or Python
+    reads each."""
+    random = np.random.default_rng(damaged)
+    content = mixed_pcapng(random, order)
+    for at in random.integers(2000, len(content), damaged).tolist():
+        del content[at : at + 40]
+    datagrams, capture = read(tmp_path, content, repeats=True)
+    monkeypatch.setattr("vlp16emu.extras.captures.containers.packet_runs", lambda *_: iter(()))
+    one_by_one, other = read(tmp_path, content, repeats=True)
+    assert datagrams == one_by_one
+    assert len(datagrams) > 100
+    assert (capture.frames, capture.damage, capture.cut) == (other.frames, other.damage, other.cut)
+
+
 def test_a_clock_that_is_set_is_no_damage(tmp_path):
     """Records years apart, as of a host that gets the time from the network, are all read."""
     early = pcap(*NUMBERED[:4], seconds=12)

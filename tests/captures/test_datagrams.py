@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from vlp16emu.captures.datagrams import Datagram, PacketBuffer, PacketRows, PlainBatch
+from vlp16emu.captures.datagrams import Datagram, OtherBatch, PacketBuffer, PacketRows, PlainBatch
 from vlp16emu.captures.runs import Run, plain_datagrams
-from vlp16emu.captures.units import CapturedUnit, owner_of, owners_in
+from vlp16emu.captures.units import CapturedUnit, owners_in
 from vlp16emu.packets import DATA_BYTES, POSITION_BYTES
 from vlp16emu.packets.frames import FACTORY_LINK, data_header, position_frame
 
@@ -73,31 +73,56 @@ def test_owners_in_columns_are_those_of_datagrams(batch, frames, mac):
         CapturedUnit(PLACES[1], 2368, ()),
         CapturedUnit(PLACES[0], 2369, (2368,)),
     ]
-    expected = [owner_of(datagram, units) for datagram in by_hand(frames)]
-    assert [None if i < 0 else i for i in owners_in(batch, units).tolist()] == expected
-    assert {None, 1, 2, 3} == set(expected)
+    expected = [owner_by_hand(datagram, units) for datagram in by_hand(frames)]
+    assert owners_in(batch, units).tolist() == expected
+    assert owners_in(OtherBatch(by_hand(frames)), units).tolist() == expected
+    assert {-1, 1, 2, 3} == set(expected)
     assert set(owners_in(batch, [None]).tolist()) == {0}
 
 
+def owner_by_hand(datagram, units):
+    """The index of the first unit whose address, port and MAC address a datagram has; -1 if there is none."""
+    for i, unit in enumerate(units):
+        ports = {unit.data_port, *unit.position_ports}
+        is_sender = datagram.source == unit.source and unit.mac in (b"", datagram.mac)
+        if is_sender and datagram.destination_port in ports:
+            return i
+    return -1
+
+
+def test_both_kinds_of_batches_are_alike(batch, frames):
+    """Frames in columns and the same frames one by one have equal numbers, stamps, flows and payloads."""
+    other = OtherBatch(by_hand(frames))
+    assert other.number.tolist() == batch.number.tolist()
+    assert other.stamp_ns.tolist() == batch.stamp_ns.tolist()
+    assert other.payload_bytes.tolist() == batch.payload_bytes.tolist()
+    assert [other.payload(row) for row in range(400)] == [batch.payload(row) for row in range(400)]
+    data = np.flatnonzero(batch.payload_bytes == DATA_BYTES)
+    assert np.array_equal(other.payloads(data, DATA_BYTES), batch.payloads(data, DATA_BYTES))
+    assert other.datagrams(30, 77) == batch.datagrams(30, 77)
+    flows_of_each = []
+    for each in (batch, other):
+        flows, flow = each.flows()
+        flows_of_each.append([flows[i] for i in flow.tolist()])
+    assert flows_of_each[0] == flows_of_each[1] == [datagram.flow for datagram in by_hand(frames)]
+
+
 def test_chunks_do_not_depend_on_how_packets_come():
-    """Packets that come one by one and in columns leave a buffer in order, in chunks of its number and a
+    """Packets that come in batches of any size leave a buffer in order, in chunks of its number and a
     rest."""
     random = np.random.default_rng(19)
     packets = [
         Datagram(i, 7 * i, 1248, 1248, 14, 2368, 2368, bytes(42), random.bytes(DATA_BYTES), 1)
         for i in range(1000)
     ]
+    every = OtherBatch(packets)
     buffer = PacketBuffer(64)
     chunks = []
     at = 0
     while at < len(packets):
-        count = int(random.integers(1, 150))
-        if random.random() < 0.5:
-            buffer.take_rows(PacketRows.of(packets[at : at + count]))
-        else:
-            for packet in packets[at : at + count]:
-                buffer.take(packet)
-        at += count
+        end = min(at + int(random.integers(1, 150)), len(packets))
+        buffer.take(PacketRows.of(every, np.arange(at, end)))
+        at = end
         chunks += buffer.chunks()
     chunks += buffer.rest()
     assert [len(chunk.number) for chunk in chunks] == [64] * 15 + [40]

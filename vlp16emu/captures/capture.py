@@ -15,8 +15,8 @@ from pathlib import Path
 from threading import Event
 from typing import BinaryIO, Protocol
 
-from vlp16emu.captures.datagrams import Datagram, Datagrams, PlainBatch
-from vlp16emu.captures.records import EXPECTED, PCAP, Damage, Frames, pcap_frames
+from vlp16emu.captures.datagrams import Batch, Datagram, OtherBatch, PlainBatch
+from vlp16emu.captures.records import EXPECTED, PCAP, Damage, Frames, in_runs, pcap_frames
 from vlp16emu.captures.repeats import Repeats
 from vlp16emu.captures.runs import ETHERNET, IP_AT, UDP_AT, Frame, Run, plain_datagrams
 from vlp16emu.doors import Part
@@ -118,23 +118,23 @@ class Capture:
         self._next_shown = 0
 
     def __iter__(self) -> Iterator[Datagram]:
-        for part in self.parts():
-            yield from part.datagrams() if isinstance(part, PlainBatch) else part
+        for batch in self.batches():
+            yield from batch.datagrams()
 
-    def parts(self) -> Iterator[Datagrams]:
-        """Yield the datagrams in parts, those of plain frames in columns."""
+    def batches(self) -> Iterator[Batch]:
+        """Yield the datagrams in batches, none of them empty."""
         shown = self._files if self._progress else ()
         sizes = [path.stat().st_size if path.is_file() else 0 for path in shown]
         for number, path in enumerate(self._files):
             with _opened(path, self._stop) as file:
-                for frame in _frames(path, file):
-                    if frame is None:
+                for part in in_runs(_frames(path, file)):
+                    if part is None:
                         self.cut = True
                         break
-                    if isinstance(frame, Damage):
-                        self._note_damage(path, frame)
+                    if isinstance(part, Damage):
+                        self._note_damage(path, part)
                         continue
-                    yield from self._of_run(frame) if isinstance(frame, Run) else (self._of_frame(frame),)
+                    yield from self._batches(part) if isinstance(part, Run) else self._others([part])
                     if self._progress and self.frames >= self._next_shown and sizes[number]:
                         self._next_shown = self.frames + _OFTEN
                         self._progress((sum(sizes[:number]) + file.raw.tell()) / sum(sizes))
@@ -162,15 +162,7 @@ class Capture:
         if len(self.damage) < _MOST_DAMAGE:
             self.damage.append(f"{path}: {found}" if len(self._files) > 1 else found)
 
-    def _of_frame(self, frame: Frame) -> list[Datagram]:
-        """Return the datagrams that a frame completes."""
-        self.frames += 1
-        found = self._datagram(frame)
-        if found is None:
-            return []
-        return self._new(_parts(found) if len(found.payload) > DATA_BYTES else (found,))
-
-    def _of_run(self, run: Run) -> Iterator[Datagrams]:
+    def _batches(self, run: Run) -> Iterator[Batch]:
         """Yield the datagrams of a run of frames."""
         while frames := len(run.begin):
             columns = plain_datagrams(run)
@@ -179,12 +171,27 @@ class Capture:
                 batch = PlainBatch(run.part(0, count), columns, self.frames + 1)
                 self.frames += count
                 self._cut_short += int(columns.is_cut_short.sum())
-                is_new = self._keeps_repeats or self._repeats.take_new(batch)
-                yield batch if is_new else self._new(batch.datagrams())
+                if self._keeps_repeats or self._repeats.take_new(batch):
+                    yield batch
+                elif new := self._new(batch.datagrams()):
+                    yield OtherBatch(new)
             end = min(count + _OTHERS, frames)
-            for place in range(count, end):
-                yield self._of_frame(run.frame(place))
+            yield from self._others(map(run.frame, range(count, end)))
             run = run.part(end, frames)
+
+    def _others(self, frames: Iterable[Frame]) -> Iterator[Batch]:
+        """Yield the datagrams of frames that are read one by one, if there are any."""
+        found = [datagram for frame in frames for datagram in self._of_frame(frame)]
+        if found:
+            yield OtherBatch(found)
+
+    def _of_frame(self, frame: Frame) -> list[Datagram]:
+        """Return the datagrams that a frame completes."""
+        self.frames += 1
+        found = self._datagram(frame)
+        if found is None:
+            return []
+        return self._new(_parts(found) if len(found.payload) > DATA_BYTES else (found,))
 
     def _new(self, datagrams: Iterable[Datagram]) -> list[Datagram]:
         """Return datagrams without repeats, which are counted."""

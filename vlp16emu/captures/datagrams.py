@@ -13,9 +13,20 @@ from vlp16emu.packets.layout import DATA_BYTES, DATA_PAYLOAD
 from vlp16emu.packets.table import PacketClock, PacketTable, captured_table
 from vlp16emu.types import I8, U1
 
-MAC_AT = {ETHERNET: 6, 113: 6, 276: 12}
+_MAC_AT = {ETHERNET: 6, 113: 6, 276: 12}
 """Offset of the sender's address by link type: Ethernet, Linux cooked (SLL, SLL2). Source:
 www.tcpdump.org/linktypes.html."""
+_MAC_BYTES = 6
+_IPV4_BYTES = 4
+_PORT_BYTES = 2
+
+
+class Flow(NamedTuple):
+    """Sender and destination port of datagrams."""
+
+    mac: bytes  # Address of the sender on the link, 6 bytes; empty if the capture has none
+    source: bytes  # IP address of the sender, 4 bytes, or 16 of IPv6
+    destination_port: int
 
 
 class Datagram(NamedTuple):
@@ -44,8 +55,13 @@ class Datagram(NamedTuple):
     @property
     def mac(self) -> bytes:
         """Address of the sender on the link, 6 bytes; empty if the capture has none."""
-        at = MAC_AT.get(self.link_type)
-        return b"" if at is None else self.header[at : at + 6]
+        at = _MAC_AT.get(self.link_type)
+        return b"" if at is None else self.header[at : at + _MAC_BYTES]
+
+    @property
+    def flow(self) -> Flow:
+        """Sender and destination port."""
+        return Flow(self.mac, self.source, self.destination_port)
 
     @property
     def ip(self) -> bytes:
@@ -82,14 +98,14 @@ class PlainBatch:
         return self.first + np.arange(len(self.columns.end))
 
     @property
+    def stamp_ns(self) -> I8:
+        """Capture stamps (n,), UTC."""
+        return self.run.stamp_ns
+
+    @property
     def payload_bytes(self) -> I8:
         """Lengths (n,) of the payloads."""
         return self.columns.end - self.run.begin - PAYLOAD_AT
-
-    def field(self, at: int, size: int, rows: slice | I8 = slice(None)) -> U1:
-        """Return bytes (m, size) from an offset in the frames of some rows; all have them."""
-        content = np.frombuffer(self.run.held, np.uint8)
-        return np.lib.stride_tricks.sliding_window_view(content, size)[self.run.begin[rows] + at]
 
     def payload(self, row: int) -> bytes:
         """Return the payload of a row."""
@@ -97,12 +113,15 @@ class PlainBatch:
 
     def payloads(self, rows: I8, size: int) -> U1:
         """Return the payloads (m, size) of some rows."""
-        return self.field(PAYLOAD_AT, size, rows)
+        return self._field(PAYLOAD_AT, size, rows)
 
-    def senders(self, rows: I8) -> U1:
-        """Return MAC address, IP address and destination port (m, 12) of some rows."""
-        fields = self.field(MAC_AT[ETHERNET], 6, rows), self.field(SOURCE_AT, 4, rows)
-        return np.concatenate([*fields, self.field(UDP_AT + 2, 2, rows)], axis=1)
+    def flows(self) -> tuple[list[Flow], I8]:
+        """Return the flows of the datagrams, and the index (n,) of that of each."""
+        addresses = self._field(_MAC_AT[ETHERNET], _MAC_BYTES), self._field(SOURCE_AT, _IPV4_BYTES)
+        fields = np.concatenate([*addresses, self._field(UDP_AT + 2, _PORT_BYTES)], axis=1)
+        each = fields.view(f"V{fields.shape[1]}").ravel()
+        distinct, flow = np.unique(each, return_inverse=True)
+        return [_flow_of(one.tobytes()) for one in distinct], flow
 
     def datagrams(self, first: int = 0, end: int | None = None) -> list[Datagram]:
         """Return the datagrams from row `first` on and before `end`."""
@@ -122,9 +141,62 @@ class PlainBatch:
         )
         return list(map(_new_datagram, zip(*columns, strict=True)))
 
+    def _field(self, at: int, size: int, rows: slice | I8 = slice(None)) -> U1:
+        """Return bytes (m, size) from an offset in the frames of some rows; all of these have them."""
+        content = np.frombuffer(self.run.held, np.uint8)
+        return np.lib.stride_tricks.sliding_window_view(content, size)[self.run.begin[rows] + at]
 
-Datagrams = PlainBatch | list[Datagram]
+
+@dataclass(frozen=True, slots=True)
+class OtherBatch:
+    """Datagrams in frames of any kind that follow one another, as `PlainBatch` has them."""
+
+    each: Sequence[Datagram]
+
+    @property
+    def number(self) -> I8:
+        """Numbers (n,) of the frames."""
+        return np.array([datagram.number for datagram in self.each], np.int64)
+
+    @property
+    def stamp_ns(self) -> I8:
+        """Capture stamps (n,), UTC."""
+        return np.array([datagram.stamp_ns for datagram in self.each], np.int64)
+
+    @property
+    def payload_bytes(self) -> I8:
+        """Lengths (n,) of the payloads."""
+        return np.array([len(datagram.payload) for datagram in self.each], np.int64)
+
+    def payload(self, row: int) -> bytes:
+        """Return the payload of a row."""
+        return self.each[row].payload
+
+    def payloads(self, rows: I8, size: int) -> U1:
+        """Return the payloads (m, size) of some rows."""
+        content = b"".join([self.each[row].payload for row in rows.tolist()])
+        return np.frombuffer(content, np.uint8).reshape(-1, size)
+
+    def flows(self) -> tuple[list[Flow], I8]:
+        """Return the flows of the datagrams, and the index (n,) of that of each."""
+        flows = dict[Flow, int]()
+        flow = [flows.setdefault(datagram.flow, len(flows)) for datagram in self.each]
+        return list(flows), np.array(flow, np.int64)
+
+    def datagrams(self, first: int = 0, end: int | None = None) -> list[Datagram]:
+        """Return the datagrams from row `first` on and before `end`."""
+        return list(self.each[first:end])
+
+
+Batch = PlainBatch | OtherBatch
 """Datagrams that follow one another in a capture."""
+
+
+def _flow_of(field: bytes) -> Flow:
+    """Return a flow from its bytes: MAC address, IPv4 address and port."""
+    mac = field[:_MAC_BYTES]
+    source = field[_MAC_BYTES:-_PORT_BYTES]
+    return Flow(mac, source, int.from_bytes(field[-_PORT_BYTES:]))
 
 
 class PacketRows(NamedTuple):
@@ -135,16 +207,9 @@ class PacketRows(NamedTuple):
     payloads: U1  # (n, 1206)
 
     @classmethod
-    def of_batch(cls, batch: PlainBatch, rows: I8) -> Self:
+    def of(cls, batch: Batch, rows: I8) -> Self:
         """Return those in some rows (n,) of a batch."""
-        return cls(batch.number[rows], batch.run.stamp_ns[rows], batch.payloads(rows, DATA_BYTES))
-
-    @classmethod
-    def of(cls, datagrams: Sequence[Datagram]) -> Self:
-        """Return one or more data packets."""
-        number, arrival_ns = np.array([(each.number, each.stamp_ns) for each in datagrams], np.int64).T
-        payloads = np.frombuffer(b"".join([each.payload for each in datagrams]), np.uint8)
-        return cls(number, arrival_ns, payloads.reshape(-1, DATA_BYTES))
+        return cls(batch.number[rows], batch.stamp_ns[rows], batch.payloads(rows, DATA_BYTES))
 
     @classmethod
     def joined(cls, rows: Sequence["PacketRows"]) -> Self:
@@ -168,17 +233,10 @@ class PacketBuffer:
     def __init__(self, chunk: int) -> None:
         self._chunk = chunk
         self._parts = list[PacketRows]()
-        self._single = list[Datagram]()  # later than those
         self._count = 0
 
-    def take(self, packet: Datagram) -> None:
-        """Take a packet."""
-        self._single.append(packet)
-        self._count += 1
-
-    def take_rows(self, rows: PacketRows) -> None:
-        """Take packets in columns."""
-        self._settle()
+    def take(self, rows: PacketRows) -> None:
+        """Take packets."""
         self._parts.append(rows)
         self._count += len(rows.number)
 
@@ -186,10 +244,9 @@ class PacketBuffer:
         """Yield the chunks that are complete."""
         if self._count < self._chunk:
             return
-        self._settle()
         every = PacketRows.joined(self._parts)
         whole = self._count // self._chunk * self._chunk
-        self._parts = [every.part(whole, self._count)] if whole < self._count else []
+        self._parts = [every.part(whole, self._count)]
         self._count -= whole
         for first in range(0, whole, self._chunk):
             yield every.part(first, first + self._chunk)
@@ -197,19 +254,12 @@ class PacketBuffer:
     def rest(self) -> Iterator[PacketRows]:
         """Yield what is left, if there is something."""
         yield from self.chunks()
-        self._settle()
-        if self._parts:
+        if self._count:
             yield PacketRows.joined(self._parts)
         self._parts = []
         self._count = 0
 
-    def _settle(self) -> None:
-        """Put single packets into columns."""
-        if self._single:
-            self._parts.append(PacketRows.of(self._single))
-            self._single = []
-
 
 def table_of(datagrams: Sequence[Datagram], clock: PacketClock) -> PacketTable:
     """Return the table of one or more data packets that follow those which `clock` has converted."""
-    return PacketRows.of(datagrams).table(clock)
+    return PacketRows.of(OtherBatch(datagrams), np.arange(len(datagrams))).table(clock)

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.captures.capture import Capture
-from vlp16emu.captures.datagrams import Datagram, PacketBuffer, PacketRows, PlainBatch
+from vlp16emu.captures.datagrams import Batch, PacketBuffer, PacketRows
 from vlp16emu.captures.tally import Duration, ModeTurns, Scans
-from vlp16emu.captures.units import CapturedUnit, owner_of, owners_in
+from vlp16emu.captures.units import CapturedUnit, owners_in
 from vlp16emu.errors import CaptureError, PacketError
 from vlp16emu.packets import layout
 from vlp16emu.packets.decode import (
@@ -191,44 +191,30 @@ class CaptureReader:
         """Collect data packets into chunks; packets before an error are yielded before it is raised."""
         buffer = PacketBuffer(_CHUNK)
         try:
-            for part in self._capture.parts():
-                if isinstance(part, PlainBatch):
-                    self._take_batch(part, buffer)
-                else:
-                    for datagram in part:
-                        self._take(datagram, buffer)
+            for batch in self._capture.batches():
+                self._take(batch, buffer)
                 yield from buffer.chunks()
         except (CaptureError, PacketError):
             yield from buffer.rest()
             raise
         yield from buffer.rest()
 
-    def _take(self, datagram: Datagram, buffer: PacketBuffer) -> None:
-        """Take a datagram: a data packet of the unit into the buffer, and note others."""
-        if owner_of(datagram, [self._unit]) is None:
-            return
-        if len(datagram.payload) == layout.DATA_BYTES:
-            self.first_stamp_ns = self.first_stamp_ns or datagram.stamp_ns
-            buffer.take(datagram)
-        else:
-            self._note_other(datagram.number, datagram.payload)
-
-    def _take_batch(self, batch: PlainBatch, buffer: PacketBuffer) -> None:
-        """Take a batch, as `_take` does."""
+    def _take(self, batch: Batch, buffer: PacketBuffer) -> None:
+        """Take the data packets of the unit into the buffer, and note others."""
         is_own = owners_in(batch, [self._unit]) == 0
         is_data = batch.payload_bytes == layout.DATA_BYTES
         rows = np.flatnonzero(is_own & is_data)
         fault: PacketError | None = None
         for row in np.flatnonzero(is_own & ~is_data).tolist():
             try:
-                self._note_other(batch.first + row, batch.payload(row))
+                self._note_other(int(batch.number[row]), batch.payload(row))
             except PacketError as error:
                 fault = error
                 rows = rows[rows < row]
                 break
         if len(rows):
-            self.first_stamp_ns = self.first_stamp_ns or int(batch.run.stamp_ns[rows[0]])
-            buffer.take_rows(PacketRows.of_batch(batch, rows))
+            self.first_stamp_ns = self.first_stamp_ns or int(batch.stamp_ns[rows[0]])
+            buffer.take(PacketRows.of(batch, rows))
         if fault is not None:
             raise fault
 

@@ -11,6 +11,8 @@ from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from vlp16emu.captures.runs import Frame, RecordForm, Run, is_sound, run_of, sound_heads
 from vlp16emu.errors import CaptureError
 from vlp16emu.units import S_NS, US_NS
@@ -32,6 +34,9 @@ _FILE_HEADER_BYTES = 24
 _HAS_CHECK = 0x0400_0000  # frames end with a frame check sequence
 _SURE = 3  # records in a row that are no accident
 _PIECE_BYTES = 1 << 20
+_TOGETHER = 64
+"""Frames that come one by one and are read at once: at most 85 ms of a sensor, for captures that come through
+a pipe."""
 _SEARCHED_BYTES = 1 << 20
 
 
@@ -253,6 +258,43 @@ def pcap_frames(path: Path, file: Any) -> Frames:
             yield None
             return
         yield from _around_damage(frame, begin, begin + size, window.at_bytes)
+
+
+def in_runs(frames: Frames) -> Frames:
+    """Yield frames of one link type that follow one another in runs; what is suspect stays alone."""
+    held = list[Frame]()
+    try:
+        for part in frames:
+            if isinstance(part, Frame) and not part.is_suspect:
+                if held and not _has_room(held, part.link_type):
+                    yield _joined(held)
+                    held = []
+                held.append(part)
+                continue
+            if held:
+                yield _joined(held)
+                held = []
+            yield part
+    except CaptureError:
+        if held:
+            yield _joined(held)
+        raise
+    if held:
+        yield _joined(held)
+
+
+def _has_room(held: list[Frame], link_type: int) -> bool:
+    """Return whether one more frame of a link type may join others."""
+    size = sum(len(frame.content) for frame in held)
+    return link_type == held[0].link_type and len(held) < _TOGETHER and size < _PIECE_BYTES
+
+
+def _joined(frames: list[Frame]) -> Run:
+    """Return the run of one or more frames of one link type."""
+    length = np.array([len(frame.content) for frame in frames], np.int64)
+    wire_bytes, stamp_ns = np.array([(frame.wire_bytes, frame.stamp_ns) for frame in frames], np.int64).T
+    content = b"".join([frame.content for frame in frames])
+    return Run(frames[0].link_type, content, np.cumsum(length) - length, length, wire_bytes, stamp_ns)
 
 
 def _link_of(field: int) -> tuple[int, int]:

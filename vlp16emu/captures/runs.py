@@ -111,7 +111,7 @@ def sound_heads(
 
 
 @inline_kernel
-def _u4(content: U1, at: int | np.int64, is_big_endian: bool) -> np.int64:
+def u4_at(content: U1, at: int | np.int64, is_big_endian: bool) -> np.int64:
     """Read an unsigned integer of 4 bytes."""
     value = np.int64(0)
     for i in range(4):
@@ -166,9 +166,9 @@ def _begins_record(
     content: U1, at: int | np.int64, is_big_endian: bool, most_units: int, near_s: int | np.int64
 ) -> bool:
     """Return whether the header of a sound record is at a place."""
-    seconds = _u4(content, at, is_big_endian)
-    fraction = _u4(content, at + 4, is_big_endian)
-    captured = _u4(content, at + 8, is_big_endian)
+    seconds = u4_at(content, at, is_big_endian)
+    fraction = u4_at(content, at + 4, is_big_endian)
+    captured = u4_at(content, at + 8, is_big_endian)
     return _is_sound(seconds, fraction, captured, most_units, near_s)
 
 
@@ -200,15 +200,15 @@ def _sound_records(
     last = len(content) - header_bytes
     most_units = S_NS // unit_ns
     while at <= last and count < columns.shape[1] and not _begins(content, at, again):
-        seconds = _u4(content, at, is_big_endian)
-        fraction = _u4(content, at + 4, is_big_endian)
-        captured = _u4(content, at + 8, is_big_endian)
+        seconds = u4_at(content, at, is_big_endian)
+        fraction = u4_at(content, at + 4, is_big_endian)
+        captured = u4_at(content, at + 8, is_big_endian)
         following = at + header_bytes + captured
         if following > last or not _begins_record(content, at, is_big_endian, most_units, before_s):
             break
         if not _begins_record(content, following, is_big_endian, most_units, seconds):
             break
-        wire_bytes = _u4(content, at + 12, is_big_endian) - check_bytes
+        wire_bytes = u4_at(content, at + 12, is_big_endian) - check_bytes
         if wire_bytes < 0:
             wire_bytes = np.int64(0)
         columns[0, count] = at + header_bytes
@@ -281,5 +281,5 @@ def _key(content: U1, at: int | np.int64, payload_bytes: int | np.int64) -> np.i
         stamp = payload + DATA_STAMP_AT
     else:
         return np.int64(0)
-    address = _u4(content, at + SOURCE_AT, True)
-    return (address << 20) ^ (_u2(content, at + 36) << 33) ^ _u4(content, stamp, False) | 1 << 62
+    address = u4_at(content, at + SOURCE_AT, True)
+    return (address << 20) ^ (_u2(content, at + 36) << 33) ^ u4_at(content, stamp, False) | 1 << 62

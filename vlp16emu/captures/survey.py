@@ -1,7 +1,7 @@
 """One pass over a capture before it is read: its sensors."""
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from concurrent.futures import CancelledError
 from pathlib import Path
 from threading import Event
@@ -9,16 +9,14 @@ from threading import Event
 import numpy as np
 
 from vlp16emu.captures.capture import Capture
-from vlp16emu.captures.datagrams import Datagram, PacketRows, PlainBatch
+from vlp16emu.captures.datagrams import Batch, PacketRows
 from vlp16emu.captures.units import CapturedUnit
 from vlp16emu.errors import InputError
 from vlp16emu.packets.layout import BLOCK_FLAG, DATA_BYTES, DATA_PAYLOAD, POSITION_BYTES, SPLIT_PRODUCTS
-from vlp16emu.types import I8
 
 _STRAY = 0.02
 """Smallest share of the data packets of the busiest unit that counts as a unit; fewer are an accident."""
 _NAMED = 16  # units listed in an error line; as many as a rig may have
-_TOGETHER = 1000  # datagrams of a sender that are noted at once
 
 
 class _Sender:
@@ -28,19 +26,6 @@ class _Sender:
         self.first = first  # number of its first frame
         self.last = first
         self.packets = 0  # datagrams that begin as Velodyne data packets do
-        self._held = list[Datagram]()
-
-    def take(self, datagram: Datagram) -> None:
-        """Take one more, to be noted later."""
-        self._held.append(datagram)
-        if len(self._held) == _TOGETHER:
-            self.note_held()
-
-    def note_held(self) -> None:
-        """Note the datagrams that were taken."""
-        if self._held:
-            self.note(PacketRows.of(self._held))
-            self._held = []
 
     def note(self, rows: PacketRows) -> None:
         """Note what follows from more datagrams."""
@@ -79,35 +64,24 @@ class Survey:
         self._find_units()
 
     def _read(self, stop: Event | None) -> None:
-        for part in self._capture.parts():
+        for batch in self._capture.batches():
             if stop is not None and stop.is_set():
                 raise CancelledError
-            if isinstance(part, PlainBatch):
-                self._take_batch(part)
-            else:
-                for datagram in part:
-                    self._take(datagram)
-        for sender in self._senders.values():
-            sender.note_held()
+            self._take(batch)
 
-    def _take(self, datagram: Datagram) -> None:
-        """Note a datagram."""
-        size = len(datagram.payload)
-        if size == DATA_BYTES:
-            key = datagram.source, datagram.destination_port, datagram.mac
-            self._senders.setdefault(key, _Sender(datagram.number)).take(datagram)
-        elif size == POSITION_BYTES:
-            self._position[datagram.source].add(datagram.destination_port)
-
-    def _take_batch(self, batch: PlainBatch) -> None:
-        """Note the datagrams of a batch, those of each sender at once."""
-        for (mac, source, port), rows in _by_sender(batch, DATA_BYTES):
-            numbers = batch.number[rows]
-            sender = self._senders.setdefault((source, port, mac), _Sender(int(numbers[0])))
-            sender.note_held()
-            sender.note(PacketRows.of_batch(batch, rows))
-        for (_, source, port), _ in _by_sender(batch, POSITION_BYTES):
-            self._position[source].add(port)
+    def _take(self, batch: Batch) -> None:
+        """Note the datagrams of a batch, those of each flow at once."""
+        flows, flow = batch.flows()
+        is_data = batch.payload_bytes == DATA_BYTES
+        is_position = batch.payload_bytes == POSITION_BYTES
+        for i, (mac, source, port) in enumerate(flows):
+            rows = np.flatnonzero(is_data & (flow == i))
+            if len(rows):
+                packets = PacketRows.of(batch, rows)
+                sender = self._senders.setdefault((source, port, mac), _Sender(int(packets.number[0])))
+                sender.note(packets)
+            if (is_position & (flow == i)).any():
+                self._position[source].add(port)
 
     def _find_units(self) -> None:
         streams: dict[tuple[bytes, int], dict[bytes, _Sender]] = defaultdict(dict)
@@ -172,18 +146,6 @@ def chosen_unit(
     CancelledError once `stop` is set.
     """
     return Survey(path, stop).chosen(unit, where=where)
-
-
-def _by_sender(batch: PlainBatch, size: int) -> Iterator[tuple[tuple[bytes, bytes, int], I8]]:
-    """Yield MAC address, IP address and port of the senders of payloads of a size, with their rows (m,)."""
-    rows = np.flatnonzero(batch.payload_bytes == size)
-    senders = batch.senders(rows)
-    while len(rows):
-        is_own = (senders == senders[0]).all(axis=1)
-        sender = senders[0].tobytes()
-        yield (sender[:6], sender[6:10], int.from_bytes(sender[10:])), rows[is_own]
-        rows = rows[~is_own]
-        senders = senders[~is_own]
 
 
 def _macs(senders: dict[bytes, _Sender], least: float) -> Iterable[bytes]:

@@ -8,15 +8,11 @@ from threading import Event
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.captures.capture import Capture
-from vlp16emu.captures.datagrams import MAC_AT, Datagram, PacketBuffer, PacketRows, PlainBatch
-from vlp16emu.captures.runs import ETHERNET, SOURCE_AT
+from vlp16emu.captures.datagrams import Batch, Datagram, Flow, PacketBuffer, PacketRows
 from vlp16emu.packets.layout import DATA_BYTES
 from vlp16emu.types import I8
-
-_IPV4_BYTES = 4  # of an address
 
 
 class CapturedUnit(NamedTuple):
@@ -33,23 +29,11 @@ class CapturedUnit(NamedTuple):
     def __str__(self) -> str:
         return f"{ip_address(self.source)}:{self.data_port}{'@' + self.mac.hex(':') if self.mac else ''}"
 
-    def owns(self, datagram: Datagram) -> bool:
-        """Return whether this unit has sent a datagram."""
-        port = datagram.destination_port
-        is_ours = datagram.source == self.source and (port == self.data_port or port in self.position_ports)
-        return is_ours and (not self.mac or datagram.mac == self.mac)
-
-    def owns_rows(self, batch: PlainBatch) -> NDArray[np.bool_]:
-        """Return a mask (n,) of the datagrams of a batch that this unit has sent."""
-        ports = (self.data_port, *self.position_ports)
-        is_ours = np.isin(batch.columns.destination_port, ports)
-        if len(self.source) != _IPV4_BYTES:
-            return np.zeros_like(is_ours)
-        is_ours &= (batch.field(SOURCE_AT, _IPV4_BYTES) == np.frombuffer(self.source, np.uint8)).all(axis=1)
-        if self.mac:
-            sent_by = batch.field(MAC_AT[ETHERNET], len(self.mac))
-            is_ours &= (sent_by == np.frombuffer(self.mac, np.uint8)).all(axis=1)
-        return is_ours
+    def owns(self, flow: Flow) -> bool:
+        """Return whether this unit has sent the datagrams of a flow."""
+        port = flow.destination_port
+        is_ours = flow.source == self.source and (port == self.data_port or port in self.position_ports)
+        return is_ours and (not self.mac or flow.mac == self.mac)
 
 
 def parts_by_unit(
@@ -59,15 +43,11 @@ def parts_by_unit(
 
     The index is None for other senders; a unit None has sent all.
     """
-    for part in capture.parts():
-        if isinstance(part, PlainBatch):
-            owner = owners_in(part, units)
-            edges = [0, *(np.flatnonzero(np.diff(owner)) + 1).tolist(), len(owner)]
-            for first, end in pairwise(edges):
-                yield (None if owner[first] < 0 else int(owner[first])), part.datagrams(first, end)
-        else:
-            for datagram in part:
-                yield owner_of(datagram, units), [datagram]
+    for batch in capture.batches():
+        owner = owners_in(batch, units)
+        edges = [0, *(np.flatnonzero(np.diff(owner)) + 1).tolist(), len(owner)]
+        for first, end in pairwise(edges):
+            yield (None if owner[first] < 0 else int(owner[first])), batch.datagrams(first, end)
 
 
 def by_unit(capture: Capture, units: Sequence[CapturedUnit | None]) -> Iterator[tuple[int | None, Datagram]]:
@@ -77,18 +57,15 @@ def by_unit(capture: Capture, units: Sequence[CapturedUnit | None]) -> Iterator[
             yield unit, datagram
 
 
-def owner_of(datagram: Datagram, units: Sequence[CapturedUnit | None]) -> int | None:
-    """Return the index of the first unit that has sent a datagram; a unit None has sent all."""
-    return next((i for i, unit in enumerate(units) if unit is None or unit.owns(datagram)), None)
-
-
-def owners_in(batch: PlainBatch, units: Sequence[CapturedUnit | None]) -> I8:
+def owners_in(batch: Batch, units: Sequence[CapturedUnit | None]) -> I8:
     """Return the index (n,) of the first unit that has sent each datagram of a batch; -1 for others."""
-    owner = np.full(len(batch.columns.end), -1)
-    for i in reversed(range(len(units))):
-        unit = units[i]
-        owner[slice(None) if unit is None else unit.owns_rows(batch)] = i
-    return owner
+    flows, flow = batch.flows()
+    return np.array([_owner_of(each, units) for each in flows])[flow]
+
+
+def _owner_of(flow: Flow, units: Sequence[CapturedUnit | None]) -> int:
+    """Return the index of the first unit that has sent a flow, or -1; a unit None has sent all."""
+    return next((i for i, unit in enumerate(units) if unit is None or unit.owns(flow)), -1)
 
 
 def searched(
@@ -109,20 +86,14 @@ def data_rows(
     Raises CancelledError once `stop` is set.
     """
     buffers = [PacketBuffer(chunk) for _ in units]
-    for part in capture.parts():
+    for batch in capture.batches():
         if stop is not None and stop.is_set():
             raise CancelledError
-        if isinstance(part, PlainBatch):
-            owner = np.where(part.payload_bytes == DATA_BYTES, owners_in(part, units), -1)
-            for i, buffer in enumerate(buffers):
-                rows = np.flatnonzero(owner == i)
-                if len(rows):
-                    buffer.take_rows(PacketRows.of_batch(part, rows))
-        else:
-            for datagram in part:
-                owned = owner_of(datagram, units)
-                if owned is not None and len(datagram.payload) == DATA_BYTES:
-                    buffers[owned].take(datagram)
+        owner = np.where(batch.payload_bytes == DATA_BYTES, owners_in(batch, units), -1)
+        for i, buffer in enumerate(buffers):
+            rows = np.flatnonzero(owner == i)
+            if len(rows):
+                buffer.take(PacketRows.of(batch, rows))
         for i, buffer in enumerate(buffers):
             yield from ((i, packets) for packets in buffer.chunks())
     for i, buffer in enumerate(buffers):

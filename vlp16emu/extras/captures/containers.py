@@ -13,12 +13,13 @@ from collections.abc import Mapping
 from contextlib import suppress
 from io import BufferedReader
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 from vlp16emu.captures.records import EXPECTED, PCAP, Damage, Frames, Window, not_a_capture, pcap_frames
 from vlp16emu.captures.runs import Frame
 from vlp16emu.errors import CaptureError
 from vlp16emu.extras.captures.bags import bag_frames, is_bag
+from vlp16emu.extras.captures.blocks import LATEST_NS, LONGEST_BLOCK_BYTES, PACKET, Interface, packet_runs
 from vlp16emu.inputs import parsing
 from vlp16emu.units import S_NS, US_NS
 
@@ -26,17 +27,14 @@ _SECTION = 0x0A0D0D0A
 _INTERFACE = 1
 _OLD_PACKET = 2
 _SIMPLE_PACKET = 3
-_PACKET = 6
-"""Block types of pcapng. Source of all pcapng numbers: IETF draft-ietf-opsawg-pcapng."""
-_KINDS = (_SECTION, _INTERFACE, _OLD_PACKET, _SIMPLE_PACKET, 4, 5, _PACKET)  # 4, 5: names, statistics
+"""Block types of pcapng beside `PACKET`. Source of all pcapng numbers: IETF draft-ietf-opsawg-pcapng."""
+_KINDS = (_SECTION, _INTERFACE, _OLD_PACKET, _SIMPLE_PACKET, 4, 5, PACKET)  # 4, 5: names, statistics
 _BYTE_ORDER = 0x1A2B3C4D
 _NAME: Mapping[str, Literal["little", "big"]] = {"<": "little", ">": "big"}
 _OPTION_RESOLUTION = 9
 _OPTION_CHECK = 13
 _OPTION_OFFSET = 14
-_LONGEST_BLOCK_BYTES = 16 << 20  # a longer block means damage (MAX_BLOCK_SIZE of Wireshark)
 _ARCHIVES: dict[bytes, Any] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ\0": lzma.open}
-LATEST_NS = 2**32 * S_NS  # stamps of classic pcap reach that far
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _TAR_AT = 257  # offset of the magic number of POSIX tar (IEEE 1003.1, ustar)
 _OTHERS = {b"PK\x03\x04": ("zip", "unzip -p"), b"\x04\x22\x4d\x18": ("lz4", "lz4 -dc")}
@@ -104,18 +102,10 @@ class _End:
 _END = _End()
 
 
-class _Interface(NamedTuple):
-    link_type: int
-    snap_bytes: int
-    units_per_s: int
-    offset_s: int
-    check_bytes: int  # length of the frame check sequence
-
-
 def _pcapng(path: Path, window: Window) -> Frames:
     """Yield the frames of pcapng."""
     order = "<"
-    interfaces = list[_Interface]()
+    interfaces = list[Interface]()
     blocks = 0
     while window.peek(1):
         blocks += 1
@@ -147,6 +137,9 @@ def _pcapng(path: Path, window: Window) -> Frames:
             expected = f"0 to {LATEST_NS // S_NS}, from 1970 to 2106"
             raise CaptureError(f"{path}: block {blocks}", found, expected)
         yield frame
+        for run in packet_runs(window, order, interfaces):
+            blocks += len(run.begin)
+            yield run
 
 
 def _block(window: Window, order: str) -> tuple[str, bytes, bool]:
@@ -161,7 +154,7 @@ def _block(window: Window, order: str) -> tuple[str, bytes, bool]:
     if int.from_bytes(head[:4]) == _SECTION:  # a palindrome
         order = "<" if int.from_bytes(head[8:], "little") == _BYTE_ORDER else ">"
     length = int.from_bytes(head[4:8], _NAME[order])
-    if not 12 <= length <= _LONGEST_BLOCK_BYTES or length % 4:  # type, length, length again
+    if not 12 <= length <= LONGEST_BLOCK_BYTES or length % 4:  # type, length, length again
         return order, b"", True
     block = window.peek(length)
     if len(block) < length:
@@ -180,7 +173,7 @@ def _find_block(window: Window, order: str) -> bool:
     return False
 
 
-def _interface(body: bytes, order: str) -> _Interface:
+def _interface(body: bytes, order: str) -> Interface:
     link_type, _, snap_bytes = struct.unpack_from(f"{order}2HI", body)
     units_per_s = S_NS // US_NS
     offset_s = 0
@@ -196,10 +189,10 @@ def _interface(body: bytes, order: str) -> _Interface:
         elif code == _OPTION_OFFSET:
             offset_s = int.from_bytes(value, "little" if order == "<" else "big", signed=True)
         at += 4 + -(-size // 4) * 4
-    return _Interface(link_type, snap_bytes, units_per_s, offset_s, check_bytes)
+    return Interface(link_type, snap_bytes, units_per_s, offset_s, check_bytes)
 
 
-def _frame(body: bytes, kind: int, order: str, interfaces: list[_Interface]) -> Frame | None:
+def _frame(body: bytes, kind: int, order: str, interfaces: list[Interface]) -> Frame | None:
     """Read a packet block; None for other blocks and for packets of an interface that is not described."""
     if kind == _SIMPLE_PACKET and interfaces:
         wire = struct.unpack_from(f"{order}I", body)[0]
@@ -207,10 +200,10 @@ def _frame(body: bytes, kind: int, order: str, interfaces: list[_Interface]) -> 
         captured = min(wire, interface.snap_bytes or wire)
         whole = max(wire - interface.check_bytes, 0)
         return Frame(0, interface.link_type, whole, body[4 : 4 + min(captured, whole)])
-    if kind not in (_PACKET, _OLD_PACKET) or len(body) < 20:  # the fields before the frame
+    if kind not in (PACKET, _OLD_PACKET) or len(body) < 20:  # the fields before the frame
         return None
     number, high, low, captured, wire = struct.unpack_from(
-        f"{order}{'I' if kind == _PACKET else 'H2x'}4I", body
+        f"{order}{'I' if kind == PACKET else 'H2x'}4I", body
     )
     if number >= len(interfaces):
         return None
