@@ -78,3 +78,56 @@ def test_a_laser_that_changes_its_parity_is_found(sequences, tool_named):
     found = tool.turn_over_neighbours(one)
     assert found[3] == pytest.approx(-1.0, abs=0.01)
     assert np.delete(found, 3) == pytest.approx(1.0)
+
+
+def test_samples_of_the_receiver_are_found(sequences, tool_named):
+    """Faint echoes at multiples of 99.93 codes beside silence, at a place of each laser, are at samples, and
+    none of those that differ from record to record."""
+    tool = tool_named("unit_laws")
+    ranges = sys.modules["unit_laws_ranges"]
+    rng = np.random.default_rng(1)
+    which = np.repeat(rng.integers(5, 40, 1200), 6)[:, None]
+    ranges_lsb = np.rint(99.93 * which + rng.uniform(0, 99, 16)).astype(int)
+    ranges_lsb[::6] = 0
+    one = capture_of(tool, sequences, ranges_lsb, np.ones_like(ranges_lsb))
+    on = ranges.on_samples(one)[ranges.PERIODS_LSB.index(99.93)]
+    assert on.mean() > 0.98
+    assert max(of.mean() for of in ranges.on_samples(one)[:3]) < 0.4
+    near, *_, far = ranges.samples_near_silence(one)
+    assert near.mean() > 0.98
+    assert far.size == 0
+    strewn = capture_of(tool, sequences, rng.integers(500, 4000, (7200, 16)), np.ones((7200, 16), int))
+    assert sum(of.size for of in ranges.on_samples(strewn)) == 0
+
+
+def test_rounds_of_16_sequences_are_found(sequences, tool_named):
+    """A laser that draws its parity in each sequence that is 5 modulo 16, more often odd in one slot of the
+    beat, has that place and the greatest share there."""
+    tool = tool_named("unit_laws")
+    parity = sys.modules["unit_laws_parity"]
+    rng = np.random.default_rng(2)
+    begin = 5 + 16 * ((np.arange(9600) - 5) // 16)
+    slot = (24 * begin + 3) % 5
+    drawn = rng.uniform(size=9700)[begin - begin.min()]
+    ranges_lsb = np.full((9600, 16), 2000)
+    ranges_lsb[:, 3] += drawn < np.where(slot == 2, 0.8, 0.2)
+    one = capture_of(tool, sequences, ranges_lsb, np.full((9600, 16), 50))
+    count, place, sharp = parity.place_in_round(one, 3)
+    assert count > 100
+    assert place == pytest.approx(5.0, abs=0.6)
+    assert sharp > 0.9 * count
+    shares, rounds = parity.by_slot(one, 3, place)
+    assert rounds > 500
+    assert shares == pytest.approx([0.2, 0.2, 0.8, 0.2, 0.2], abs=0.1)
+    assert parity.place_in_round(one, 4)[0] == 0
+
+
+def test_factors_of_strengths_are_found(tool_named):
+    """Codes of strengths times 13 and 20 eighths show these factors, and all codes that of 8."""
+    tool_named("unit_laws")
+    codes = sys.modules["unit_laws_codes"]
+    strengths = np.repeat(np.arange(1, 15), 5)
+    assert codes.factor_of(strengths * 13 // 8) == 13.0
+    assert codes.factor_of(strengths * 20 // 8) == 20.0
+    assert codes.factor_of(np.repeat(np.arange(1, 40), 3)) == 8.0
+    assert np.isnan(codes.factor_of(np.array([3, 4, 5])))

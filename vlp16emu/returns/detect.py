@@ -34,14 +34,7 @@ from vlp16emu.returns.noise import (
     with_heavy_tails,
 )
 from vlp16emu.returns.settings import DetectorConstants
-from vlp16emu.returns.strength import (
-    at_range,
-    change_parities,
-    count_of,
-    strength,
-    with_faintness,
-    with_parity,
-)
+from vlp16emu.returns.strength import at_range, change_parities, count_of, excess_m, strength, with_parity
 from vlp16emu.sensor.laws import law
 from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, I8, U1, U4, Firings, Hits, PlantPart, Returns, Semantic
@@ -411,7 +404,7 @@ def _measure(
     if not measured_m >= constants.min_range_m:
         measured_m = 0.0
     elif eighths > 0.0:
-        measured_m = min(with_faintness(measured_m, exact), constants.max_range_m)
+        measured_m = min(measured_m + excess_m(measured_m, exact), constants.max_range_m)
     if parity.shape[0] > 0 and measured_m > 0.0:
         count = count_of(counts_of_code, code)
         measured_m = with_parity(parity, changed, count, measured_m, constants.max_range_m)

@@ -4,15 +4,18 @@ A code is the strength times an integer of eighths that depends on the laser and
 fraction: at 9/8 the codes 8, 17, 26 ... are missing, at 20/8 only 2, 5, 7, 10 ... are sent. The least
 strength is 1, so code 0 is sent only where the factor is below one. Lasers receive about the same strength
 from one surface, so the gain of a laser follows this factor. A range is twice a count of 4 mm, plus a
-correction in steps of 2 mm from a table by laser and count of the receiver, which some lasers change as a
-whole from time to time. Sources: the laws `strength` and `range` of `vlp16emu/sensor/laws.toml`.
+correction in steps of 2 mm from a table by laser and count of the receiver. Some lasers change it as a whole:
+each firing sequence corrects one laser anew, in turn. Sources: the laws `strength` and `range` of
+`vlp16emu/sensor/laws.toml`.
 """
 
+import math
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from vlp16emu.elementary import exp, log, power
+from vlp16emu.elementary import cos, exp, log, power
 from vlp16emu.kernels.compiler import inline_kernel
 from vlp16emu.random import Purpose, normal, uniform, uniform_pair
 from vlp16emu.sensor.laws import law, span
@@ -38,15 +41,14 @@ _FULL = 255.0
 _COUNTS_OF_CODE = np.interp(
     np.arange(_FULL + 1.0) + 0.5, span("strength.counts_at"), span("strength.counts")
 )  # of a unit with factor 1; codes end at 100
-_BLOCK = int(law("strength.balanced_over"))
-PARITIES = _BLOCK * (1 + int(max(span("strength.counts_of_units")) * _COUNTS_OF_CODE.sum()) // _BLOCK)
-"""Counts of the receiver with a correction of their own, in whole blocks: those of all codes on all units."""
+PARITIES = 1 + int(max(span("strength.counts_of_units")) * _COUNTS_OF_CODE.sum())
+"""Counts of the receiver with a correction of their own: those of all codes on all units."""
 _PARITY = ZERO + Purpose.DISTANCE_PARITY
-_KEPT = int(law("strength.kept_sequences"))
+_KEPT_ROUNDS = int(law("strength.kept_rounds"))
+_SLOTS = 5  # of the beat of ranges, by (24 sequence + laser) mod 5
 _CHANGES_LANE = 1 << 12  # lane of the random numbers of changes, beside the laser
 _FAINT_M = 1e-3 * law("range.faint_mm")
 _FAINT_UNTIL_M, _FAINT_FROM_M = span("range.faint_near_m")
-_COARSE_PER_M = 1e3 / law("range.coarse_mm")
 _RANGE_LSB_PER_M = 500.0  # of a packet: 2 mm
 _M_PER_RANGE_LSB = 0.002
 
@@ -60,7 +62,9 @@ class Strength(NamedTuple):
     top: F8  # (L,) greatest code of a matt surface
     parity: U1  # (L, PARITIES) correction of the range by count of the receiver, modulo 2; empty for none
     counts: F8  # (257,) count of the receiver of each code up to 255, before it is rounded
-    changed: F8  # (L,) share of the time in which the corrections of a laser have the other parity
+    changed: F8
+    """(L, 5) share of the time in which the corrections of a laser have the other parity, by (24 sequence +
+    laser) mod 5 of the sequence in which it was drawn."""
 
 
 def strength_of(
@@ -94,10 +98,14 @@ def strength_of(
         factors = np.clip(factors * _unevenness(seed, lasers, unit_spread, at), least, most)
         by_range[..., EIGHTHS] = _PER_CODE * factors
         by_range[..., GAIN] *= _gains(seed, factors, unit_spread)
-    parity = _parities(seed, lasers) if has_counts else np.zeros((lasers, 0), np.uint8)
-    changed = _changed(seed, lasers) if has_counts else np.zeros(lasers)
+    counts = _counts(seed, unit_spread)
+    parity = np.zeros((lasers, 0), np.uint8)
+    changed = np.zeros((lasers, _SLOTS))
+    if has_counts:
+        changed = _changed(seed, lasers)
+        parity = _parities(seed, counts, changed)
     top = _tops(seed, lasers) if is_real else np.full(lasers, _DIFFUSE)
-    return Strength(by_range, top, parity, _counts(seed, unit_spread), changed)
+    return Strength(by_range, top, parity, counts, changed)
 
 
 def _tops(seed: int, lasers: int) -> F8:
@@ -116,11 +124,15 @@ def _counts(seed: int, unit_spread: float) -> F8:
 
 
 def _changed(seed: int, lasers: int) -> F8:
-    """Draw the share of the time in which the parity of each laser is changed, (lasers,); 0 for most."""
+    """Draw the shares of the time in which the parity of each laser is changed, (lasers, 5); 0 for most."""
     low, high = span("strength.changed")
     share = low + (high - low) * uniform(seed, Purpose.STRENGTH, 5, lasers, _OF_UNIT)
     changes = uniform(seed, Purpose.STRENGTH, 5 + lasers, lasers, _OF_UNIT) < law("strength.changing_lasers")
-    return np.where(changes, share, 0.0)
+    low, high = span("strength.changed_by_beat")
+    swing = low + (high - low) * uniform(seed, Purpose.STRENGTH, 7 + 2 * lasers, lasers, _OF_UNIT)
+    phase = uniform(seed, Purpose.STRENGTH, 7 + 3 * lasers, lasers, _OF_UNIT)
+    wave = cos(2.0 * math.pi * (np.arange(_SLOTS) / _SLOTS + phase[:, None]))
+    return np.where(changes, share, 0.0)[:, None] * (1.0 + swing[:, None] * wave)
 
 
 def _unevenness(seed: int, lasers: int, unit_spread: float, at_m: F8) -> F8:
@@ -175,23 +187,33 @@ def _gains(seed: int, factors: F8, unit_spread: float) -> F8:
     return exp((least + (most - least) * drawn) * away)
 
 
-def _parities(seed: int, lasers: int) -> U1:
+def _parities(seed: int, counts: F8, changed: F8) -> U1:
     """Draw whether the correction of each laser and count of the receiver is odd, (lasers, PARITIES).
 
-    In each block of counts, laser by laser, what would make odd ranges of all lasers more or less than one
-    half is exchanged.
+    Lasers have their other parity as a whole where that balances odd and even ranges of all of them: from the
+    most unequal laser to the least, each takes the sign against the sum of those before it.
+
+    Parameters
+    ----------
+    counts : counts of the unit's codes, as in `Strength`
+    changed : shares (lasers, 5) of the time in which a laser has its other parity, which count against it
     """
     changes = 0.5 - 0.5 * law("strength.parity_correlation")
-    out = np.zeros((lasers, PARITIES), np.uint8)
-    total = np.zeros(PARITIES // _BLOCK)
-    for laser in range(lasers):
+    limits = counts[np.array(span("strength.balanced_codes"), int)].astype(int)
+    out = np.zeros((len(changed), PARITIES), np.uint8)
+    excess = np.zeros(len(changed))
+    for laser, shares in enumerate(changed):
         drawn = uniform(seed, Purpose.DISTANCE_PARITY, 0, PARITIES, laser)
         drawn[0] = np.where(drawn[0] < 0.5, 0.0, 1.0)
-        odd = np.cumsum(drawn < changes) % 2
-        sums = 2.0 * odd.reshape(-1, _BLOCK).sum(axis=1) - _BLOCK
-        exchanged = total * sums > 0.0
-        total += np.where(exchanged, -sums, sums)
-        out[laser] = odd ^ np.repeat(exchanged, _BLOCK)
+        out[laser] = np.cumsum(drawn < changes) % 2
+        of_classes = [out[laser, low : max(high, low + 1)].mean() - 0.5 for low, high in pairwise(limits)]
+        excess[laser] = sum(of_classes) * (1.0 - 2.0 * shares.mean())
+    total = 0.0
+    for laser in np.argsort(-np.abs(excess), kind="stable"):
+        if total * excess[laser] > 0.0:
+            out[laser] ^= 1
+            excess[laser] = -excess[laser]
+        total += excess[laser]
     return out
 
 
@@ -231,15 +253,11 @@ def in_steps(code: float, exact: float, eighths: float) -> float:
 
 
 @inline_kernel
-def with_faintness(range_m: float, exact: float) -> float:
-    """Return the range that is measured of an echo, from its strength as in `strength`.
-
-    A faint one is measured too far, and one that is below the least strength in coarse steps.
-    """
+def excess_m(range_m: float, exact: float) -> float:
+    """Return by how much a faint echo is measured too far, from its strength as in `strength`."""
     near = max(_FAINT_FROM_M / max(range_m, _FAINT_UNTIL_M), 1.0)
     close = near / max(np.floor(exact + 0.5), 1.0)
-    measured_m = range_m + _FAINT_M * close * close
-    return np.ceil(measured_m * _COARSE_PER_M) / _COARSE_PER_M if exact < 0.5 else measured_m
+    return _FAINT_M * close * close
 
 
 @inline_kernel
@@ -251,17 +269,22 @@ def count_of(counts: F8, code: float) -> float:
 
 
 @inline_kernel
-def change_parities(seed: int, n: int, is_first: bool, share: F8, changed: F8) -> None:
+def change_parities(seed: int, n: int, is_first: bool, shares: F8, changed: F8) -> None:
     """Update which lasers have changed parities, 1 or 0 in `changed` (L,), at firing sequence n.
 
-    A draw holds for `_KEPT` sequences, which begin at others for each laser; `is_first` to draw for all
-    lasers, whatever came before.
+    Each sequence updates one laser, in turn: its parity changes with the share of the slot of that pulse. A
+    draw holds for `_KEPT_ROUNDS` of its turns. `is_first` to update all lasers, whatever came before.
     """
-    begin = 0 if is_first else n % _KEPT
-    for laser in range(begin, share.shape[0], 1 if is_first else _KEPT):
-        if share[laser] > 0.0:
-            drawn, _ = uniform_pair(seed, _PARITY, (n - laser) // _KEPT, _CHANGES_LANE | laser)
-            changed[laser] = 1.0 if drawn < share[laser] else 0.0
+    lasers = shares.shape[0]
+    begin = 0 if is_first else n % lasers
+    for laser in range(begin, lasers, 1 if is_first else lasers):
+        at = n - (n - laser) % lasers  # sequence of the laser's last turn
+        share = shares[laser, (24 * at + laser) % _SLOTS]
+        changed[laser] = 0.0
+        if share > 0.0:
+            turn = at // lasers // _KEPT_ROUNDS
+            drawn, _ = uniform_pair(seed, _PARITY, turn, _CHANGES_LANE | laser)
+            changed[laser] = 1.0 if drawn < share else 0.0
 
 
 @inline_kernel

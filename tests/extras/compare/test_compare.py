@@ -295,7 +295,7 @@ def test_a_unit_that_was_fitted_at_500_rpm_turns_at_its_speed(recorded):
 
 
 def test_the_step_of_codes_and_the_kinds_of_losses_come_back(recorded):
-    """The factor beyond 8 m of two units is found within a fifth, the rates of losses at steps within 30 %,
+    """The factor beyond 8 m of two units is found within a quarter, the rates of losses at steps within 30 %,
     and more losses in spots raise their factor alone."""
     hall = {"noise.unit_spread": 0.0, "noise.records_lost": 1.0, "world.texture": 0.25, "world.shading": 0.3}
     hall["beam.model"] = "adaptive"  # a ray without a width meets one surface
@@ -304,8 +304,8 @@ def test_the_step_of_codes_and_the_kinds_of_losses_come_back(recorded):
         for step, spots in ((1.2, 0.5), (2.0, 4.0))
         if (own := {"noise.reflectivity_far_step": step, "noise.spots_lost": spots})
     ]
-    assert fitted[0]["reflectivity_far_step"] == pytest.approx(1.2, rel=0.2)
-    assert fitted[1]["reflectivity_far_step"] == pytest.approx(2.0, rel=0.2)
+    assert fitted[0]["reflectivity_far_step"] == pytest.approx(1.2, rel=0.25)
+    assert fitted[1]["reflectivity_far_step"] == pytest.approx(2.0, rel=0.25)
     assert fitted[1]["spots_lost"] > 2.0 * fitted[0]["spots_lost"]
     assert [noise["records_lost"] for noise in fitted] == pytest.approx([1.0, 1.0], rel=0.3)
 
