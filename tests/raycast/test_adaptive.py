@@ -15,7 +15,7 @@ WHITE = np.ones(1, np.float32)
 
 def budget(target_m, threshold=0.0):
     """An adaptive beam's, with a receiver of the usual noise."""
-    return RayBudget(64, True, worth_of_ray_m(target_m), 1.0, threshold, threshold / 6)
+    return RayBudget(64, True, worth_of_ray_m(target_m), 1.0, threshold, threshold / 6, 0.0)
 
 
 def asked(ranges_m, target_m=0.03, threshold=0.0):
@@ -186,6 +186,27 @@ def test_a_pulse_beside_an_outline_has_more_rays(workers):
     assert (count[beside] >= 24).all()
     assert ((met[beside] > 0.0) & (met[beside] < 0.2)).any()
     assert (ends.cast(lab.level_pulses(y_m), np.zeros(1), 100.0, faint).count == ROUND).all()
+
+
+def test_a_pulse_that_a_near_thing_hides_in_part_has_all_rays(workers):
+    """At the edge of a plate at 0.3 m, before a wall at 4 m, pulses that meet both have all rays, and those
+    that meet the plate alone, beside them, 24 and more; without a least range they have fewer."""
+    ends = lab.opened(workers, *lab.upright((0.3, 0.0, 9.0, -9.0, 9.0), (4.0, -9.0, 9.0, -9.0, 9.0)))
+    pulses = lab.level_pulses((np.arange(64) - 31.5) * 0.001)
+    blanked = replace(lab.beam("adaptive"), threshold=1e-5, blank_m=0.5)
+    hits = ends.cast(pulses, np.zeros(1), 100.0, blanked)
+    count = hits.count[:, 0].astype(int)
+    first = [of[:ROUND] < 0.5 for of in np.split(hits.range_m, np.cumsum(count)[:-1])]
+    near = np.array([of.sum() for of in first])
+    both = (near > 0) & (near < ROUND)
+    assert both.sum() >= 5
+    assert (count[both] == 32).all()
+    assert (count[near == 0] == ROUND).all()
+    beside = (count > ROUND) & ~both
+    assert beside.any()
+    assert (count[beside] >= 24).all()
+    usual = ends.cast(pulses, np.zeros(1), 100.0, lab.beam("adaptive")).count[:, 0]
+    assert (usual[both] < 32).any()
 
 
 def test_eights_do_not_depend_on_others(walls):

@@ -389,7 +389,7 @@ def settle(
                 first_cosine[to + lane] = cosine[at + lane]
                 first_met[to + lane] = surface[at + lane]
             if budget.adaptive:
-                light[q] = _light_of(hits, reflectance, at)
+                light[q] = _light_of(hits, reflectance, at, budget.blank_m)
         batch.have[q] = total
     return _queue_again(cast, budget, todo, total) if total < budget.max_rays else 0
 
@@ -404,9 +404,10 @@ def _queue_again(cast: Cast, budget: RayBudget, todo: int, total: int) -> int:
     for t in range(todo):
         q = batch.todo[t]
         has_edge = total >= _OUTLINE_RAYS
-        if budget.adaptive and (has_edge or not is_beside_outline(batch.light, budget, q)):
-            begin = q * room
-            stop = begin + total
+        begin = q * room
+        stop = begin + total
+        is_hidden = is_partly_hidden(hits.range_m, begin, stop, budget.blank_m)
+        if budget.adaptive and not is_hidden and (has_edge or not is_beside_outline(batch.light, budget, q)):
             ranges = hits.range_m[begin:stop]
             surfaces = hits.surface[begin:stop]
             cosines = hits.cos_incidence[begin:stop]
@@ -418,15 +419,27 @@ def _queue_again(cast: Cast, budget: RayBudget, todo: int, total: int) -> int:
 
 
 @inline_kernel
-def _light_of(hits: RayHits, reflectance: F4, begin: np.uint64) -> np.float32:
-    """Return the sum of the amplitudes of a round of hits, as if each ray were the whole pulse, in m-2."""
+def _light_of(hits: RayHits, reflectance: F4, begin: np.uint64, blank_m: float) -> np.float32:
+    """Return the sum of the amplitudes of a round of hits, as if each ray were the whole pulse, in m-2.
+
+    What is nearer than `blank_m` gives none.
+    """
     light = np.float32(0.0)
     for lane in range(np.uint64(ROUND)):
         at = begin + lane
-        if hits.surface[at] != NONE:
+        if hits.surface[at] != NONE and hits.range_m[at] >= blank_m:
             squared = max(hits.range_m[at] * hits.range_m[at], _LEAST_SQUARED)
             light += reflectance[hits.surface[at]] * hits.cos_incidence[at] / squared
     return light
+
+
+@inline_kernel
+def is_partly_hidden(range_m: F4, begin: int, stop: int, blank_m: float) -> bool:
+    """Return True if some rays of a pulse meet what is nearer than `blank_m`, and others do not."""
+    near = 0
+    for ray in range(np.uint64(begin), np.uint64(stop)):
+        near += range_m[ray] < blank_m
+    return 0 < near < stop - begin
 
 
 @inline_kernel
