@@ -8,7 +8,7 @@ detection of the strongest echo: if it is near the detection threshold, and its 
 less certain than the receiver's own noise does, another round decides about lost or invented echoes. Besides,
 a pulse beside the outline of something much brighter has 24 rays at least (`kernel.is_beside_outline`): eight
 of them miss the faint edge of the beam, by which surfaces of real units end in one or two dark records. A
-pulse that something nearer than the least range hides in part has all rays: what is left of its light fades
+pulse at the outline of something nearer than the least range has all rays: what is left of its light fades
 over ten pulses and more.
 """
 
