@@ -62,6 +62,7 @@ class Room:
         self._stand_up(18)
         self._partition()
         self._lean(16)
+        self._polish(30)
         self._put_up()
 
     @property
@@ -284,6 +285,21 @@ class Room:
                 height = self.drawn.uniform(0.6, 1.8)
                 self._tilted_box("crate", (x, y, height), size, self._finish(0.02), **angles)
 
+    def _polish(self, count: int) -> None:
+        """Add polished things in any attitude, 0.6 m away and farther: screens, glasses, metal, lacquer.
+
+        Runs of 4 to 30 records without a return, between dark returns, are 55 to 180 in a turn of real units.
+        """
+        for _ in range(count):
+            x, y = self.drawn.uniform(-1.0, 1.0, 2) * self.half[:2] * 0.95
+            size = 0.03 * 15.0 ** self.drawn.random(3)
+            size[0] = 0.01
+            if np.hypot(x, y) > 0.6 + size.max():
+                angles = dict(zip(("yaw_deg", "pitch_deg"), self.drawn.uniform(-90.0, 90.0, 2), strict=True))
+                finish = {**PANE, "reflectance": round(self._between(*DUST), 6)}
+                place = (x, y, SENSOR_M + self.drawn.uniform(-0.25, 0.25) * np.hypot(x, y))
+                self._tilted_box("polished thing", place, size, finish, **angles)
+
     def _put_up(self) -> None:
         """Stand the sensor on a table, with things on it, and struts and people beside it."""
         top = SENSOR_M - self._between(*TABLE_BELOW_M)
@@ -301,12 +317,12 @@ class Room:
                 place = (far * np.cos(at), far * np.sin(at), top + tall / 2)
                 turned = {"yaw_deg": self.drawn.uniform(-180.0, 180.0), "pitch_deg": tilt}
                 self._tilted_box("thing", place, (wide, deep, tall), self._finish(0.01), **turned)
-        for _ in range(self.drawn.integers(1, 5)):
+        for _ in range(self.drawn.integers(2, 8)):
             far, at = self._between(*NEAR_M), self.drawn.uniform(0.0, 2 * np.pi)
             foot = np.array([far * np.cos(at), far * np.sin(at), top])
             over = foot + self.drawn.uniform(-0.15, 0.15, 3) + (0.0, 0.0, self.drawn.uniform(0.1, 0.6))
             if np.hypot(*over[:2]) > NEAR_M[0]:
-                self._strut("strut", np.array([foot, over]), self._between(0.01, 0.06))
+                self._strut("strut", np.array([foot, over]), self._between(0.006, 0.05))
         for _ in range(self.drawn.integers(0, 3)):
             self._person()
 
