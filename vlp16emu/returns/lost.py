@@ -197,8 +197,8 @@ def lose(
     unit : seed of the unit, whether it sends two returns, sheets as in `step_share`, share of near
         records that each laser loses, and its code of a record without range
     row, first_ray : number of the sequence among the pulses, and of its first sub-ray
-    met : (3, L) normal numbers of each pulse, the last digits of whose second decide what a lost record shows,
-        and its range before errors
+    met : (3, L) two normal numbers of each pulse, the last digits of the second of which decide what a lost
+        record shows, and its range before errors
     before : (L, STATE) state of each laser: mean code, -1 for none, last range, mean change of range, mean
         change of code over the last code, at most 1, 1 if its last pulse was lost, mean change of code over
         the mean code in more pulses, at most `range.most_change`, the last code, and the last area whose
