@@ -292,8 +292,7 @@ class Room:
         """
         for _ in range(count):
             x, y = self.drawn.uniform(-1.0, 1.0, 2) * self.half[:2] * 0.95
-            size = 0.03 * 15.0 ** self.drawn.random(3)
-            size[0] = 0.01
+            size = 0.06 * 8.0 ** self.drawn.random(3)
             if np.hypot(x, y) > 0.6 + size.max():
                 angles = dict(zip(("yaw_deg", "pitch_deg"), self.drawn.uniform(-90.0, 90.0, 2), strict=True))
                 finish = {**PANE, "reflectance": round(self._between(*DUST), 6)}

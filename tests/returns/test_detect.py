@@ -82,7 +82,7 @@ def test_lone_echo_is_strongest_and_last():
     out = lone(7.0)
     assert (out.distance_m[..., 0] == out.distance_m[..., 1]).all()
     assert (out.distance_m[..., 2] == 0).all()
-    assert (lone(0.35, 0.7).reflectivity[..., :2] == 35).all()
+    assert (lone(0.46, 0.7).reflectivity[..., :2] == 42).all()
     assert not lone(120, 0.7).reflectivity.any()
     assert not lone(np.inf, 0.7).reflectivity.any()
 
@@ -138,7 +138,7 @@ def test_what_is_nearer_than_the_least_range_takes_light_and_hides_nothing(mode)
     assert distance_m[0] == np.float32(5.0)
     assert reflectivity[0] == 25
     assert surface[0] == 1
-    for range_m, code in ((0.19, 0), (0.35, 25), (0.47, 45), (0.5, 50)):
+    for range_m, code in ((0.3, 0), (0.39, 0), (0.46, 30), (0.5, 50)):
         assert lone(range_m, 0.5, mode=mode).reflectivity[0, 0, 0] == code
 
 

@@ -130,6 +130,16 @@ def test_lost_records_exceed_100_at_retroreflectors():
     assert 0.15 < (codes > 100).mean() < 0.25
 
 
+def test_what_is_nearer_than_the_least_range_is_no_step():
+    """Where a thing at 0.3 m hides an eighth to three quarters of the light from a wall, no record is lost."""
+    surfaces = table(0.3, 0.9)
+    surfaces["part"] = PlantPart.LEAF
+    for hidden in (1, 3, 6):
+        near = np.arange(8) < hidden
+        range_m = np.broadcast_to(np.where(near, 0.3, 3.0), (500, LASERS, 8))
+        assert not lost(seen(surfaces, range_m, np.where(near, 0, 1))).any()
+
+
 def test_a_sensor_at_rest_loses_the_same_records_at_a_step_in_each_revolution():
     """Where two surfaces share the light a record that arrived is lost a turn later in half as many cases as
     a draw of its own would lose, or fewer; 20 degrees farther in as many."""

@@ -248,7 +248,8 @@ def _detect(
             noise[2, j] = at_m
         if constants.lost.step + constants.lost.dark > 0.0:
             dual = not constants.strongest_only
-            unit = constants.seed, dual, errors.sheet, errors.near_lost, errors.no_return
+            least_m = constants.min_range_m
+            unit = constants.seed, dual, errors.sheet, errors.near_lost, errors.no_return, least_m
             lose(constants.lost, unit, pulses, i, first_ray, noise, before, distance_m[i], reflectivity[i])
 
 
@@ -410,8 +411,8 @@ def _measure(
 ) -> tuple[np.float32, np.uint8]:
     """Return measured distance and reflectivity.
 
-    The distance is 0 below the least range, where the receiver sees less of the light the nearer it is, and
-    both are 0 beyond the greatest.
+    The distance is 0 below the least range, where the receiver sees less of the light the nearer it is; both
+    are 0 where it sees none, and beyond the greatest range.
     """
     (range_noise, other_noise) = noise
     (error_m, _, own_gain, codes, by_range, top, parity, counts_of_code, changed, _) = laser_errors
@@ -426,7 +427,10 @@ def _measure(
     gain = own_gain * gain_at_range
     percent = 100.0 * reflectance
     if range_m < _SEEN_FROM_M:
-        percent *= max((range_m - _BLIND_M) * (1.0 / (_SEEN_FROM_M - _BLIND_M)), 0.0)
+        seen = (range_m - _BLIND_M) * (1.0 / (_SEEN_FROM_M - _BLIND_M))
+        if seen <= 0.0:
+            return np.float32(0.0), np.uint8(0)
+        percent *= seen
     code = max(percent * gain + counts, 0.0)
     exact = strength(min(code, 100.0), eighths)
     if constants.range_noise_m > 0.0:

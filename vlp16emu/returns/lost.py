@@ -130,13 +130,13 @@ def _between(limits: Sequence[float], draw: float) -> float:
 
 
 @inline_kernel
-def step_share(rays: SubRays, sheet: U4, start: int, stop: int) -> float:
+def step_share(rays: SubRays, sheet: U4, start: int, stop: int, blank_m: float) -> float:
     """Return the rate of loss of a pulse that meets a step of range, over the greatest one.
 
     With half of its light from each of two surfaces it is 1, and 4 s (1 - s) with the share s from the
     fainter one; less, in proportion, where their ranges differ by less than `loss.range_step_m`. Sub-rays are
     start .. stop - 1. A sheet without gaps, such as the ground (`sheet`, by surface; 0 for none), has no step
-    at any slope.
+    at any slope. What is nearer than `blank_m` gives no light.
     """
     _, range_m, met, cosine, reflectance = rays
     brightest = at_m = total = beyond_step = weighted = 0.0
@@ -147,7 +147,7 @@ def step_share(rays: SubRays, sheet: U4, start: int, stop: int) -> float:
     if is_one:
         return 0.0
     for ray in range(np.uint64(start), np.uint64(stop)):
-        if range_m[ray] < np.inf:
+        if blank_m <= range_m[ray] < np.inf:
             light = (
                 np.float64(reflectance[met[ray]]) * cosine[ray] / (np.float64(range_m[ray]) * range_m[ray])
             )
@@ -159,7 +159,7 @@ def step_share(rays: SubRays, sheet: U4, start: int, stop: int) -> float:
         return 0.0
     sheet_met = sheet[surface]
     for ray in range(np.uint64(start), np.uint64(stop)):
-        if range_m[ray] < np.inf:
+        if blank_m <= range_m[ray] < np.inf:
             light = (
                 np.float64(reflectance[met[ray]]) * cosine[ray] / (np.float64(range_m[ray]) * range_m[ray])
             )
@@ -179,7 +179,7 @@ def _fraction(x: float) -> float:
 @kernel
 def lose(
     rates: LossRates,
-    unit: tuple[int, bool, U4, F8, F8],
+    unit: tuple[int, bool, U4, F8, F8, float],
     pulses: tuple[SubRays, Sight],
     row: int,
     first_ray: int,
@@ -195,7 +195,7 @@ def lose(
     Parameters
     ----------
     unit : seed of the unit, whether it sends two returns, sheets as in `step_share`, share of near
-        records that each laser loses, and its code of a record without range
+        records that each laser loses, its code of a record without range, and the unit's least range
     row, first_ray : number of the sequence among the pulses, and of its first sub-ray
     met : (3, L) two normal numbers of each pulse, the last digits of the second of which decide what a lost
         record shows, and its range before errors
@@ -204,13 +204,13 @@ def lose(
         the mean code in more pulses, at most `range.most_change`, the last code, and the last area whose
         spots were drawn, infinity for none, with its number
     """
-    (seed, dual, sheet, near_lost, no_return) = unit
+    (seed, dual, sheet, near_lost, no_return, blank_m) = unit
     rays, sight = pulses
     stop = first_ray
     for laser in range(distance_m.shape[0]):
         start, stop = stop, stop + int(rays.counts[row, laser])
         noise = met[1, laser]
-        pulse = stop - start < 2, rays, sheet, start, stop
+        pulse = stop - start < 2, rays, sheet, start, stop, blank_m
         place = seed, sight, row, met[2, laser], near_lost[laser]
         _lose_pulse(
             rates,
@@ -230,7 +230,7 @@ def lose(
 def _lose_pulse(
     rates: LossRates,
     noise: float,
-    pulse: tuple[bool, SubRays, U4, int, int],
+    pulse: tuple[bool, SubRays, U4, int, int, float],
     place: tuple[int, Sight, int, float, float],
     before: F8,
     laser: int,
