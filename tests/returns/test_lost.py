@@ -131,7 +131,7 @@ def test_lost_records_exceed_100_at_retroreflectors():
 
 
 def test_what_is_nearer_than_the_least_range_is_no_step():
-    """Where a thing at 0.3 m hides an eighth to three quarters of the light from a wall, no record is lost."""
+    """Where a thing at 0.3 m hides an eighth to three quarters of a wall's light, no record is lost."""
     surfaces = table(0.3, 0.9)
     surfaces["part"] = PlantPart.LEAF
     for hidden in (1, 3, 6):
