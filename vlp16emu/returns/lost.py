@@ -139,13 +139,10 @@ def step_share(rays: SubRays, sheet: U4, start: int, stop: int, blank_m: float) 
     at any slope. What is nearer than `blank_m` gives no light.
     """
     _, range_m, met, cosine, reflectance = rays
+    if _is_one_surface(rays, sheet, start, stop):
+        return 0.0
     brightest = at_m = total = beyond_step = weighted = 0.0
     surface = met[start]
-    is_one = surface == NO_SURFACE or sheet[surface] != 0
-    for ray in range(np.uint64(start), np.uint64(stop)):  # signed indices might count from the end
-        is_one &= met[ray] == surface
-    if is_one:
-        return 0.0
     for ray in range(np.uint64(start), np.uint64(stop)):
         if blank_m <= range_m[ray] < np.inf:
             light = (
@@ -169,6 +166,17 @@ def step_share(rays: SubRays, sheet: U4, start: int, stop: int, blank_m: float) 
                 beyond_step += light
                 weighted += light * min(step_m * (1.0 / _RANGE_STEP_M), 1.0)
     return 4.0 * weighted / total * (1.0 - beyond_step / total) if total > 0.0 else 0.0
+
+
+@inline_kernel
+def _is_one_surface(rays: SubRays, sheet: U4, start: int, stop: int) -> bool:
+    """Return True if all sub-rays meet one surface without gaps, or nothing, as in `step_share`."""
+    met = rays.surface
+    surface = met[start]
+    is_one = surface == NO_SURFACE or sheet[surface] != 0
+    for ray in range(np.uint64(start), np.uint64(stop)):  # signed indices might count from the end
+        is_one &= met[ray] == surface
+    return is_one
 
 
 @inline_kernel
@@ -261,11 +269,11 @@ def _lose_pulse(
     _follow(before, code, range_m, change)
     is_calm = change <= _STEP_FROM and follows == 0.0 and not is_uneven
     has_spots = code < _BLACK_CODE or range_m < _CALM_FROM_M
-    is_single = pulse[0]
-    if is_calm and not has_spots and is_single:
+    (is_single, rays, sheet, start, stop, _) = pulse
+    if is_calm and not has_spots and (is_single or _is_one_surface(rays, sheet, start, stop)):  # most pulses
         return
     lost = _draw_of_view(place, laser)
-    if is_calm and not has_spots and lost >= rates.step:  # nearly every other pulse
+    if is_calm and not has_spots and lost >= rates.step:
         return
     before[_WAS_LOST] = 0.0
     # Where ranges jump, as in trees, steps and spots lose fewer records.
