@@ -228,8 +228,7 @@ def _detect(
                 before[j, UNEVENNESS],
             )
             lit = _gather_with_air(constants, n, j, rays, start, stop, nodes)
-            if lit > 1:
-                lit = _without_near(nodes, lit, constants.min_range_m - error_m)
+            lit = _without_near(nodes, lit, constants.min_range_m - error_m)
             at_m, light = _only_echo(constants, n, j, nodes, lit, peaks)
             if light > 0.0 and _is_seen(constants, n, j, at_m, light):
                 measured = _measure(constants, (noise[0, j], noise[1, j]), at_m, light, laser_errors)
@@ -248,8 +247,8 @@ def _detect(
             noise[2, j] = at_m
         if constants.lost.step + constants.lost.dark > 0.0:
             dual = not constants.strongest_only
-            least_m = constants.min_range_m
-            unit = constants.seed, dual, errors.sheet, errors.near_lost, errors.no_return, least_m
+            of_lasers = errors.near_lost, errors.no_return
+            unit = constants.seed, dual, errors.sheet, *of_lasers, constants.min_range_m
             lose(constants.lost, unit, pulses, i, first_ray, noise, before, distance_m[i], reflectivity[i])
 
 
@@ -271,6 +270,8 @@ def _gather_with_air(
 @inline_kernel
 def _without_near(nodes: F8, lit: int, from_m: float) -> int:
     """Remove the nodes nearer than a range, unless all are; return the number of nodes."""
+    if lit < 2:  # most pulses
+        return lit
     far = 0
     for node in range(lit):
         far += nodes[RANGE, node] >= from_m

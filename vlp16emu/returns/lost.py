@@ -205,8 +205,8 @@ def lose(
     unit : seed of the unit, whether it sends two returns, sheets as in `step_share`, share of near
         records that each laser loses, its code of a record without range, and the unit's least range
     row, first_ray : number of the sequence among the pulses, and of its first sub-ray
-    met : (3, L) two normal numbers of each pulse, the last digits of the second of which decide what a lost
-        record shows, and its range before errors
+    met : (3, L) two normal numbers of each pulse, and its range before errors; the last digits of the second
+        number decide what a lost record shows
     before : (L, STATE) state of each laser: mean code, -1 for none, last range, mean change of range, mean
         change of code over the last code, at most 1, 1 if its last pulse was lost, mean change of code over
         the mean code in more pulses, at most `range.most_change`, the last code, and the last area whose
@@ -278,7 +278,6 @@ def _lose_pulse(
     before[_WAS_LOST] = 0.0
     # Where ranges jump, as in trees, steps and spots lose fewer records.
     calm = _ROUGH_M / (_ROUGH_M + rough_m)
-    is_up = code > last
     jump = calm * loss_at_step(rates, last, code)
     sure = jump + calm * follows * rates.again
     gloss = calm * rates.gloss if is_uneven else 0.0
@@ -298,7 +297,7 @@ def _lose_pulse(
         reflectivity[column] = np.uint8(no_return)
         return
     shown_code = 0.0
-    if lost < jump and is_up:  # too bright: the height of the peak is measured, its range is not
+    if lost < jump and code > last:  # too bright: the height of the peak is measured, its range is not
         shown_code = _too_bright(np.float64(reflectivity[0]), lost / jump, choice, no_return)
     for column in range(3):
         distance_m[column] = 0.0
