@@ -41,6 +41,7 @@ FLOORS = (
         "once",
         "output",
         "random",
+        "rotation",
         "settings",
         "store",
         "tables",

@@ -78,13 +78,14 @@ def test_a_window_has_features_of_every_field(captures, tool_named):
 
 
 def test_rooms_have_what_real_rooms_have(tool_named):
-    """A room of each of ten seeds is a valid scene with panes, a plate that reflects back, an opening, and
-    nothing that is cut at the reach of the sensor."""
+    """A room of each of ten seeds is a valid scene with panes, a plate that reflects back, an opening, a
+    table under the sensor, turned crates and polished things, and nothing that is cut at the reach of the
+    sensor."""
     rooms = tool_named("unmask").Room
     for seed in range(1, 11):
         room = rooms(seed)
         names = {str(box["name"]).split()[0] for box in room.boxes}
-        assert {"pane", "frame", "board", "thing", "partition", "cabinet"} <= names
+        assert {"pane", "frame", "board", "thing", "partition", "table", "crate", "polished"} <= names
         assert any("retroreflection_cd_lx_m2" in box for box in room.boxes)
         assert not any("max_range" in setting for setting in room.settings)
         Emulator("static_bench", [*room.settings, "beam.model=none"])

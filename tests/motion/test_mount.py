@@ -6,8 +6,9 @@ from extras.walk.kit import START_NS, straps, walking
 from scipy.spatial.transform import Rotation
 
 from vlp16emu.motion.mount import device_motion
-from vlp16emu.motion.pose import StaticMotion, rotations
+from vlp16emu.motion.pose import StaticMotion
 from vlp16emu.motion.settings import Mount
+from vlp16emu.rotation import rotations
 
 
 def tripod():

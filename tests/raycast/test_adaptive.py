@@ -15,7 +15,7 @@ WHITE = np.ones(1, np.float32)
 
 def budget(target_m, threshold=0.0):
     """An adaptive beam's, with a receiver of the usual noise."""
-    return RayBudget(64, True, worth_of_ray_m(target_m), 1.0, threshold, threshold / 6)
+    return RayBudget(64, True, worth_of_ray_m(target_m), 1.0, threshold, threshold / 6, 0.0)
 
 
 def asked(ranges_m, target_m=0.03, threshold=0.0):
@@ -186,6 +186,25 @@ def test_a_pulse_beside_an_outline_has_more_rays(workers):
     assert (count[beside] >= 24).all()
     assert ((met[beside] > 0.0) & (met[beside] < 0.2)).any()
     assert (ends.cast(lab.level_pulses(y_m), np.zeros(1), 100.0, faint).count == ROUND).all()
+
+
+def test_pulses_at_the_outline_of_a_near_thing_have_all_rays(workers):
+    """Before a wall at 4 m a plate at 0.3 m ends: pulses that meet both have all rays, and so have those of
+    their eight that seem to meet the plate alone; other eights, and pulses that nothing hides, have a round.
+    Without a least range they have fewer."""
+    ends = lab.opened(workers, *lab.upright((0.3, 0.0, 9.0, -9.0, 9.0), (4.0, -9.0, 9.0, -9.0, 9.0)))
+    pulses = lab.level_pulses((np.arange(64) - 31.5) * 0.001)
+    blanked = replace(lab.beam("adaptive"), threshold=1e-5, blank_m=0.5)
+    hits = ends.cast(pulses, np.zeros(1), 100.0, blanked)
+    count = hits.count[:, 0].astype(int)
+    blank = np.array([(of[:ROUND] < 0.5).sum() for of in np.split(hits.range_m, np.cumsum(count)[:-1])])
+    at_outline = (blank > 0) & (blank.reshape(8, 8).sum(axis=1) < 64).repeat(8)
+    assert 8 <= at_outline.sum() <= 24
+    assert (count[at_outline] == 32).all()
+    assert (count[~at_outline] < 32).all()
+    assert (count[(blank == 0) | (blank == ROUND)] == ROUND).sum() > 32
+    usual = ends.cast(pulses, np.zeros(1), 100.0, lab.beam("adaptive")).count[:, 0]
+    assert (usual[at_outline] < 32).any()
 
 
 def test_eights_do_not_depend_on_others(walls):

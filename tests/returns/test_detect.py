@@ -77,12 +77,12 @@ def test_without_a_lost_echo_the_others_are_what_they_would_be(far):
 
 
 def test_lone_echo_is_strongest_and_last():
-    """One echo stands as both, without a second strongest; too near for a distance it shows its
+    """One echo stands as both, without a second strongest; too near for a distance it shows part of its
     reflectivity, too far or none at all does not."""
     out = lone(7.0)
     assert (out.distance_m[..., 0] == out.distance_m[..., 1]).all()
     assert (out.distance_m[..., 2] == 0).all()
-    assert (lone(0.3, 0.7).reflectivity[..., :2] == 70).all()
+    assert (lone(0.46, 0.7).reflectivity[..., :2] == 42).all()
     assert not lone(120, 0.7).reflectivity.any()
     assert not lone(np.inf, 0.7).reflectivity.any()
 
@@ -120,7 +120,7 @@ def test_truth_is_kept_only_on_request():
 
 def test_two_surfaces_far_apart_are_two_returns():
     """A beam half on a bright plate and half on one behind gives each at its place; a brighter one behind
-    is strongest and last; a near one is blanked."""
+    is strongest and last."""
     distance_m, reflectivity, surface = split([4.0, 9.0], [0.6, 0.4])
     assert distance_m.tolist() == pytest.approx([4, 9, 9])
     assert reflectivity.tolist() == [30, 20, 20]
@@ -128,9 +128,18 @@ def test_two_surfaces_far_apart_are_two_returns():
     distance_m, _, surface = split([4.0, 9.0], [0.05, 0.9])
     assert distance_m.tolist() == pytest.approx([9, 9, 4])
     assert surface.tolist() == [1, 1, 0]
-    distance_m, reflectivity, _ = split([0.3, 5.0], [0.5, 0.5])
-    assert distance_m.tolist() == pytest.approx([0, 5, 5])
+
+
+@pytest.mark.parametrize("mode", [ReturnMode.STRONGEST, ReturnMode.LAST, ReturnMode.DUAL])
+def test_what_is_nearer_than_the_least_range_takes_light_and_hides_nothing(mode):
+    """A beam half on a hand at 0.3 m gives the wall behind it alone, with half of its light; only the hand
+    gives no range, and less of its light the nearer it is."""
+    distance_m, reflectivity, surface = split([0.3, 5.0], [0.5, 0.5], mode=mode)
+    assert distance_m[0] == np.float32(5.0)
     assert reflectivity[0] == 25
+    assert surface[0] == 1
+    for range_m, code in ((0.3, 0), (0.39, 0), (0.46, 30), (0.5, 50)):
+        assert lone(range_m, 0.5, mode=mode).reflectivity[0, 0, 0] == code
 
 
 @pytest.mark.parametrize(

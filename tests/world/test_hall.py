@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from vlp16emu.errors import GeometryError
 from vlp16emu.types import Semantic
 from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.settings import Hall, HallBox, HallPole, HallSphere
@@ -93,3 +94,31 @@ def test_sphere_is_round_to_a_tenth_of_a_millimetre(diameter_m):
     )
     assert np.abs(np.linalg.norm(places, axis=1) - diameter_m / 2).max() < 1e-4
     assert solid.volume == pytest.approx(np.pi / 6 * diameter_m**3, rel=1e-3)
+
+
+def test_a_turned_box_and_a_leaning_pole_are_where_their_angles_put_them():
+    """Yaw turns a box about its centre; a pole that is pitched leans from its foot towards its yaw; what
+    is not turned has the unit matrix, to the bit."""
+    box = CRATE.model_copy(update={"yaw_deg": 90.0})
+    leaning = {"yaw_deg": 90.0, "pitch_deg": 30.0, "height_m": 2.0, "foot_m": (6.0, 0.0, 0.1)}
+    pole = POLE.model_copy(update=leaning)
+    turns = make_hall(boxes=(box,), poles=(pole, POLE)).window(TRACK_M).world_T_shape[:, :, :3]
+    assert turns[1] @ (1.0, 0.0, 0.0) == pytest.approx([0.0, 1.0, 0.0])
+    assert turns[2] @ (0.0, 0.0, 2.0) == pytest.approx([0.0, 1.0, np.sqrt(3.0)])
+    assert (turns[[0, 3, 4]] == np.eye(3)).all()
+
+
+@pytest.mark.parametrize(("pitch_deg", "is_inside"), [(0.0, True), (45.0, False), (-45.0, True)])
+def test_a_tilted_thing_is_inside_with_all_of_it(pitch_deg, is_inside):
+    """A pole of 5 m, 2 m before a wall, is inside upright or if it leans away, and refused with its extent
+    if its end is in the wall; so is a plate whose corner is."""
+    pole = POLE.model_copy(update={"foot_m": (13.0, 0.0, 0.5), "height_m": 5.0, "pitch_deg": pitch_deg})
+    plate = CRATE.model_copy(
+        update={"centre_m": (14.0, 0.0, 3.0), "size_m": (0.1, 3.0, 5.0), "pitch_deg": pitch_deg}
+    )
+    if is_inside:
+        make_hall(poles=(pole,))
+        return
+    for things in ({"poles": (pole,)}, {"boxes": (plate,)}):
+        with pytest.raises(GeometryError, match=r"in x.*inside -15 to 15 m"):
+            make_hall(**things)

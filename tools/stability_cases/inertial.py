@@ -9,7 +9,8 @@ from stability_cases.case import Row, case
 from vlp16emu.engine import assemble
 from vlp16emu.extras.imu.sampler import GRAVITY_M_S2, ImuSampler
 from vlp16emu.extras.imu.settings import Imu
-from vlp16emu.motion.pose import Kinematics, Motion, rotations
+from vlp16emu.motion.pose import Kinematics, Motion
+from vlp16emu.rotation import rotations
 from vlp16emu.scenario import load
 from vlp16emu.types import F8, I8, Poses
 from vlp16emu.units import S_NS

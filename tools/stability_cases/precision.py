@@ -10,7 +10,7 @@ from stability_cases.case import Row, case
 from vlp16emu import elementary
 from vlp16emu.forest.settings import Wind
 from vlp16emu.forest.stand.wind import ALONG, Lines, Trees, gust_lines, swings
-from vlp16emu.motion.pose import rotations
+from vlp16emu.rotation import rotations
 
 _TINY = 2.0**-1022
 _NEAR_ONE = [1.0 - 2.0**-k for k in range(1, 54)]

@@ -231,12 +231,15 @@ def seed_of(scenario: Scenario, unit: int) -> int:
     )
 
 
-def beam_of(scenario: Scenario, seed: int) -> Footprint:
-    """Return the footprint of a unit's pulses; `LINE` if the scene's beams have no width."""
+def beam_of(scenario: Scenario, seed: int, blank_m: float) -> Footprint:
+    """Return the footprint of a unit's pulses; `LINE` if the scene's beams have no width.
+
+    Nothing nearer than `blank_m` gives an echo.
+    """
     if scenario.beam.model == "none":
         return LINE
     seen = threshold_of(scenario.detector) if scenario.noise.weak_echoes_lost else (0.0, 0.0)
-    return Footprint(scenario.beam, seed, scenario.detector.resolution_m, *seen)
+    return Footprint(scenario.beam, seed, scenario.detector.resolution_m, *seen, blank_m)
 
 
 def _world(scenario: Scenario) -> tuple[Motion, HeightField, World, MovingTrees | None]:
@@ -302,7 +305,7 @@ def _unit(scenario: Scenario, number: int, mount: Mount, motion: Motion) -> Unit
     # A sensor without packets sends in one stretch.
     model = SensorModel(section.model) if isinstance(section, Sensor) else SensorModel.VLP_16
     timeline = Timeline(head, stretches_of(state.operation, model))
-    beam = beam_of(scenario, seed)
+    beam = beam_of(scenario, seed, section.min_range_m)
     return Unit(number, section, mount, seed, head, motion, beam, detector, state, timeline)
 
 

@@ -6,9 +6,10 @@ import numpy as np
 
 from vlp16emu.elementary import matmul, matvec, norm
 from vlp16emu.kernels.compiler import array_kernel
-from vlp16emu.motion.pose import Kinematics, Motion, rotation
+from vlp16emu.motion.pose import Kinematics, Motion
 from vlp16emu.motion.settings import Mount
 from vlp16emu.random import Purpose, normal
+from vlp16emu.rotation import rotation
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import F8, I8, Poses
 from vlp16emu.units import S_NS

@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from vlp16emu.kernels.compiler import array_kernel, inline_kernel, kernel
-from vlp16emu.motion.pose import Kinematics, fill_rotation
+from vlp16emu.motion.pose import Kinematics
+from vlp16emu.rotation import fill_rotation
 from vlp16emu.trig import ZERO, cos_sin
 from vlp16emu.types import F8, I8, Poses
 

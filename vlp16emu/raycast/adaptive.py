@@ -7,7 +7,9 @@ the same, estimate / n = constant, and the mean error falls as the root of that 
 detection of the strongest echo: if it is near the detection threshold, and its sub-rays leave its amplitude
 less certain than the receiver's own noise does, another round decides about lost or invented echoes. Besides,
 a pulse beside the outline of something much brighter has 24 rays at least (`kernel.is_beside_outline`): eight
-of them miss the faint edge of the beam, by which surfaces of real units end in one or two dark records.
+of them miss the faint edge of the beam, by which surfaces of real units end in one or two dark records. A
+pulse at the outline of something nearer than the least range has all rays: what is left of its light fades
+over ten pulses and more.
 """
 
 import math
@@ -59,6 +61,7 @@ class RayBudget(NamedTuple):
     resolution_m: float
     threshold: float  # amplitude at which half of the echoes are seen, in m-2; 0 if every echo is seen
     amplitude_noise: float  # one sigma
+    blank_m: float  # range below which nothing gives an echo
 
 
 def worth_of_ray_m(target_m: float) -> float:

@@ -51,6 +51,7 @@ class Footprint:
     threshold: float = 0.0
     """Amplitude at which half of the echoes are seen, in m-2; 0 if every echo is seen."""
     amplitude_noise: float = 0.0  # of the receiver, one sigma
+    blank_m: float = 0.0  # range below which nothing gives an echo
 
     def with_settings(self, **settings: object) -> "Footprint":
         """Return this footprint with other settings of its section."""
@@ -82,6 +83,7 @@ class Footprint:
             resolution_m=self.resolution_m,
             threshold=self.threshold,
             amplitude_noise=self.amplitude_noise,
+            blank_m=self.blank_m,
         )
 
     @property

@@ -85,6 +85,7 @@ class Batch(NamedTuple):
     todo: I8  # (n,) numbers of the pulses to cast
     have: I8  # (n,) number of sub-rays of each
     light: F4  # (n,) sum of the amplitudes of the first round of each, in m-2
+    blank: I8  # (n,) rays of that round that meet what is too near for an echo
     hits: RayHits  # (n m,) hits of these, pulse by pulse; m is a multiple of eight
     scratch: F8  # (2, m) for sorting
 
@@ -103,6 +104,7 @@ def batch_of(pulses: int, max_rays: int) -> Batch:
         np.arange(pulses),
         np.zeros(pulses, np.int64),
         np.zeros(pulses, np.float32),
+        np.zeros(pulses, np.int64),
         RayHits(np.empty(n, np.float32), np.empty(n, np.uint32), np.empty(n, np.float32)),
         np.empty((2, max_rays)),
     )
@@ -389,7 +391,7 @@ def settle(
                 first_cosine[to + lane] = cosine[at + lane]
                 first_met[to + lane] = surface[at + lane]
             if budget.adaptive:
-                light[q] = _light_of(hits, reflectance, at)
+                light[q], batch.blank[q] = _light_of(hits, reflectance, at, budget.blank_m)
         batch.have[q] = total
     return _queue_again(cast, budget, todo, total) if total < budget.max_rays else 0
 
@@ -403,8 +405,10 @@ def _queue_again(cast: Cast, budget: RayBudget, todo: int, total: int) -> int:
     left = 0
     for t in range(todo):
         q = batch.todo[t]
-        has_edge = total >= _OUTLINE_RAYS
-        if budget.adaptive and (has_edge or not is_beside_outline(batch.light, budget, q)):
+        needs_more = is_partly_hidden(batch.blank, q) or (
+            total < _OUTLINE_RAYS and is_beside_outline(batch.light, budget, q)
+        )
+        if budget.adaptive and not needs_more:
             begin = q * room
             stop = begin + total
             ranges = hits.range_m[begin:stop]
@@ -418,15 +422,40 @@ def _queue_again(cast: Cast, budget: RayBudget, todo: int, total: int) -> int:
 
 
 @inline_kernel
-def _light_of(hits: RayHits, reflectance: F4, begin: np.uint64) -> np.float32:
-    """Return the sum of the amplitudes of a round of hits, as if each ray were the whole pulse, in m-2."""
+def _light_of(hits: RayHits, reflectance: F4, begin: np.uint64, blank_m: float) -> tuple[np.float32, int]:
+    """Return the sum of the amplitudes of a round of hits, as if each ray were the whole pulse, in m-2.
+
+    What is nearer than `blank_m` gives none; also returns the number of rays that meet it.
+    """
     light = np.float32(0.0)
+    blank = 0
     for lane in range(np.uint64(ROUND)):
         at = begin + lane
-        if hits.surface[at] != NONE:
+        blank += hits.range_m[at] < blank_m
+        if hits.surface[at] != NONE and hits.range_m[at] >= blank_m:
             squared = max(hits.range_m[at] * hits.range_m[at], _LEAST_SQUARED)
             light += reflectance[hits.surface[at]] * hits.cos_incidence[at] / squared
-    return light
+    return light, blank
+
+
+@inline_kernel
+def is_partly_hidden(blank: I8, q: int) -> bool:
+    """Return True if pulse q is at the outline of something that is too near for an echo.
+
+    It hides a ray at least of the first round of the pulse, and not all of each of the eight firings of its
+    laser.
+
+    Parameters
+    ----------
+    blank : as in `Batch`
+    """
+    if blank[q] == 0:  # nearly all
+        return False
+    begin = q - q % PACKET
+    hidden = 0
+    for other in range(np.uint64(begin), np.uint64(begin + PACKET)):
+        hidden += blank[other]
+    return hidden < ROUND * PACKET
 
 
 @inline_kernel

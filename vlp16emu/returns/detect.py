@@ -35,7 +35,7 @@ from vlp16emu.returns.noise import (
 )
 from vlp16emu.returns.settings import DetectorConstants
 from vlp16emu.returns.strength import at_range, change_parities, count_of, excess_m, strength, with_parity
-from vlp16emu.sensor.laws import law
+from vlp16emu.sensor.laws import law, span
 from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, I8, U1, U4, Firings, Hits, PlantPart, Returns, Semantic
 
@@ -49,6 +49,7 @@ _RANGE_NOISE = ZERO + Purpose.RANGE_NOISE
 _MOST_NO_RETURN = law("no_return.most")
 _UNSTEADY = law("range.unsteady")
 _EVEN_CHANGE = law("range.even_change")
+_BLIND_M, _SEEN_FROM_M = span("near.overlap_m")
 _UNSHIFTED_CODE = 40.0  # code at which reflectivity does not change the range
 _Pair = tuple[float, float]
 _Laser = tuple[float, float, float, U1, F8, float, U1, F8, float, float]
@@ -74,8 +75,9 @@ def detect(
     single echo is both (63-9243 Rev D, section 6.2). In strongest return mode the last and second returns are
     not searched.
 
-    Echoes measured below the least range are blanked: distance 0, with the reflectivity kept, as real units
-    send them. A second strongest return of distance 0 and nonzero reflectivity is such an echo.
+    An echo below the least range counts only if there is no other: what stands in front of the lens takes
+    light away, and hides nothing else. It is blanked: distance 0, with the reflectivity kept, as real units
+    send it. A second strongest return of distance 0 and nonzero reflectivity is such an echo, by noise.
 
     Reflectivity is the height of the peak, corrected for range as the sensor does: for a target that fills
     the beam, reflectance times cosine of incidence in percent; less for a target that is partly hit.
@@ -219,6 +221,7 @@ def _detect(
                 before[j, UNEVENNESS],
             )
             lit = _gather_with_air(constants, n, j, rays, start, stop, nodes)
+            lit = _without_near(nodes, lit, constants.min_range_m - error_m)
             at_m, light = _only_echo(constants, n, j, nodes, lit, peaks)
             if light > 0.0 and _is_seen(constants, n, j, at_m, light):
                 measured = _measure(constants, (noise[0, j], noise[1, j]), at_m, light, laser_errors)
@@ -237,7 +240,8 @@ def _detect(
             noise[2, j] = at_m
         if constants.lost.step + constants.lost.dark > 0.0:
             dual = not constants.strongest_only
-            unit = constants.seed, dual, errors.sheet, errors.near_lost, errors.no_return
+            of_lasers = errors.near_lost, errors.no_return
+            unit = constants.seed, dual, errors.sheet, *of_lasers, constants.min_range_m
             lose(constants.lost, unit, pulses, i, first_ray, noise, before, distance_m[i], reflectivity[i])
 
 
@@ -254,6 +258,26 @@ def _gather_with_air(
             nodes[AMPLITUDE, lit] = air
             lit += 1
     return lit
+
+
+@inline_kernel
+def _without_near(nodes: F8, lit: int, from_m: float) -> int:
+    """Remove the nodes nearer than a range, unless all are; return the number of nodes."""
+    if lit < 2:  # most pulses
+        return lit
+    far = 0
+    for node in range(lit):
+        far += nodes[RANGE, node] >= from_m
+    if not 0 < far < lit:
+        return lit
+    left = 0
+    for node in range(lit):
+        range_m = nodes[RANGE, node]
+        amplitude = nodes[AMPLITUDE, node]
+        nodes[RANGE, left] = range_m
+        nodes[AMPLITUDE, left] = amplitude
+        left += range_m >= from_m
+    return far
 
 
 @kernel
@@ -381,7 +405,8 @@ def _measure(
 ) -> tuple[np.float32, np.uint8]:
     """Return measured distance and reflectivity.
 
-    The distance is 0 below the least range, and both are 0 beyond the greatest.
+    The distance is 0 below the least range, where the receiver sees less of the light the nearer it is; both
+    are 0 where it sees none, and beyond the greatest range.
     """
     (range_noise, other_noise) = noise
     (error_m, _, own_gain, codes, by_range, top, parity, counts_of_code, changed, _) = laser_errors
@@ -395,6 +420,11 @@ def _measure(
     eighths, gain_at_range = at_range(by_range, range_m)
     gain = own_gain * gain_at_range
     percent = 100.0 * reflectance
+    if range_m < _SEEN_FROM_M:
+        seen = (range_m - _BLIND_M) * (1.0 / (_SEEN_FROM_M - _BLIND_M))
+        if seen <= 0.0:
+            return np.float32(0.0), np.uint8(0)
+        percent *= seen
     code = max(percent * gain + counts, 0.0)
     exact = strength(min(code, 100.0), eighths)
     if constants.range_noise_m > 0.0:

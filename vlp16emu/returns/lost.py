@@ -2,7 +2,8 @@
 
 The receiver sets the laser power from previous pulses, so a record is lost at a step of brightness. A pulse
 that hits two surfaces gives the strongest or the last return as the manual says, and rarely nothing; a dark
-record is lost occasionally. Where a surface is dark, near, or changes its brightness, it has spots: places at
+record is lost occasionally. What a sensor at rest loses at a step it loses in each revolution, about as wide
+as a record. Where a surface is dark, near, or changes its brightness, it has spots: places at
 which a laser loses its records in each revolution, in runs, with other spots beside them. On calm surfaces
 with codes of 20 and more, from 1 m on, nothing is lost. Rates and their sources are the laws `loss`, `spot`
 and `raised` of `vlp16emu/sensor/laws.toml`.
@@ -58,6 +59,13 @@ _SPOTS_ACROSS_BITS = int(law("spot.across_bits"))
 _DENSITY = law("spot.density")
 _NEAREST_SPOT_M = 0.5  # range below which spots no longer become smaller: no unit has a return there
 _MANTISSA = (1 << 52) - 1
+_CELLS_PER_M = law("loss.views_per_m")
+_PRIMES = np.array(
+    [0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0xD6E8FEB86659FD93], np.uint64
+)
+_MIX = np.array([0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.uint64)
+"""Odd multipliers of a cell's number, and those that mix its bits: the finaliser of splitmix64 (Steele, Lea
+and Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014)."""
 _LASER_BITS = 24  # bits of a cell's number beside which the laser is written
 
 # Raised codes of records without a range.
@@ -122,24 +130,21 @@ def _between(limits: Sequence[float], draw: float) -> float:
 
 
 @inline_kernel
-def step_share(rays: SubRays, sheet: U4, start: int, stop: int) -> float:
+def step_share(rays: SubRays, sheet: U4, start: int, stop: int, blank_m: float) -> float:
     """Return the rate of loss of a pulse that meets a step of range, over the greatest one.
 
     With half of its light from each of two surfaces it is 1, and 4 s (1 - s) with the share s from the
     fainter one; less, in proportion, where their ranges differ by less than `loss.range_step_m`. Sub-rays are
     start .. stop - 1. A sheet without gaps, such as the ground (`sheet`, by surface; 0 for none), has no step
-    at any slope.
+    at any slope. What is nearer than `blank_m` gives no light.
     """
     _, range_m, met, cosine, reflectance = rays
+    if _is_one_surface(rays, sheet, start, stop):
+        return 0.0
     brightest = at_m = total = beyond_step = weighted = 0.0
     surface = met[start]
-    is_one = surface == NO_SURFACE or sheet[surface] != 0
-    for ray in range(np.uint64(start), np.uint64(stop)):  # signed indices might count from the end
-        is_one &= met[ray] == surface
-    if is_one:
-        return 0.0
     for ray in range(np.uint64(start), np.uint64(stop)):
-        if range_m[ray] < np.inf:
+        if blank_m <= range_m[ray] < np.inf:
             light = (
                 np.float64(reflectance[met[ray]]) * cosine[ray] / (np.float64(range_m[ray]) * range_m[ray])
             )
@@ -151,7 +156,7 @@ def step_share(rays: SubRays, sheet: U4, start: int, stop: int) -> float:
         return 0.0
     sheet_met = sheet[surface]
     for ray in range(np.uint64(start), np.uint64(stop)):
-        if range_m[ray] < np.inf:
+        if blank_m <= range_m[ray] < np.inf:
             light = (
                 np.float64(reflectance[met[ray]]) * cosine[ray] / (np.float64(range_m[ray]) * range_m[ray])
             )
@@ -164,6 +169,17 @@ def step_share(rays: SubRays, sheet: U4, start: int, stop: int) -> float:
 
 
 @inline_kernel
+def _is_one_surface(rays: SubRays, sheet: U4, start: int, stop: int) -> bool:
+    """Return True if all sub-rays meet one surface without gaps, or nothing, as in `step_share`."""
+    met = rays.surface
+    surface = met[start]
+    is_one = surface == NO_SURFACE or sheet[surface] != 0
+    for ray in range(np.uint64(start), np.uint64(stop)):  # signed indices might count from the end
+        is_one &= met[ray] == surface
+    return is_one
+
+
+@inline_kernel
 def _fraction(x: float) -> float:
     return x - np.floor(x)
 
@@ -171,7 +187,7 @@ def _fraction(x: float) -> float:
 @kernel
 def lose(
     rates: LossRates,
-    unit: tuple[int, bool, U4, F8, F8],
+    unit: tuple[int, bool, U4, F8, F8, float],
     pulses: tuple[SubRays, Sight],
     row: int,
     first_ray: int,
@@ -187,22 +203,22 @@ def lose(
     Parameters
     ----------
     unit : seed of the unit, whether it sends two returns, sheets as in `step_share`, share of near
-        records that each laser loses, and its code of a record without range
+        records that each laser loses, its code of a record without range, and the unit's least range
     row, first_ray : number of the sequence among the pulses, and of its first sub-ray
-    met : (3, L) normal numbers of each pulse, whose last digits decide on losses at steps, and its range
-        before errors
+    met : (3, L) two normal numbers of each pulse, and its range before errors; the last digits of the second
+        number decide what a lost record shows
     before : (L, STATE) state of each laser: mean code, -1 for none, last range, mean change of range, mean
         change of code over the last code, at most 1, 1 if its last pulse was lost, mean change of code over
         the mean code in more pulses, at most `range.most_change`, the last code, and the last area whose
         spots were drawn, infinity for none, with its number
     """
-    (seed, dual, sheet, near_lost, no_return) = unit
+    (seed, dual, sheet, near_lost, no_return, blank_m) = unit
     rays, sight = pulses
     stop = first_ray
     for laser in range(distance_m.shape[0]):
         start, stop = stop, stop + int(rays.counts[row, laser])
-        noise = met[0, laser], met[1, laser]
-        pulse = stop - start < 2, rays, sheet, start, stop
+        noise = met[1, laser]
+        pulse = stop - start < 2, rays, sheet, start, stop, blank_m
         place = seed, sight, row, met[2, laser], near_lost[laser]
         _lose_pulse(
             rates,
@@ -221,8 +237,8 @@ def lose(
 @inline_kernel
 def _lose_pulse(
     rates: LossRates,
-    noise: tuple[float, float],
-    pulse: tuple[bool, SubRays, U4, int, int],
+    noise: float,
+    pulse: tuple[bool, SubRays, U4, int, int, float],
     place: tuple[int, Sight, int, float, float],
     before: F8,
     laser: int,
@@ -251,16 +267,17 @@ def _lose_pulse(
     last = before[_CODE] if before[MEAN_CODE] >= 0.0 else -1.0
     change = _change_of(last, code)
     _follow(before, code, range_m, change)
-    lost = _fraction(noise[0] * _DIGITS)  # no further number is drawn
     is_calm = change <= _STEP_FROM and follows == 0.0 and not is_uneven
     has_spots = code < _BLACK_CODE or range_m < _CALM_FROM_M
-    is_single = pulse[0]
-    if is_calm and not has_spots and (is_single or lost >= rates.step):  # nearly every pulse
+    (is_single, rays, sheet, start, stop, _) = pulse
+    if is_calm and not has_spots and (is_single or _is_one_surface(rays, sheet, start, stop)):  # most pulses
+        return
+    lost = _draw_of_view(place, laser)
+    if is_calm and not has_spots and lost >= rates.step:
         return
     before[_WAS_LOST] = 0.0
     # Where ranges jump, as in trees, steps and spots lose fewer records.
     calm = _ROUGH_M / (_ROUGH_M + rough_m)
-    is_up = code > last
     jump = calm * loss_at_step(rates, last, code)
     sure = jump + calm * follows * rates.again
     gloss = calm * rates.gloss if is_uneven else 0.0
@@ -271,7 +288,7 @@ def _lose_pulse(
         if lost >= sure + calm * rates.step * step_share(*pulse[1:]):
             return
     before[_WAS_LOST] = 1.0
-    choice = _fraction(noise[1] * _DIGITS)
+    choice = _fraction(noise * _DIGITS)  # no further number is drawn
     if dual and choice < _EITHER_ALONE and lost >= jump:
         column = (
             1 if choice >= _ODD_ALONE else 2 if distance_m[0] == distance_m[1] and distance_m[2] > 0.0 else 0
@@ -280,7 +297,7 @@ def _lose_pulse(
         reflectivity[column] = np.uint8(no_return)
         return
     shown_code = 0.0
-    if lost < jump and is_up:  # too bright: the height of the peak is measured, its range is not
+    if lost < jump and code > last:  # too bright: the height of the peak is measured, its range is not
         shown_code = _too_bright(np.float64(reflectivity[0]), lost / jump, choice, no_return)
     for column in range(3):
         distance_m[column] = 0.0
@@ -367,6 +384,27 @@ def _is_in_spot(rate: float, place: tuple[int, Sight, int, float, float], laser:
         before[_AREA_W] = area_w
         before[_AREA_DRAWN] = _draw_cell(seed, area_u, area_v, area_w << 1 | 1, laser)
     return before[_AREA_DRAWN] * _DENSITY < rate and _draw_cell(seed, u, v, w << 1, laser) < _DENSITY
+
+
+@inline_kernel
+def _draw_of_view(place: tuple[int, Sight, int, float, float], laser: int) -> float:
+    """Draw the number of a laser's view in the direction of a pulse: what it sees there, from there, stays.
+
+    Cells of 1 m over `_CELLS_PER_M`, a metre before the lens, are about as wide as a record. A step that lies
+    between two surfaces has no place of its own on either.
+    """
+    (seed, sight, row, _, _) = place
+    x = (sight.origin_m[row, laser, 0] + sight.direction[row, laser, 0]) * _CELLS_PER_M
+    y = (sight.origin_m[row, laser, 1] + sight.direction[row, laser, 1]) * _CELLS_PER_M
+    z = (sight.origin_m[row, laser, 2] + sight.direction[row, laser, 2]) * _CELLS_PER_M
+    cell = np.uint64(seed) + np.uint64(laser) * _PRIMES[3]
+    cell += np.uint64(np.int64(math.floor(x))) * _PRIMES[0]
+    cell ^= np.uint64(np.int64(math.floor(y))) * _PRIMES[1]
+    cell += np.uint64(np.int64(math.floor(z))) * _PRIMES[2]
+    cell = (cell ^ (cell >> np.uint64(30))) * _MIX[0]
+    cell = (cell ^ (cell >> np.uint64(27))) * _MIX[1]
+    cell ^= cell >> np.uint64(31)
+    return np.float64(cell >> np.uint64(11)) * 2.0**-53
 
 
 @inline_kernel

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import acos, cos, log, sin, tan
 from vlp16emu.errors import GeometryError
+from vlp16emu.rotation import rotation
 from vlp16emu.settings import Section
 from vlp16emu.types import F8, SURFACE, Mesh, Semantic, ShapeKey, Window, World
 from vlp16emu.world.settings import Hall, HallBox, HallPole, HallSphere
@@ -114,7 +115,7 @@ class HallWorld:
         n = len(self._keys)
         world_T_shape = np.zeros((n, 3, 4))
         places_m = [thing.foot_m if isinstance(thing, HallPole) else thing.centre_m for thing in self._things]
-        world_T_shape[:, :, :3] = np.eye(3)
+        world_T_shape[:, :, :3] = [np.eye(3), *map(_turn, self._things)]
         world_T_shape[:, :, 3] = [(0.0, 0.0, self.size_m[2] / 2), *places_m]
         first = np.concatenate([[0], 2 + np.arange(n - 1)]).astype(np.uint32)
         placed = self._keys, np.arange(n, dtype=np.int32), world_T_shape, first
@@ -142,15 +143,28 @@ def _shape(key: ShapeKey) -> tuple[Mesh, ...]:
     raise KeyError(key)
 
 
+def _turn(thing: Thing) -> F8:
+    """Return the rotation (3, 3) of a thing from its own axes."""
+    return np.eye(3) if isinstance(thing, HallSphere) else rotation(*thing.angles_deg)
+
+
+def _extent(thing: Thing) -> tuple[F8, F8]:
+    """Return the middle (3,) of a thing and half of its extent along the axes of the hall (3,)."""
+    turn = _turn(thing)
+    match thing:
+        case HallPole(diameter_m=diameter_m, height_m=height_m, foot_m=foot_m):
+            axis = turn[:, 2]
+            across = np.sqrt(np.maximum(1.0 - axis * axis, 0.0))  # of its ends, which are discs
+            half = np.abs(axis) * (height_m / 2) + across * (diameter_m / 2)
+            return np.asarray(foot_m) + axis * (height_m / 2), half
+        case HallBox(size_m=size_m):
+            half = (np.abs(turn) * (np.asarray(size_m) / 2)).sum(axis=1)
+            return np.asarray(thing.centre_m), half
+    return np.asarray(thing.centre_m), np.full(3, thing.diameter_m / 2)
+
+
 def _check_inside(thing: Thing, room: _Room) -> None:
-    if isinstance(thing, HallPole):
-        half: tuple[float, ...] = (thing.diameter_m / 2, thing.diameter_m / 2, thing.height_m / 2)
-        middle = (thing.foot_m[0], thing.foot_m[1], thing.foot_m[2] + half[2])
-    else:
-        half = tuple(
-            size / 2 for size in (thing.size_m if isinstance(thing, HallBox) else (thing.diameter_m,) * 3)
-        )
-        middle = thing.centre_m
+    middle, half = _extent(thing)
     length_m, width_m, height_m = room.size_m
     spans = ((-length_m / 2, length_m / 2), (-width_m / 2, width_m / 2), (0.0, height_m))
     for axis, (low, high), at, size in zip("xyz", spans, middle, half, strict=True):

@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Protocol, Self
 from pydantic import Field, model_validator
 
 from vlp16emu.doors import Part
-from vlp16emu.settings import ExpectationError, Fraction, LazySection, MapPoint, SceneFile, Section, Size
+from vlp16emu.settings import (
+    Angle,
+    ExpectationError,
+    Fraction,
+    LazySection,
+    MapPoint,
+    SceneFile,
+    Section,
+    Size,
+)
 
 if TYPE_CHECKING:  # scenes load without numpy
     from vlp16emu.types import F8, MovingTrees, World
@@ -172,24 +181,41 @@ class HallThing(Finish):
     """Unevenness, as for the walls; 0 by default, for a known shape."""
 
 
-class HallBox(HallThing):
-    """An upright box."""
+class TurnedThing(HallThing):
+    """An object that may be turned and tilted: about z, then y, then x, as a mount."""
+
+    yaw_deg: Angle = 0.0
+    """Counter-clockwise, seen from above."""
+    pitch_deg: Angle = 0.0
+    """Its top leans forward, to +x before the yaw, if positive; 90 lays a pole down."""
+    roll_deg: Angle = 0.0
+    """Its top leans to its right, to -y before the yaw, if positive."""
+
+    @property
+    def angles_deg(self) -> tuple[float, float, float]:
+        """Yaw, pitch and roll."""
+        return self.yaw_deg, self.pitch_deg, self.roll_deg
+
+
+class HallBox(TurnedThing):
+    """A box, upright unless it is tilted about its centre."""
 
     centre_m: MapPoint
     """x, y and z of the centre."""
     size_m: Annotated[tuple[Size, Size, Size], Field(strict=False)]
-    """Extent along x, y and z."""
+    """Extent along its x, y and z, before it is turned."""
 
 
-class HallPole(HallThing):
-    """An upright round pole."""
+class HallPole(TurnedThing):
+    """A round pole, upright unless it is tilted about its foot."""
 
     foot_m: MapPoint
-    """x, y and z of the centre of the lower end."""
+    """x, y and z of the centre of the lower end. On the floor, z of a pole that leans by an angle is its
+    radius times the sine of it, so that all of its end is inside."""
     diameter_m: Size
     """Diameter."""
     height_m: Size
-    """Height over the foot."""
+    """Length from the foot to the upper end: the height of an upright one."""
 
 
 class HallSphere(HallThing):
@@ -228,9 +254,9 @@ class Hall(WorldSection):
     """Unevenness of walls, floor and ceiling over patches of a few centimetres, one sigma; included in the
     ground truth. Walls in captures of real sensors have 0.002 to 0.005 m; 0 gives a flat hall."""
     boxes: list[HallBox] = Field(default_factory=list)
-    """Upright boxes."""
+    """Boxes."""
     poles: list[HallPole] = Field(default_factory=list)
-    """Upright round poles."""
+    """Round poles."""
     spheres: list[HallSphere] = Field(default_factory=list)
     """Balls."""
 

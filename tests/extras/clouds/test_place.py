@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vlp16emu.extras.clouds.scan import positions_of
-from vlp16emu.motion.pose import rotations
+from vlp16emu.rotation import rotations
 from vlp16emu.sensor.beams import BEAM_TABLES, with_angle_errors
 from vlp16emu.sensor.clock import Clock, ClockSpan
 from vlp16emu.sensor.head import Head

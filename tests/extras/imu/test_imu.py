@@ -9,8 +9,9 @@ from vlp16emu.extras.imu.sampler import GRAVITY_M_S2, ImuSampler
 from vlp16emu.extras.imu.settings import Imu
 from vlp16emu.extras.walk.settings import Harness, Walk
 from vlp16emu.motion.mount import device_motion
-from vlp16emu.motion.pose import Kinematics, StaticMotion, rotations
+from vlp16emu.motion.pose import Kinematics, StaticMotion
 from vlp16emu.motion.settings import Gps, Mount
+from vlp16emu.rotation import rotations
 from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.settings import Hall
 

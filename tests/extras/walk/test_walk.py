@@ -6,7 +6,7 @@ from extras.walk.kit import START_NS, STILL, Circle, at, gait, straps, walking
 
 from vlp16emu.extras.walk.motion import _add_pack
 from vlp16emu.extras.walk.settings import Harness
-from vlp16emu.motion.pose import rotations
+from vlp16emu.rotation import rotations
 
 STRAPS = Harness(vertical_hz=2.0, damping_ratio=0.2)
 SLACK, STIFF = (straps(hz, 0.1) for hz in (0.5, 30.0))

@@ -227,7 +227,7 @@ def beam_settings(scenario: Scenario, seed: int) -> list[BeamSetting]:
     settings = list[BeamSetting]()
     for keys in ladder:
         changed = section.model_copy(update=keys)
-        beam = beam_of(scenario.model_copy(update={"beam": changed}), seed)
+        beam = beam_of(scenario.model_copy(update={"beam": changed}), seed, scenario.sensor.min_range_m)
         words = {key: value if isinstance(value, str) else f"{value:.4g}" for key, value in keys.items()}
         name = " ".join(f"beam.{key}={word}" for key, word in words.items())
         settings.append(BeamSetting(keys["model"], name, changed == section, beam))

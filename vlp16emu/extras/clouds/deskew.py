@@ -23,8 +23,8 @@ from vlp16emu.extras.recorded.motion import RecordedMotion
 from vlp16emu.extras.recorded.settings import Recorded
 from vlp16emu.extras.truth.description import read_rig
 from vlp16emu.extras.truth.slots import SlotReader
-from vlp16emu.motion.pose import rotation, rotations
 from vlp16emu.packets import Clock, PacketClock, PacketTable, Points, points_in, utc_ns_of
+from vlp16emu.rotation import rotation, rotations
 from vlp16emu.scenario import load
 from vlp16emu.trees import Tree
 from vlp16emu.types import F8, I8, AnyArray

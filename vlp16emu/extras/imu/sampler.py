@@ -8,8 +8,9 @@ import numpy as np
 from vlp16emu.elementary import exp, matmul, matvec, norm
 from vlp16emu.extras.imu.settings import Imu
 from vlp16emu.kernels.compiler import array_kernel
-from vlp16emu.motion.pose import Motion, rotations
+from vlp16emu.motion.pose import Motion
 from vlp16emu.random import Purpose, normal, normal_pair, uniform
+from vlp16emu.rotation import rotations
 from vlp16emu.scenario.model import InertialSection
 from vlp16emu.types import F8, I8, Inertial
 from vlp16emu.units import S_NS

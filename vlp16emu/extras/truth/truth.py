@@ -30,10 +30,10 @@ from vlp16emu.extras.truth.tables import (
     quaternions,
     seconds_text,
 )
-from vlp16emu.motion.pose import rotation
 from vlp16emu.motion.settings import Mount
 from vlp16emu.output import write_json
 from vlp16emu.packets import SENSOR_R_MANUAL
+from vlp16emu.rotation import rotation
 from vlp16emu.run.emulator import Emulator, HasEngine
 from vlp16emu.run.options import TruthPlace, TruthTo
 from vlp16emu.scenario import Scenario, named_files
