@@ -107,7 +107,7 @@ def test_without_noise_nothing_is_drawn():
     """An ideal sensor in clear air has returns that no random number changes; noise and rain make them
     random."""
     assert not depends_on_seed()
-    for setting in ("noise.range_noise_m=0.01", "weather.rain_mm_h=5"):
+    for setting in ("noise.range_noise_m=0.01", "weather.rain_mm_h=50"):
         assert depends_on_seed(setting), setting
 
 

@@ -49,14 +49,14 @@ def test_verify_reads_a_capture_of_many_units_twice(cli, rig, tmp_path, monkeypa
     path = tmp_path / "crowd.pcap"
     path.write_bytes(content[:24] + b"".join(frames))
     seen = []
-    parts = capture.Capture.parts
+    batches = capture.Capture.batches
 
     def counted(self):
-        for part in parts(self):
-            seen.extend([part] if isinstance(part, list) else part.number.tolist())
-            yield part
+        for batch in batches(self):
+            seen.extend(batch.number.tolist())
+            yield batch
 
-    monkeypatch.setattr(capture.Capture, "parts", counted)
+    monkeypatch.setattr(capture.Capture, "batches", counted)
     tree = cli("verify", path, "--json").tree
     assert (len(tree["units"]), len(seen)) == (40, 80)
     assert {unit["packets"] for unit in tree["units"]} == {1}
