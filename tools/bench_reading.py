@@ -4,13 +4,12 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import dpkt
 from rich.box import MARKDOWN
 from rich.table import Table
-from toolbox import VLP16EMU
+from toolbox import VLP16EMU, took
 
 REPEAT = Path(__file__).with_name("repeat_capture.py")
 
@@ -20,6 +19,7 @@ config = velodyne_decoder.Config(model=velodyne_decoder.Model.VLP16)
 print(sum(len(points) for _, points in velodyne_decoder.read_pcap(sys.argv[1], config)))
 """
 """Reads a capture with velodyne_decoder, scan by scan, as `decode` does without a file."""
+FINDINGS = (0, 1)  # `verify` has some, as at the seams
 ALL = ("short.pcap", "short.pcapng", "long.pcap")
 PROGRAMS = {  # command by name, and the captures that it reads
     "verify": ([*VLP16EMU, "verify", "{}", "--json"], ALL),
@@ -53,9 +53,9 @@ def reading_table(scene: str, seconds: float, passes: int) -> Table:
         )
         for program, (command, captures) in PROGRAMS.items():
             for capture in captures:
-                took = _took([word.format(folder / capture, out=folder / "out") for word in command])
+                words = [word.format(folder / capture, out=folder / "out") for word in command]
+                wall_s, cpu_s, peak_mb = took(words, codes=FINDINGS)
                 size_mb = (folder / capture).stat().st_size / 1e6
-                wall_s, cpu_s, peak_mb = took
                 cells = (lengths[capture], f"{size_mb:.0f}", f"{wall_s:.1f}", f"{cpu_s:.1f}")
                 table.add_row(program, *cells, f"{size_mb / cpu_s:.0f}", f"{peak_mb:.0f}")
                 for made in folder.glob("out*"):
@@ -69,15 +69,3 @@ def _write_pcapng(pcap: Path, pcapng: Path) -> None:
         writer = dpkt.pcapng.Writer(target)
         for stamp_s, frame in dpkt.pcap.Reader(source):
             writer.writepkt(frame, ts=stamp_s)
-
-
-def _took(command: list[str]) -> tuple[float, float, float]:
-    """Return run time and CPU time in seconds, and peak memory in MB, of the program in a process."""
-    began_s = time.perf_counter()
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
-        _, status, used = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode not in (0, 1):  # 1 where `verify` has findings, as at the seams
-        raise SystemExit(f"{' '.join(command)}: exit code {process.returncode}")
-    wall_s = time.perf_counter() - began_s
-    return wall_s, used.ru_utime + used.ru_stime, used.ru_maxrss * 1024 / 1e6

@@ -2,14 +2,12 @@
 
 import os
 import statistics
-import subprocess
 import tempfile
-import time
 from pathlib import Path
 
 from rich.box import MARKDOWN
 from rich.table import Table
-from toolbox import VLP16EMU, set_words
+from toolbox import VLP16EMU, set_words, took
 
 RUNS = {
     # name: scene, its settings
@@ -28,7 +26,7 @@ def starting_table(scenes: int, turns: int = TURNS) -> Table:
     Parameters
     ----------
     scenes : number of the scenes, from the first on
-    turns : of which medians are printed
+    turns : runs with a full cache, whose medians are printed
     """
     title = f"to the first packet, s; load {os.getloadavg()[0]:.1f}"
     table = Table("what", "empty cache", "run time", "CPU time", title=title, box=MARKDOWN)
@@ -39,20 +37,10 @@ def starting_table(scenes: int, turns: int = TURNS) -> Table:
             commands[name] = [*words, *set_words(settings), "--no-audit", "--json"]
         cache = {"VLP16EMU_CACHE_DIR": str(Path(folder) / "cache")}
         for name, words in commands.items():
-            cold_s, _ = _took(words, cache)
-            runs = [_took(words, cache) for _ in range(turns)]
-            wall_s, cpu_s = (statistics.median(column) for column in zip(*runs, strict=True))
+            cold_s = took([*VLP16EMU, *words], **cache).wall_s
+            runs = [took([*VLP16EMU, *words], **cache) for _ in range(turns)]
+            wall_s, cpu_s = (
+                statistics.median(column) for column in zip(*(run[:2] for run in runs), strict=True)
+            )
             table.add_row(name, f"{cold_s:.2f}", f"{wall_s:.2f}", f"{cpu_s:.2f}")
     return table
-
-
-def _took(words: list[str], variables: dict[str, str]) -> tuple[float, float]:
-    """Return run time and CPU time of the program, with its own variables of the environment, in s."""
-    began_s = time.perf_counter()
-    environment = os.environ | variables
-    with subprocess.Popen([*VLP16EMU, *words], stdout=subprocess.DEVNULL, env=environment) as process:
-        _, status, used = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise SystemExit(f"vlp16emu {' '.join(words)}: exit code {process.returncode}")
-    return time.perf_counter() - began_s, used.ru_utime + used.ru_stime

@@ -2,11 +2,14 @@
 
 import argparse
 import io
+import os
 import subprocess
 import sys
-from collections.abc import Iterable
+import time
+from collections.abc import Container, Iterable, Sequence
 from contextlib import redirect_stdout
 from pathlib import Path
+from typing import NamedTuple
 
 VLP16EMU = [sys.executable, "-m", "vlp16emu"]
 
@@ -53,6 +56,38 @@ def program(*words: object) -> str:
     if code:
         raise SystemExit(code)
     return out.getvalue()
+
+
+class Took(NamedTuple):
+    """Resources of a program."""
+
+    wall_s: float
+    cpu_s: float
+    peak_mb: float
+
+
+def took(command: Sequence[str | Path], *, codes: Container[int] = (0,), **variables: str) -> Took:
+    """Run a program without what it prints but errors, and return what it took.
+
+    Parameters
+    ----------
+    codes : exit codes that are no failure
+    variables : of its environment, beside those of this process
+
+    Raises
+    ------
+    SystemExit
+        if its exit code is another one
+    """
+    began_s = time.perf_counter()
+    environment = os.environ | variables
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, env=environment) as process:
+        _, status, used = os.wait4(process.pid, 0)  # memory of this child alone
+        process.returncode = os.waitstatus_to_exitcode(status)
+    wall_s = time.perf_counter() - began_s
+    if process.returncode not in codes:
+        raise SystemExit(f"{' '.join(map(str, command))}: exit code {process.returncode}")
+    return Took(wall_s, used.ru_utime + used.ru_stime, used.ru_maxrss * 1024 / 1e6)
 
 
 def print_row(*cells: object) -> None:

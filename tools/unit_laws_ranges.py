@@ -16,7 +16,7 @@ TURN_LSB, MM_PER_LSB = 30, 2.0
 LEVELS = (10, 20), (20, 40), (40, 90)
 SCATTERS = 0, 0.03, 0.06, 0.1, 0.2, 9
 STEP_CODES, STEP_LSB = (31, 60), (11, 16)
-"""Codes and lengths of the steps of range that tell emulated rooms: 22 to 30 mm."""
+"""Codes and lengths of the steps of range by which trees find emulated rooms: 22 to 30 mm."""
 FLAT_LSB, STEEP_LSB = 3, 8
 """Mean change of range from pulse to pulse below which a surface is flat, and above which it is steep."""
 PERIODS_LSB = 70, 80, 90, 95, 99.93, 105, 110, 120

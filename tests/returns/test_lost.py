@@ -131,7 +131,7 @@ def test_lost_records_exceed_100_at_retroreflectors():
 
 
 def test_what_is_nearer_than_the_least_range_is_no_step():
-    """Where a thing at 0.3 m hides an eighth to three quarters of a wall's light, no record is lost."""
+    """No record is lost where a thing at 0.3 m hides an eighth to three quarters of a wall's light."""
     surfaces = table(0.3, 0.9)
     surfaces["part"] = PlantPart.LEAF
     for hidden in (1, 3, 6):
@@ -141,8 +141,8 @@ def test_what_is_nearer_than_the_least_range_is_no_step():
 
 
 def test_a_sensor_at_rest_loses_the_same_records_at_a_step_in_each_revolution():
-    """Where two surfaces share the light a record that arrived is lost a turn later in half as many cases as
-    a draw of its own would lose, or fewer; 20 degrees farther in as many."""
+    """Of records that arrive where two surfaces share the light, a turn later at most half as many are lost
+    as with a draw for each pulse; 20 degrees farther as many are."""
     surfaces = table(0.5, 0.5)
     surfaces["part"] = PlantPart.LEAF
     range_m = np.broadcast_to(np.repeat([3.0, 3.5], 4), (3600, LASERS, 8))

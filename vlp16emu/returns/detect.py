@@ -197,9 +197,7 @@ def _detect(
         n = first + i
         slot = 24 * n % 5
         if i % block == 0:
-            before[:] = 0.0
-            before[:, MEAN_CODE] = -1.0
-            before[:, AREA] = np.inf
+            _begin_block(before)
         if _draws_noise(constants):
             normal_pairs(constants.seed, _RANGE_NOISE, n, noise[0], noise[1])
         if errors.parity.shape[1] > 0:
@@ -243,6 +241,14 @@ def _detect(
             of_lasers = errors.near_lost, errors.no_return
             unit = constants.seed, dual, errors.sheet, *of_lasers, constants.min_range_m
             lose(constants.lost, unit, pulses, i, first_ray, noise, before, distance_m[i], reflectivity[i])
+
+
+@inline_kernel
+def _begin_block(before: F8) -> None:
+    """Set the state of all lasers, as in `lose`, to that before the first pulse of a block."""
+    before[:] = 0.0
+    before[:, MEAN_CODE] = -1.0
+    before[:, AREA] = np.inf
 
 
 @inline_kernel

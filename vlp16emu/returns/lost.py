@@ -282,11 +282,9 @@ def _lose_pulse(
     sure = jump + calm * follows * rates.again
     gloss = calm * rates.gloss if is_uneven else 0.0
     rate = spot_rate(rates, code, range_m, gloss, place[4])
-    if lost >= sure and not _is_in_spot(rate, place, laser, before):
-        if is_single or lost >= sure + calm * rates.step:
-            return
-        if lost >= sure + calm * rates.step * step_share(*pulse[1:]):
-            return
+    arrives = lost >= sure and not _is_in_spot(rate, place, laser, before)
+    if arrives and _has_no_step(pulse, lost, sure, calm * rates.step):
+        return
     before[_WAS_LOST] = 1.0
     choice = _fraction(noise * _DIGITS)  # no further number is drawn
     if dual and choice < _EITHER_ALONE and lost >= jump:
@@ -304,6 +302,23 @@ def _lose_pulse(
         reflectivity[column] = np.uint8(shown_code if column < 2 else 0.0)
     if shown_code > 0.0 and dual and np.sqrt(_fraction(_ANEW * choice)) * _UNEQUAL_CODE < shown_code:
         reflectivity[1] = np.uint8(_multiple(_LAST_FACTOR * shown_code + no_return, no_return, _FULL))
+
+
+@inline_kernel
+def _has_no_step(
+    pulse: tuple[bool, SubRays, U4, int, int, float], lost: float, sure: float, most: float
+) -> bool:
+    """Return True if a record is not lost at a step within its pulse.
+
+    Parameters
+    ----------
+    pulse : as in `_lose_pulse`
+    lost, sure : number that decides, and share of the records that are lost for other reasons
+    most : share of the records that are lost at the greatest step
+    """
+    if pulse[0] or lost >= sure + most:
+        return True
+    return bool(lost >= sure + most * step_share(*pulse[1:]))
 
 
 @inline_kernel
