@@ -54,6 +54,7 @@ _PHASE_PER_ROW = 0.618034
 # Fresnel reflectance at normal incidence for a refractive index of 1.5, as of paint, varnish and wax
 _COAT = 0.04
 _TEXTURE = ZERO + Purpose.TEXTURE
+_ONE = np.uint64(1)
 _ALONE = 3  # columns of looks for texture alone
 _KNOWN_BITS = 10
 _MIX_COUNTER = np.uint64(0x9E3779B97F4A7C15)
@@ -86,7 +87,8 @@ def add_texture(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: 
         _texture(firings.origin_m, firings.direction, rays, looks, seed, known)
     else:
         most = int(hits.count.sum(axis=1, dtype=np.int64).max(initial=0))
-        room = np.empty((2, most), np.float32), np.empty(most)
+        place = np.zeros(most), np.zeros(most), np.zeros(most)
+        room = np.empty((2, most), np.float32), np.zeros(most, np.uint32), *place
         _texture_alone(firings.origin_m, firings.direction, rays, looks, seed, known, room)
 
 
@@ -159,9 +161,8 @@ def _texture(
                     finer = 1.0
                     while finer * at_m < _RELIEF_FROM_M and finer < _FINEST:
                         finer *= 2.0
-                    drawn, strength = _draw_patch(
-                        seed, finer / _RELIEF_GRID_M, origin_m, direction, i, j, at_m, known
-                    )
+                    place = _place(finer / _RELIEF_GRID_M, origin_m, direction, i, j, at_m)
+                    drawn, strength = _draw_patch(seed, *_cell_at(*place), known)
                     even = 2.0 * drawn - 1.0
                     square = even * even
                     range_m[ray] += (
@@ -177,40 +178,51 @@ def _texture_alone(
     looks: F4,
     seed: int,
     known: _Known,
-    room: tuple[F4, F8],
+    room: tuple[F4, U4, F8, F8, F8],
 ) -> None:
     """Multiply cosines by the texture as `_texture` does, where no surface has relief, gloss or shading.
 
-    A firing sequence at a time: first the patches of its sub-rays, then their factors, several at once.
+    A firing sequence at a time: the places of its patches, and their cells, several at once; their texture;
+    and the factors of its sub-rays, several at once.
 
     Parameters
     ----------
     looks : (m, 3) the first columns
-    room : scratch for the sub-rays of a sequence: texture and reflectance (2, n), and patch (n,)
+    room : scratch for a sequence: texture and reflectance (2, n) and patch (n,) of each sub-ray, and three
+        rows (n,) for patches
     """
     (count, range_m, met, cosine) = rays
-    (of_surface, patches) = room
+    (of_surface, patch_of, x, y, z) = room
     stop = np.uint64(0)
     for i in range(count.shape[0]):
         first = stop
+        found = last = np.uint64(0)
         for j in range(count.shape[1]):
             start, stop = stop, stop + np.uint64(count[i, j])
             patch_m = -np.inf
-            patch = 0.0
             for ray in range(start, stop):
                 is_hit = range_m[ray] < np.inf
                 row = met[ray] if is_hit else np.uint32(0)
                 texture = looks[row, 0] if is_hit else np.float32(0.0)
                 if (texture != 0.0) & (abs(range_m[ray] - patch_m) > _SAME_M):
                     patch_m = np.float64(range_m[ray])
-                    patch = _patch(seed, looks[row, 2], origin_m, direction, i, j, patch_m, known)
+                    place = _place(np.float64(looks[row, 2]), origin_m, direction, i, j, patch_m)
+                    x[found], y[found], z[found] = place
+                    last = found
+                    found += _ONE
                 of_surface[0, ray - first] = texture
                 of_surface[1, ray - first] = looks[row, 1]
-                patches[ray - first] = patch
+                patch_of[ray - first] = last
+        for patch in range(found):
+            x[patch], y[patch], z[patch] = _cell_at(x[patch], y[patch], z[patch])
+        for patch in range(found):
+            x[patch] = _texture_of(seed, x[patch], y[patch], z[patch], known)
+        for ray in range(stop - first):  # on its own, so that the next loop computes several at once
+            y[ray] = x[patch_of[ray]]
         for ray in range(stop - first):
             slope = max(np.float64(cosine[first + ray]), _FLATTEST)
             slant = 0.5 + 0.5 / slope
-            more = of_surface[0, ray] * slant * patches[ray]
+            more = of_surface[0, ray] * slant * y[ray]
             cosine[first + ray] *= np.float32(_factor(more, of_surface[1, ray]))
 
 
@@ -219,7 +231,14 @@ def _patch(
     seed: int, per_m: float, origin_m: F8, direction: F8, i: int, j: int, at_m: float, known: _Known
 ) -> float:
     """Return the texture of a patch of variance one, at a range along a pulse (i, j)."""
-    drawn, strength = _draw_patch(seed, np.float64(per_m), origin_m, direction, i, j, at_m, known)
+    place = _place(np.float64(per_m), origin_m, direction, i, j, at_m)
+    return _texture_of(seed, *_cell_at(*place), known)
+
+
+@inline_kernel
+def _texture_of(seed: int, u: float, v: float, w: float, known: _Known) -> float:
+    """Return the texture of a cell of patches, of variance one."""
+    drawn, strength = _draw_patch(seed, u, v, w, known)
     return _SPREAD * (2.0 * drawn - 1.0) * strength
 
 
@@ -248,21 +267,31 @@ def _shade(origin_m: F8, direction: F8, i: int, j: int, at_m: float, phase: floa
 
 
 @inline_kernel
-def _draw_patch(
-    seed: int, per_m: float, origin_m: F8, direction: F8, i: int, j: int, at_m: float, known: _Known
-) -> tuple[float, float]:
-    """Draw a number in [0, 1) for the patch at a range along a pulse (i, j), and the contrast of its area.
-
-    Folds make the borders of grid cells irregular.
-    """
+def _place(
+    per_m: float, origin_m: F8, direction: F8, i: int, j: int, at_m: float
+) -> tuple[float, float, float]:
+    """Return the place at a range along a pulse (i, j), in patches from the origin."""
     x = per_m * (origin_m[i, j, 0] + at_m * direction[i, j, 0])
     y = per_m * (origin_m[i, j, 1] + at_m * direction[i, j, 1])
     z = per_m * (origin_m[i, j, 2] + at_m * direction[i, j, 2])
-    u = np.int64(math.floor(x + fold(0.37 * y + 0.61 * z) + 0.4 * fold(2.3 * z - 1.7 * y)))
-    v = np.int64(math.floor(y + fold(0.53 * z - 0.41 * x) + 0.4 * fold(1.9 * x + 2.1 * z)))
-    w = np.int64(math.floor(z + fold(0.43 * x + 0.57 * y) + 0.4 * fold(1.6 * y - 2.2 * x)))
-    drawn = _draw_cell(seed, u, v, w, 0, known)
-    share = _draw_cell(seed, u >> _CELL_BITS, v >> _CELL_BITS, w >> _CELL_BITS, 1, known)
+    return x, y, z
+
+
+@inline_kernel
+def _cell_at(x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return the cell of a place in patches, whole numbers; folds make the borders of cells irregular."""
+    u = np.floor(x + fold(0.37 * y + 0.61 * z) + 0.4 * fold(2.3 * z - 1.7 * y))
+    v = np.floor(y + fold(0.53 * z - 0.41 * x) + 0.4 * fold(1.9 * x + 2.1 * z))
+    w = np.floor(z + fold(0.43 * x + 0.57 * y) + 0.4 * fold(1.6 * y - 2.2 * x))
+    return u, v, w
+
+
+@inline_kernel
+def _draw_patch(seed: int, u: float, v: float, w: float, known: _Known) -> tuple[float, float]:
+    """Draw a number in [0, 1) for the patch of a cell, and the contrast of its area."""
+    a, b, c = np.int64(u), np.int64(v), np.int64(w)
+    drawn = _draw_cell(seed, a, b, c, 0, known)
+    share = _draw_cell(seed, a >> _CELL_BITS, b >> _CELL_BITS, c >> _CELL_BITS, 1, known)
     return drawn, _STRENGTH[np.int64(share * len(_STRENGTH))]
 
 
