@@ -111,9 +111,10 @@ class ReferenceScene:
             count[wants] += each
             so_far = [np.concatenate([part[n] for part in met], axis=-1) for n in range(3)]
             for pulse in np.argwhere(wants).tolist():
-                here = [array[pulse[0], pulse[1]] for array in so_far]
-                room = np.empty((2, first + each))
-                wants[tuple(pulse)] = not enough(*here, reflectance, beam.budget, room)
+                range_m, surface, cosine = (array[pulse[0], pulse[1]] for array in so_far)
+                of_rays = np.where(surface == NO_SURFACE, 0.0, reflectance[surface % len(reflectance)])
+                energy = (of_rays * cosine / np.square(range_m)).astype(np.float32)
+                wants[tuple(pulse)] = not enough(range_m, energy, beam.budget, np.empty((2, first + each)))
             if not wants.any():
                 break
         kept = np.arange(so_far[0].shape[-1]) < count[..., None]

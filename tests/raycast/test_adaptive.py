@@ -8,9 +8,6 @@ from raycast import lab
 
 from vlp16emu.raycast.adaptive import RayBudget, enough, worth_of_ray_m
 from vlp16emu.raycast.beam import ROUND
-from vlp16emu.types import NO_SURFACE
-
-WHITE = np.ones(1, np.float32)
 
 
 def budget(target_m, threshold=0.0):
@@ -21,9 +18,8 @@ def budget(target_m, threshold=0.0):
 def asked(ranges_m, target_m=0.03, threshold=0.0):
     """Whether sub-rays on white surfaces at these ranges (inf: missed) are enough."""
     range_m = np.asarray(ranges_m, np.float32)
-    surface = np.where(np.isfinite(range_m), 0, NO_SURFACE).astype(np.uint32)
-    room = np.empty((2, len(range_m)))
-    return enough(range_m, surface, np.ones_like(range_m), WHITE, budget(target_m, threshold), room)
+    energy = np.float32(1.0) / np.maximum(np.square(range_m), np.float32(1e-12))
+    return enough(range_m, energy, budget(target_m, threshold), np.empty((2, len(range_m))))
 
 
 def test_what_is_agreed_on_is_enough():
@@ -137,13 +133,12 @@ def test_bounds_decide_as_sorted_echoes_do(threshold, rays):
             40 + depth_m * rng.uniform(-0.5, 0.5, rays) + rng.choice([0.0, 2.0]) * (rng.random(rays) < 0.3)
         )
         range_m = np.where(rng.random(rays) < rng.choice([0.0, 0.4]), np.inf, range_m).astype(np.float32)
-        surface = np.where(np.isfinite(range_m), 0, NO_SURFACE).astype(np.uint32)
         cosine = (rng.uniform(0, 1, rays) ** rng.choice([0.1, 1, 6])).astype(np.float32)
         of = budget(rng.choice([0.01, 0.02, 0.03, 0.05]), threshold)
-        energy = np.where(surface == 0, cosine / np.square(range_m), np.float32(0.0))
+        energy = cosine / np.square(range_m)
         right = asked_by_sorting(range_m, energy, of)
         if right is not None:
-            assert enough(range_m, surface, cosine, WHITE, of, np.empty((2, rays))) == right
+            assert enough(range_m, energy, of, np.empty((2, rays))) == right
             found.append(right)
     assert len(found) > 1490
     assert 0.1 < np.mean(found) < 0.9

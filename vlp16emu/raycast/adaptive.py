@@ -19,9 +19,8 @@ import numpy as np
 
 from vlp16emu.elementary import exp, log
 from vlp16emu.kernels.compiler import inline_kernel, kernel
-from vlp16emu.types import F4, F8, NO_SURFACE, U4
+from vlp16emu.types import F4, F8
 
-_NONE = np.uint32(NO_SURFACE)
 _LEAST_SQUARED = np.float32(1e-12)  # smallest squared range, in m2
 _PER_RAY = 5200.0
 """Error reduction required of a ray over the target to the power 3.5, in m-2.5, fitted so that
@@ -70,26 +69,29 @@ def worth_of_ray_m(target_m: float) -> float:
 
 
 @inline_kernel
-def enough(
-    range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, budget: RayBudget, order: F8
-) -> bool:
+def energy_of(reflectance: np.float32, range_m: np.float32, cos_incidence: np.float32) -> np.float32:
+    """Return the energy that a sub-ray brings back, in m-2: it falls with the square of the range."""
+    return reflectance * cos_incidence / max(range_m * range_m, _LEAST_SQUARED)
+
+
+@inline_kernel
+def enough(range_m: F4, energy: F4, budget: RayBudget, order: F8) -> bool:
     """Return whether n sub-rays determine the strongest echo and its detection well enough for the target.
 
     Parameters
     ----------
-    range_m, surface, cos_incidence : (n,) hits of the sub-rays
-    reflectance : (m,) reflectance of the surfaces
+    range_m, energy : (n,) hits of the sub-rays, as of `energy_of`; infinity and 0 without one
     order : (2, n or more) scratch for sorting
     """
     n = range_m.shape[0]
     resolution_m = budget.resolution_m
     worth_m = n * budget.worth_m
     is_precise = worth_m >= _MOST * resolution_m
-    if is_precise and _is_sure(range_m, surface, cos_incidence, reflectance, budget, order):
+    if is_precise and _is_sure(range_m, energy, budget):
         return True
-    if not is_precise and _is_one_echo(range_m, surface, cos_incidence, reflectance, budget):
+    if not is_precise and _is_one_echo(range_m, energy, budget):
         return True
-    met = _sort_echoes(range_m, surface, cos_incidence, reflectance, order)
+    met = _sort_echoes(range_m, energy, order)
     if met == 0:
         return True
     if budget.threshold > 0.0 and _is_doubtful(order, met, n, budget):
@@ -98,9 +100,7 @@ def enough(
 
 
 @inline_kernel
-def _is_sure(
-    range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, budget: RayBudget, order: F8
-) -> bool:
+def _is_sure(range_m: F4, energy: F4, budget: RayBudget) -> bool:
     """Return True if the rays clearly give an echo, or none: two thirds of the other pulses need no sorting.
 
     The strongest echo has at most the energy of all rays, and at least that of those around the brightest
@@ -111,19 +111,14 @@ def _is_sure(
     bright = _PLAIN[1] * threshold
     total = squares = brightest = np.float32(0.0)
     at_m = np.float32(0.0)
-    energies = order[1]
     for i in range(n):
-        own_m = range_m[i]
-        energy = np.float32(0.0)
-        if surface[i] != _NONE:
-            energy = reflectance[surface[i]] * cos_incidence[i] / max(own_m * own_m, _LEAST_SQUARED)
-            if energy >= bright:  # for most bright pulses the first ray suffices
-                return True
-            total += energy
-            squares += energy * energy
-        energies[i] = energy
-        at_m = own_m if energy > brightest else at_m
-        brightest = max(brightest, energy)
+        own = energy[i]
+        if own >= bright:  # for most bright pulses the first ray suffices
+            return True
+        total += own
+        squares += own * own
+        at_m = range_m[i] if own > brightest else at_m
+        brightest = max(brightest, own)
     if total <= _PLAIN[0] * threshold:
         return True
     around_m = 0.249 * budget.resolution_m
@@ -131,14 +126,14 @@ def _is_sure(
     least = 0.0
     for i in range(n):
         # In float64 throughout, so that the compiler makes no branch of it.
-        least += energies[i] * np.float64(abs(np.float64(range_m[i]) - middle_m) <= around_m)
+        least += np.float64(energy[i]) * np.float64(abs(np.float64(range_m[i]) - middle_m) <= around_m)
     off = max(threshold - total, least - threshold, 0.0)
     noise = n * budget.amplitude_noise
     return bool(off * off >= _SURE * (_EVENNESS * squares + noise * noise))
 
 
 @inline_kernel
-def _is_one_echo(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, budget: RayBudget) -> bool:
+def _is_one_echo(range_m: F4, energy: F4, budget: RayBudget) -> bool:
     """Return True if bounds show that the rays suffice: half of all pulses then need no sorting.
 
     Within the resolution there is one echo. The variance of its ranges is at most a quarter of the square of
@@ -148,14 +143,13 @@ def _is_one_echo(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, b
     low_m = np.float32(np.inf)
     high_m = total = squares = brightest = np.float32(0.0)
     for i in range(n):
-        if surface[i] != _NONE:
-            own_m = range_m[i]
-            energy = reflectance[surface[i]] * cos_incidence[i] / max(own_m * own_m, _LEAST_SQUARED)
-            low_m = min(low_m, own_m)
-            high_m = max(high_m, own_m)
-            total += energy
-            squares += energy * energy
-            brightest = max(brightest, energy)
+        own_m = range_m[i]
+        own = energy[i]
+        low_m = min(low_m, own_m)
+        high_m = max(high_m, own_m if own_m < np.inf else np.float32(0.0))
+        total += own
+        squares += own * own
+        brightest = max(brightest, own)
     threshold = n * budget.threshold
     is_plain = threshold == 0.0 or brightest >= _PLAIN[1] * threshold or total <= _PLAIN[0] * threshold
     is_even = squares < _EVEN * total * total
@@ -200,21 +194,18 @@ def _error_m(order: F8, met: int, resolution_m: float) -> float:
 
 
 @kernel
-def _sort_echoes(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, order: F8) -> int:
-    """Fill ranges and energies of the hits, nearest first; the energy falls with the square of the range."""
+def _sort_echoes(range_m: F4, energy: F4, order: F8) -> int:
+    """Fill ranges and energies of the hits that bring energy back, nearest first; return their number."""
     met = 0
     for i in range(range_m.shape[0]):
-        if surface[i] == _NONE:
-            continue
-        reach_m = float(range_m[i])
-        energy = reflectance[surface[i]] * cos_incidence[i] / max(reach_m * reach_m, 1e-12)
-        if energy > 0.0:
+        if energy[i] > 0.0:
+            reach_m = float(range_m[i])
             a = met
             while a > 0 and order[0, a - 1] > reach_m:
                 order[0, a], order[1, a] = order[0, a - 1], order[1, a - 1]
                 a -= 1
             order[0, a] = reach_m
-            order[1, a] = energy
+            order[1, a] = energy[i]
             met += 1
     return met
 

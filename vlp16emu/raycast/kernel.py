@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.kernels.compiler import array_kernel, inline_kernel, kernel
-from vlp16emu.raycast.adaptive import RayBudget, enough
+from vlp16emu.raycast.adaptive import RayBudget, energy_of, enough
 from vlp16emu.raycast.beam import ROUND, draw_pattern, fill_sub_rays, pulse_axes
 from vlp16emu.raycast.packet import (
     DIR,
@@ -41,7 +41,6 @@ seen beside it: as much as a pulse may have that eight rays miss."""
 _OUTLINE_RAYS = 24
 """Least number of rays of a pulse beside an outline: they meet what has a sixteenth of its light. With 64,
 the most by default, `reference_forest` takes 8 % longer."""
-_LEAST_SQUARED = np.float32(1e-12)  # smallest squared range, in m2
 AXES_TIME = 12  # place of the pulse's time in a row of `Batch.axes_row`
 
 
@@ -64,11 +63,12 @@ class PulseBatch(NamedTuple):
 
 
 class RayHits(NamedTuple):
-    """Hits of rays: three arrays of one length."""
+    """Hits of rays: arrays of one length."""
 
     range_m: F4
     surface: U4
     cos_incidence: F4
+    energy: F4  # as of `energy_of`; only for adaptive beams
 
 
 class Batch(NamedTuple):
@@ -84,7 +84,7 @@ class Batch(NamedTuple):
     missed: NDArray[np.bool_]  # (n,) mask of pulses with rays that meet nothing near
     todo: I8  # (n,) numbers of the pulses to cast
     have: I8  # (n,) number of sub-rays of each
-    light: F4  # (n,) sum of the amplitudes of the first round of each, in m-2
+    light: F4  # (n,) energy of the first round of each, in m-2
     blank: I8  # (n,) rays of that round that meet what is too near for an echo
     hits: RayHits  # (n m,) hits of these, pulse by pulse; m is a multiple of eight
     scratch: F8  # (2, m) for sorting
@@ -105,7 +105,12 @@ def batch_of(pulses: int, max_rays: int) -> Batch:
         np.zeros(pulses, np.int64),
         np.zeros(pulses, np.float32),
         np.zeros(pulses, np.int64),
-        RayHits(np.empty(n, np.float32), np.empty(n, np.uint32), np.empty(n, np.float32)),
+        RayHits(
+            np.empty(n, np.float32),
+            np.empty(n, np.uint32),
+            np.empty(n, np.float32),
+            np.empty(n, np.float32),
+        ),
         np.empty((2, max_rays)),
     )
 
@@ -384,6 +389,8 @@ def settle(
             range_m[at + lane] = np.float32(np.inf) if own_met[lane] == NONE else own[_RANGE + lane]
             surface[at + lane] = own_met[lane]
             cosine[at + lane] = own[_COSINE + lane]
+        if budget.adaptive:
+            _weigh(hits, reflectance, at)
         if have == 0:
             to = np.uint64(count * ((first + q % PACKET) * lasers + q // PACKET))
             for lane in range(np.uint64(count)):
@@ -391,7 +398,7 @@ def settle(
                 first_cosine[to + lane] = cosine[at + lane]
                 first_met[to + lane] = surface[at + lane]
             if budget.adaptive:
-                light[q], batch.blank[q] = _light_of(hits, reflectance, at, budget.blank_m)
+                light[q], batch.blank[q] = _light_of(hits, at, budget.blank_m)
         batch.have[q] = total
     return _queue_again(cast, budget, todo, total) if total < budget.max_rays else 0
 
@@ -411,10 +418,7 @@ def _queue_again(cast: Cast, budget: RayBudget, todo: int, total: int) -> int:
         if budget.adaptive and not needs_more:
             begin = q * room
             stop = begin + total
-            ranges = hits.range_m[begin:stop]
-            surfaces = hits.surface[begin:stop]
-            cosines = hits.cos_incidence[begin:stop]
-            if enough(ranges, surfaces, cosines, cast.near.reflectance, budget, batch.scratch):
+            if enough(hits.range_m[begin:stop], hits.energy[begin:stop], budget, batch.scratch):
                 continue
         batch.todo[left] = q
         left += 1
@@ -422,8 +426,19 @@ def _queue_again(cast: Cast, budget: RayBudget, todo: int, total: int) -> int:
 
 
 @inline_kernel
-def _light_of(hits: RayHits, reflectance: F4, begin: np.uint64, blank_m: float) -> tuple[np.float32, int]:
-    """Return the sum of the amplitudes of a round of hits, as if each ray were the whole pulse, in m-2.
+def _weigh(hits: RayHits, reflectance: F4, begin: np.uint64) -> None:
+    """Fill in the energies of a round of hits."""
+    for lane in range(np.uint64(ROUND)):
+        at = begin + lane
+        energy = np.float32(0.0)
+        if hits.surface[at] != NONE:
+            energy = energy_of(reflectance[hits.surface[at]], hits.range_m[at], hits.cos_incidence[at])
+        hits.energy[at] = energy
+
+
+@inline_kernel
+def _light_of(hits: RayHits, begin: np.uint64, blank_m: float) -> tuple[np.float32, int]:
+    """Return the energy of a round of hits, in m-2.
 
     What is nearer than `blank_m` gives none; also returns the number of rays that meet it.
     """
@@ -431,10 +446,9 @@ def _light_of(hits: RayHits, reflectance: F4, begin: np.uint64, blank_m: float) 
     blank = 0
     for lane in range(np.uint64(ROUND)):
         at = begin + lane
-        blank += hits.range_m[at] < blank_m
-        if hits.surface[at] != NONE and hits.range_m[at] >= blank_m:
-            squared = max(hits.range_m[at] * hits.range_m[at], _LEAST_SQUARED)
-            light += reflectance[hits.surface[at]] * hits.cos_incidence[at] / squared
+        is_blank = hits.range_m[at] < blank_m
+        blank += is_blank
+        light += np.float32(0.0) if is_blank else hits.energy[at]
     return light, blank
 
 
@@ -467,7 +481,7 @@ def is_beside_outline(light: F4, budget: RayBudget, q: int) -> bool:
 
     Parameters
     ----------
-    light : (n,) sum of the amplitudes of the first round of each pulse
+    light : (n,) energy of the first round of each pulse
     """
     brightest = light[q]
     if q % PACKET > 0:
