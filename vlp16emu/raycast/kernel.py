@@ -106,10 +106,7 @@ def batch_of(pulses: int, max_rays: int) -> Batch:
         np.zeros(pulses, np.float32),
         np.zeros(pulses, np.int64),
         RayHits(
-            np.empty(n, np.float32),
-            np.empty(n, np.uint32),
-            np.empty(n, np.float32),
-            np.empty(n, np.float32),
+            np.empty(n, np.float32), np.empty(n, np.uint32), np.empty(n, np.float32), np.empty(n, np.float32)
         ),
         np.empty((2, max_rays)),
     )

@@ -4,6 +4,7 @@ Patches, smooth variation over metres, unevenness, and shine at normal incidence
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +65,27 @@ _Known = tuple[I8, F8]
 patches and areas, each at a place by its hash. Pulses side by side hit the same ones, in turns."""
 
 
+class _Sequence(NamedTuple):
+    """Scratch for the sub-rays of a firing sequence, and for the patches that they hit; n of each at most."""
+
+    texture: F4  # (n,) of the surface that each sub-ray hits; `reflectance` likewise
+    reflectance: F4
+    patch: U4  # (n,) patch of each sub-ray
+    x: F8
+    """(n,) place of each patch in patches, then its cell in whole numbers; `y` and `z` likewise."""
+    y: F8
+    z: F8
+    drawn: F8  # (n,) deviation of each patch, of variance one
+    deviation: F8  # (n,) that of the patch of each sub-ray
+
+
+def _sequence_of(n: int) -> _Sequence:
+    """Make scratch for n sub-rays."""
+    texture, reflectance = np.empty((2, n), np.float32)
+    x, y, z, drawn, deviation = np.zeros((5, n))
+    return _Sequence(texture, reflectance, np.zeros(n, np.uint32), x, y, z, drawn, deviation)
+
+
 def add_texture(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: int) -> None:
     """Add the texture, shading, relief and gloss of each surface to hits, in place.
 
@@ -87,9 +109,7 @@ def add_texture(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: 
         _texture(firings.origin_m, firings.direction, rays, looks, seed, known)
     else:
         most = int(hits.count.sum(axis=1, dtype=np.int64).max(initial=0))
-        place = np.zeros(most), np.zeros(most), np.zeros(most)
-        room = np.empty((2, most), np.float32), np.zeros(most, np.uint32), *place
-        _texture_alone(firings.origin_m, firings.direction, rays, looks, seed, known, room)
+        _texture_alone(firings.origin_m, firings.direction, rays, looks, seed, known, _sequence_of(most))
 
 
 @once_per_array
@@ -178,21 +198,20 @@ def _texture_alone(
     looks: F4,
     seed: int,
     known: _Known,
-    room: tuple[F4, U4, F8, F8, F8],
+    sequence: _Sequence,
 ) -> None:
     """Multiply cosines by the texture as `_texture` does, where no surface has relief, gloss or shading.
 
-    A firing sequence at a time: the places of its patches, and their cells, several at once; their texture;
+    A firing sequence at a time: the places of its patches, and their cells, several at once; their draws;
     and the factors of its sub-rays, several at once.
 
     Parameters
     ----------
     looks : (m, 3) the first columns
-    room : scratch for a sequence: texture and reflectance (2, n) and patch (n,) of each sub-ray, and three
-        rows (n,) for patches
+    sequence : scratch
     """
     (count, range_m, met, cosine) = rays
-    (of_surface, patch_of, x, y, z) = room
+    (textures, reflectance, patch_of, x, y, z, drawn, deviation) = sequence
     stop = np.uint64(0)
     for i in range(count.shape[0]):
         first = stop
@@ -210,20 +229,20 @@ def _texture_alone(
                     x[found], y[found], z[found] = place
                     last = found
                     found += _ONE
-                of_surface[0, ray - first] = texture
-                of_surface[1, ray - first] = looks[row, 1]
+                textures[ray - first] = texture
+                reflectance[ray - first] = looks[row, 1]
                 patch_of[ray - first] = last
         for patch in range(found):
             x[patch], y[patch], z[patch] = _cell_at(x[patch], y[patch], z[patch])
         for patch in range(found):
-            x[patch] = _texture_of(seed, x[patch], y[patch], z[patch], known)
+            drawn[patch] = _texture_of(seed, x[patch], y[patch], z[patch], known)
         for ray in range(stop - first):  # on its own, so that the next loop computes several at once
-            y[ray] = x[patch_of[ray]]
+            deviation[ray] = drawn[patch_of[ray]]
         for ray in range(stop - first):
             slope = max(np.float64(cosine[first + ray]), _FLATTEST)
             slant = 0.5 + 0.5 / slope
-            more = of_surface[0, ray] * slant * y[ray]
-            cosine[first + ray] *= np.float32(_factor(more, of_surface[1, ray]))
+            more = textures[ray] * slant * deviation[ray]
+            cosine[first + ray] *= np.float32(_factor(more, reflectance[ray]))
 
 
 @inline_kernel
