@@ -225,15 +225,20 @@ def _texture_alone(
                 texture = looks[row, 0] if is_hit else np.float32(0.0)
                 if (texture != 0.0) & (abs(range_m[ray] - patch_m) > _SAME_M):
                     patch_m = np.float64(range_m[ray])
-                    place = _place(np.float64(looks[row, 2]), origin_m, direction, i, j, patch_m)
-                    x[found], y[found], z[found] = place
+                    (x_at, y_at, z_at) = _place(np.float64(looks[row, 2]), origin_m, direction, i, j, patch_m)
+                    x[found] = x_at
+                    y[found] = y_at
+                    z[found] = z_at
                     last = found
                     found += _ONE
                 textures[ray - first] = texture
                 reflectance[ray - first] = looks[row, 1]
                 patch_of[ray - first] = last
         for patch in range(found):
-            x[patch], y[patch], z[patch] = _cell_at(x[patch], y[patch], z[patch])
+            (u, v, w) = _cell_at(x[patch], y[patch], z[patch])
+            x[patch] = u
+            y[patch] = v
+            z[patch] = w
         for patch in range(found):
             drawn[patch] = _texture_of(seed, x[patch], y[patch], z[patch], known)
         for ray in range(stop - first):  # on its own, so that the next loop computes several at once
