@@ -113,7 +113,7 @@ class ReferenceScene:
             for pulse in np.argwhere(wants).tolist():
                 range_m, surface, cosine = (array[pulse[0], pulse[1]] for array in so_far)
                 of_rays = np.where(surface == NO_SURFACE, 0.0, reflectance[surface % len(reflectance)])
-                energy = (of_rays * cosine / np.square(range_m)).astype(np.float32)
+                energy = of_rays * cosine / np.maximum(np.square(range_m), np.float32(1e-12))
                 wants[tuple(pulse)] = not enough(range_m, energy, beam.budget, np.empty((2, first + each)))
             if not wants.any():
                 break

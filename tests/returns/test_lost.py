@@ -141,8 +141,8 @@ def test_what_is_nearer_than_the_least_range_is_no_step():
 
 
 def test_a_sensor_at_rest_loses_the_same_records_at_a_step_in_each_revolution():
-    """Of records that arrive where two surfaces share the light, a turn later at most half as many are lost
-    as with a draw for each pulse; 20 degrees farther as many are."""
+    """A turn later a step of range loses at most half as many of the records that arrived as a draw for each
+    pulse would; 20 degrees farther it loses as many."""
     surfaces = table(0.5, 0.5)
     surfaces["part"] = PlantPart.LEAF
     range_m = np.broadcast_to(np.repeat([3.0, 3.5], 4), (3600, LASERS, 8))

@@ -80,7 +80,8 @@ def enough(range_m: F4, energy: F4, budget: RayBudget, order: F8) -> bool:
 
     Parameters
     ----------
-    range_m, energy : (n,) hits of the sub-rays, as of `energy_of`; infinity and 0 without one
+    range_m, energy : (n,) range of the hit of each sub-ray, infinity without one; and its energy, by
+        `energy_of`, 0 without one
     order : (2, n or more) scratch for sorting
     """
     n = range_m.shape[0]

@@ -68,7 +68,7 @@ class RayHits(NamedTuple):
     range_m: F4
     surface: U4
     cos_incidence: F4
-    energy: F4  # as of `energy_of`; only for adaptive beams
+    energy: F4  # by `energy_of`, 0 without a hit; only filled for adaptive beams
 
 
 class Batch(NamedTuple):
